@@ -1,0 +1,29 @@
+"""Detections to motion goals to robot commands; nothing here sees truth or calibration."""
+
+from skyherd.control.flight import Follow, Hover, Perimeter
+from skyherd.control.fusion import Inboxes
+from skyherd.control.goals import motion_goals
+from skyherd.control.robot_law import MarkerGains, PixelGains, robot_commands
+from skyherd.control.selection import ControlSet, SafetyRadius
+from skyherd.control.similarity import Similarity, desired_points, fit_similarity
+from skyherd.control.template import Template
+from skyherd.control.unit import AerialController, Decision
+
+__all__ = [
+    "AerialController",
+    "ControlSet",
+    "Decision",
+    "Follow",
+    "Hover",
+    "Inboxes",
+    "MarkerGains",
+    "Perimeter",
+    "PixelGains",
+    "SafetyRadius",
+    "Similarity",
+    "Template",
+    "desired_points",
+    "fit_similarity",
+    "motion_goals",
+    "robot_commands",
+]

@@ -1,0 +1,69 @@
+"""What a unit sends to its robots: motion goals in each robot's own frame, and image distances (eq. 2-3)."""
+
+import numpy as np
+
+from skyherd.control.similarity import desired_points
+from skyherd.control.template import Template
+from skyherd.geometry import Array, BoolArray, IntArray, to_complex, wrap_angle
+from skyherd.messages import Detections, MotionGoals
+
+
+def motion_goals(
+    seen: Detections, controlled_ids: IntArray, template: Template, *, shared_ids: IntArray, nearest: int
+) -> MotionGoals:
+    """Goals of one unit for the robots it controls and sees.
+
+    `rho_i^j = p_i^{d,j} - p_i^j` (eq. 2); its direction in the robot's frame is the angle from the
+    heading y to rho. Image angles run clockwise seen from above, the robot's counter-clockwise: the sense
+    flips here, once, as `bearing = -(arg rho - heading)`. The paper's angle (eq. 3) is `pi - bearing`.
+
+    Args:
+        seen: all robots of the team in the image.
+        controlled_ids: S_j^c; its members that are not in `seen` get no goal.
+        template: the whole shape.
+        shared_ids: robots that other units control as well; their distances are always sent.
+        nearest: distances are also sent to this many nearest robots in the image.
+
+    Raises:
+        DegenerateSetError: the controlled robots seen define no similarity.
+    """
+    robots = seen.select(controlled_ids)
+    current = to_complex(robots.centers_px)
+    rho = desired_points(template.points_of(robots.ids), current) - current
+    neighbor_ids, neighbor_distances = _neighbors(robots, seen, shared_ids, nearest)
+    return MotionGoals(
+        unit_id=seen.unit_id,
+        time_s=seen.time_s,
+        ids=robots.ids,
+        rho_px=np.abs(rho),
+        bearings_rad=wrap_angle(robots.headings_rad - np.angle(rho)),
+        sides_px=robots.sides_px,
+        neighbor_ids=neighbor_ids,
+        neighbor_distances_px=neighbor_distances,
+    )
+
+
+def _neighbors(
+    robots: Detections, seen: Detections, shared_ids: IntArray, nearest: int
+) -> tuple[IntArray, Array]:
+    """Ids (N, K), filled with -1, and distances (N, K), filled with 0, of the neighbours to tell of."""
+    points, others = to_complex(robots.centers_px), to_complex(seen.centers_px)
+    distances = np.abs(points[:, None] - others[None, :])
+    itself = robots.ids[:, None] == seen.ids[None, :]
+    told = (_nearest_mask(distances, nearest) | np.isin(seen.ids, shared_ids)[None, :]) & ~itself
+    width = int(told.sum(axis=1).max(initial=0))
+    columns = np.argsort(~told, axis=1, kind="stable")[:, :width]
+    real = np.take_along_axis(told, columns, axis=1)
+    return (
+        np.where(real, seen.ids[columns], -1),
+        np.where(real, np.take_along_axis(distances, columns, axis=1), 0.0),
+    )
+
+
+def _nearest_mask(distances: Array, nearest: int) -> BoolArray:
+    """(N, M) true for the `nearest` points of each row after the nearest of all, the robot itself."""
+    count = min(nearest, distances.shape[1] - 1)
+    order = np.argsort(distances, axis=1)[:, 1 : count + 1]
+    mask = np.zeros(distances.shape, dtype=bool)
+    np.put_along_axis(mask, order, True, axis=1)
+    return mask

@@ -1,0 +1,63 @@
+"""Algorithm 1 of the paper: the least-squares similarity from template to image, and desired points."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from skyherd.errors import DegenerateSetError
+from skyherd.geometry import ComplexArray
+
+COINCIDENT = 1e-12
+"""Points whose spread is below this fraction of their size lie on one spot."""
+
+
+@dataclass(frozen=True)
+class Similarity:
+    """`z ↦ turn (z - source) + target`: scale `|turn|`, rotation `arg turn` (image sense), centroids kept."""
+
+    turn: complex
+    source: complex
+    target: complex
+
+    @property
+    def scale(self) -> float:
+        """s_j: image pixels per template pixel."""
+        return abs(self.turn)
+
+    @property
+    def rotation_rad(self) -> float:
+        """phi_j, from +u to +v."""
+        return float(np.angle(self.turn))
+
+    def __call__(self, points: ComplexArray) -> ComplexArray:
+        """Map template points to desired points."""
+        return np.asarray(self.turn * (points - self.source) + self.target)
+
+
+def fit_similarity(template: ComplexArray, current: ComplexArray) -> Similarity:
+    """Similarity that takes template points (N,) nearest to current points (N,).
+
+    Minimises `Σ |H p'_ic - p_ic|²` over `H = s e^{i phi}` with both sets centred (paper, eq. 1 and
+    Algorithm 1). In complex numbers the normal equation is one line,
+
+        H = Σ conj(p'_ic) p_ic / Σ |p'_ic|².
+
+    Raises:
+        DegenerateSetError: fewer than two points, or all template points (then no similarity exists) or
+            all current points (then it has scale zero) on one spot.
+    """
+    if template.size != current.size or template.size < 2:
+        raise DegenerateSetError(f"{current.size} points define no similarity; at least two are needed")
+    source, target = template.mean(), current.mean()
+    template_c, current_c = template - source, current - target
+    spread = np.vdot(template_c, template_c).real
+    if spread <= (COINCIDENT * np.abs(template).max()) ** 2 * template.size:
+        raise DegenerateSetError("all template points coincide; at least two must differ")
+    if np.abs(current_c).max() <= COINCIDENT * np.abs(current).max():
+        raise DegenerateSetError("all current points coincide; at least two must differ")
+    return Similarity(complex(np.vdot(template_c, current_c) / spread), complex(source), complex(target))
+
+
+def desired_points(template: ComplexArray, current: ComplexArray) -> ComplexArray:
+    """p^d = H_s p'_c + c_p: where unit j wants its robots, in its own image (Algorithm 1)."""
+    return fit_similarity(template, current)(template)

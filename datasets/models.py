@@ -1,0 +1,207 @@
+"""The scenario file, key by key: what each means, its unit, and what is allowed."""
+
+from typing import Annotated, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, model_validator
+
+Positive = Annotated[FiniteFloat, Field(gt=0)]
+NotNegative = Annotated[FiniteFloat, Field(ge=0)]
+Fraction = Annotated[FiniteFloat, Field(ge=0, lt=1)]
+Point = tuple[FiniteFloat, FiniteFloat]
+
+
+class Model(BaseModel):
+    """Unknown keys are errors; values do not change after they are checked."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=False)
+
+
+class TemplateModel(Model):
+    """The shape: exactly one of `points`, `shape` and `image`."""
+
+    points: list[Point] | None = Field(None, description="a point for each robot, x right, y up, any unit")
+    shape: str | None = Field(None, description="a named shape")
+    image: str | None = Field(None, description="a PNG with every robot's marker in it, beside the scenario")
+
+    @model_validator(mode="after")
+    def _one(self) -> Self:
+        if sum(value is not None for value in (self.points, self.shape, self.image)) != 1:
+            raise ValueError("give exactly one of points, shape and image")
+        return self
+
+
+class ScatterModel(Model):
+    """Random start: the template's points at `scale_m` metres a unit, each moved by up to `jitter_m`."""
+
+    scale_m: Positive = Field(description="metres a template unit")
+    jitter_m: NotNegative = Field(description="largest displacement along x and along y")
+    rotation_deg: FiniteFloat = Field(0.0, description="turn of the shape, counter-clockwise")
+    spacing_m: NotNegative = Field(0.0, description="least distance between two robots")
+    center_m: Point = Field((0.0, 0.0), description="where the shape's centroid is put")
+
+
+class RobotsModel(Model):
+    """The ground team: where it starts, or how it is scattered."""
+
+    positions_m: list[Point] | None = Field(None, description="start positions on the ground")
+    headings_deg: list[FiniteFloat] | None = Field(None, description="counter-clockwise from +x; random if left out")
+    scatter: ScatterModel | None = Field(None, description="a random start in place of positions_m")
+    count: Annotated[int, Field(ge=2)] | None = Field(None, description="robots, where nothing else tells")
+    ids: list[Annotated[int, Field(ge=0)]] | None = Field(None, description="marker ids; 0, 1, … if left out")
+    max_speed_mps: Positive = Field(1.0, description="limit of |v|")
+    max_turn_radps: Positive = Field(3.0, description="limit of |omega|")
+    timeout_s: Positive = Field(0.5, description="a goal is forgotten this long after it was heard")
+
+
+class MarkerModel(Model):
+    """The markers on the robots."""
+
+    dictionary: str = Field("4X4_50", description="OpenCV dictionary, without DICT_")
+    side_m: Positive = Field(description="side of the black square")
+
+
+class ControlModel(Model):
+    """Gains of the robots' law."""
+
+    gains: Literal["marker", "pixel"] = Field("marker", description="marker units, or the paper's pixels")
+    k: Positive = Field(0.1, description="marker gains: speed a metre of goal, 1/s")
+    k_v: Positive = Field(0.001, description="pixel gains: speed a pixel of goal, m/s/px")
+    k_omega: Positive = Field(0.4, description="turn rate a radian, 1/s")
+    b_th: NotNegative = Field(0.0, description="robots stop nearer to the goal: marker sides, or px")
+    neighbors: Annotated[int, Field(ge=1)] = Field(3, description="nearest robots whose distances are sent")
+
+
+class SelectionModel(Model):
+    """Which robots a unit controls."""
+
+    radius: Annotated[FiniteFloat, Field(gt=0, le=1.5)] = Field(
+        0.85, description="safety radius, in halves of the image's shorter side"
+    )
+    hysteresis: NotNegative = Field(0.06, description="a robot leaves at radius (1 + hysteresis)")
+    dwell_s: Positive = Field(2.0, description="least time between changes of topology")
+
+
+class CameraModel(Model):
+    """A camera; the controller is told nothing of this but the image's size."""
+
+    size_px: tuple[Annotated[int, Field(ge=32, le=8192)], Annotated[int, Field(ge=32, le=8192)]] = (800, 800)
+    focal_px: Positive | None = Field(None, description="focal length; or half_angle_deg")
+    half_angle_deg: Annotated[FiniteFloat, Field(gt=0, lt=85)] | None = Field(
+        None, description="half the field of view across the image's shorter side"
+    )
+    principal_point_px: Point | None = Field(None, description="the image's centre if left out")
+    aspect: Positive = Field(1.0, description="focal length along v over along u")
+    skew: FiniteFloat = Field(0.0, description="of the pixel axes")
+    mirrored: bool = Field(False, description="the stream is flipped left to right")
+
+    @model_validator(mode="after")
+    def _one_focal(self) -> Self:
+        if (self.focal_px is None) == (self.half_angle_deg is None):
+            raise ValueError("give exactly one of focal_px and half_angle_deg")
+        return self
+
+
+class FlightModel(Model):
+    """How a unit flies; lengths are in halves of the image's shorter side."""
+
+    kind: Literal["follow", "perimeter", "hover"] = "follow"
+    desired_radius: Annotated[FiniteFloat, Field(gt=0, le=1.5)] = Field(
+        0.7, description="image distance of the farthest robot to be kept"
+    )
+    lateral_gain_mps: NotNegative = Field(1.0, description="speed for half an image")
+    climb_gain_mps: NotNegative = Field(1.0, description="climb for half an image")
+    dead_band: NotNegative = Field(0.02, description="follow: errors of radius below this do not climb")
+    speed_mps: NotNegative = Field(0.1, description="perimeter: speed along it")
+    yaw_rate_degps: FiniteFloat = Field(0.0, description="perimeter, hover: turn, counter-clockwise from above")
+
+
+class UnitModel(Model):
+    """One aerial unit."""
+
+    position_m: Point
+    height_m: Positive
+    yaw_deg: FiniteFloat = 0.0
+    tilt_deg: tuple[
+        Annotated[FiniteFloat, Field(ge=-45, le=45)], Annotated[FiniteFloat, Field(ge=-45, le=45)]
+    ] = Field((0.0, 0.0), description="about the camera's u and v axes")
+    camera: CameraModel
+    zoom: list[tuple[NotNegative, Positive]] = Field(
+        default=[(0.0, 1.0)], min_length=1, description="[time_s, factor on the focal length] points, linear between"
+    )
+    flight: FlightModel = FlightModel()
+    frame_rate_hz: Positive = 10.0
+    latency_s: NotNegative = Field(0.0, description="from an image to its goals' arrival")
+
+    @model_validator(mode="after")
+    def _zoom_in_order(self) -> Self:
+        times = [time for time, _ in self.zoom]
+        if times != sorted(times):
+            raise ValueError("zoom: times must ascend")
+        return self
+
+
+class AutopilotModel(Model):
+    """Limits that the units' autopilots keep."""
+
+    min_height_m: Positive = 3.0
+    max_height_m: Positive = 100.0
+    max_speed_mps: Positive = 2.0
+    max_climb_mps: Positive = 1.0
+    max_yaw_rate_degps: Positive = 30.0
+
+    @model_validator(mode="after")
+    def _room(self) -> Self:
+        if self.min_height_m >= self.max_height_m:
+            raise ValueError("min_height_m must be below max_height_m")
+        return self
+
+
+class NetworkModel(Model):
+    """Seeded losses."""
+
+    frame_loss: Fraction = Field(0.0, description="share of images lost")
+    message_loss: Fraction = Field(0.0, description="share of messages lost, for each receiver")
+
+
+class SensorModel(Model):
+    """What the cameras' images suffer."""
+
+    noise: NotNegative = Field(2.0, description="standard deviation, grey levels")
+    psf_px: NotNegative = Field(0.8, description="standard deviation of the blur")
+
+
+class GroundModel(Model):
+    """The textured ground."""
+
+    mean: Annotated[FiniteFloat, Field(ge=0, le=255)] = 128.0
+    contrast: NotNegative = Field(12.0, description="standard deviation, grey levels")
+
+
+class GoalModel(Model):
+    """When a run counts as converged."""
+
+    shape_error: Positive = Field(0.01, description="RMS distance to the best-fitting shape over its RMS radius")
+    hold_s: NotNegative = Field(5.0, description="how long it must stay under that, to the end")
+
+
+class Scenario(Model):
+    """A whole run: shape, robots, units, cameras, world."""
+
+    name: str = Field(min_length=1)
+    description: str = ""
+    seed: Annotated[int, Field(ge=0)] = 1
+    duration_s: Annotated[FiniteFloat, Field(gt=0, le=86400)] = Field(description="simulated time")
+    step_s: Annotated[FiniteFloat, Field(gt=0, le=1)] = Field(0.1, description="time step of the world")
+    perception: Literal["rendered", "ideal", "noisy"] = "rendered"
+    detector: str = Field("aruco", description="marker detector")
+    template: TemplateModel
+    robots: RobotsModel
+    marker: MarkerModel
+    control: ControlModel = ControlModel()
+    selection: SelectionModel = SelectionModel()
+    units: list[UnitModel] = Field(min_length=1, max_length=16)
+    autopilot: AutopilotModel = AutopilotModel()
+    network: NetworkModel = NetworkModel()
+    sensor: SensorModel = SensorModel()
+    ground: GroundModel = GroundModel()
+    goal: GoalModel = GoalModel()

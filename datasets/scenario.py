@@ -1,0 +1,238 @@
+"""Scenarios: read from TOML, checked, and turned into a template and a start."""
+
+import tomllib
+from collections.abc import Iterable
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import ValidationError
+
+from skyherd.control import Template
+from skyherd.datasets.models import RobotsModel, ScatterModel, Scenario, TemplateModel
+from skyherd.datasets.shapes import shape_points
+from skyherd.datasets.template_image import read_template_image
+from skyherd.errors import DegenerateSetError, InputError
+from skyherd.geometry import Array, IntArray
+from skyherd.markers import dictionary_size
+from skyherd.vision import detector_names
+
+SCATTER_TRIES = 2000
+
+
+def scenario_names() -> list[str]:
+    """Names of the built-in scenarios."""
+    folder = files("skyherd.datasets.scenarios")
+    return sorted(entry.name.removesuffix(".toml") for entry in folder.iterdir() if entry.name.endswith(".toml"))
+
+
+def scenario_text(name: str) -> str:
+    """TOML text of a built-in scenario."""
+    if name not in scenario_names():
+        raise InputError(
+            f"scenario {name!r}", "no such file, nor a built-in of that name", f"a TOML file or one of {', '.join(scenario_names())}"
+        )
+    return files("skyherd.datasets.scenarios").joinpath(f"{name}.toml").read_text("utf-8")
+
+
+@dataclass(frozen=True)
+class Mission:
+    """A checked scenario with what follows from it: the template, and where the team starts.
+
+    Attributes:
+        scenario: as given.
+        template: every robot's point, image sense.
+        ids: (N,) robots, ascending.
+        positions_m: (N, 2) start, in the order of `ids`.
+        headings_rad: (N,) start.
+    """
+
+    scenario: Scenario
+    template: Template
+    ids: IntArray
+    positions_m: Array
+    headings_rad: Array
+
+
+def load_mission(name_or_file: str, settings: Iterable[str] = (), *, seed: int | None = None) -> Mission:
+    """Read and check a built-in scenario or a TOML file, with `key=value` settings put over it.
+
+    Raises:
+        InputError: in one line, the file, the key, the value, and what is allowed.
+    """
+    path = Path(name_or_file)
+    is_file = path.suffix == ".toml" or path.exists()
+    where = str(path) if is_file else f"scenario {name_or_file}"
+    tree = _parse(_read(path) if is_file else scenario_text(name_or_file), where)
+    for setting in settings:
+        _apply_setting(tree, setting)
+    if seed is not None:
+        tree["seed"] = seed
+    return make_mission(tree, where=where, folder=path.parent if is_file else Path())
+
+
+def make_mission(tree: dict[str, Any], *, where: str = "scenario", folder: Path | None = None) -> Mission:
+    """Check a scenario given as a tree of plain values; `folder` is where its template image lies."""
+    try:
+        scenario = Scenario.model_validate(tree)
+    except ValidationError as error:
+        raise _first_error(error, where) from None
+    try:
+        return _complete(scenario, folder or Path())
+    except InputError as error:
+        raise InputError(f"{where}: {error.where}", error.what, error.allowed) from None
+    except DegenerateSetError as error:
+        raise InputError(f"{where}: template", str(error), "at least two distinct points") from None
+
+
+def _read(path: Path) -> str:
+    try:
+        return path.read_text("utf-8")
+    except UnicodeDecodeError:
+        raise InputError(str(path), "not a text file", "a scenario in TOML, UTF-8") from None
+    except OSError as error:
+        raise InputError(str(path), error.strerror or str(error), "a readable scenario in TOML") from None
+
+
+def _parse(text: str, where: str) -> dict[str, Any]:
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(where, f"malformed TOML: {error}", "see `skyherd scenario show star` for a good one") from None
+
+
+def _apply_setting(tree: dict[str, Any], setting: str) -> None:
+    """Put one `a.b.0.c=value` over the tree; the value is TOML, or plain text where that fails."""
+    key, equals, text = setting.partition("=")
+    if not equals or not key.strip():
+        raise InputError(f"--set {setting}", "not of the form key=value", "such as --set control.k=0.2")
+    try:
+        value = tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        value = text
+    *parents, last = key.strip().split(".")
+    node: Any = tree
+    for part in parents:
+        node = node.setdefault(part, {}) if isinstance(node, dict) else _item(node, part, setting)
+    if isinstance(node, dict):
+        node[last] = value
+    else:
+        _item(node, last, setting)
+        node[int(last)] = value
+
+
+def _item(node: Any, index: str, setting: str) -> Any:
+    if not isinstance(node, list) or not index.isdigit() or int(index) >= len(node):
+        allowed = f"0 to {len(node) - 1}" if isinstance(node, list) else "a key of the scenario; see `skyherd scenario schema`"
+        raise InputError(f"--set {setting}", f"nothing there called {index!r}", allowed)
+    return node[int(index)]
+
+
+def _first_error(error: ValidationError, where: str) -> InputError:
+    """The first complaint as one line, and how many more there are."""
+    first, *others = error.errors()
+    key = ".".join(str(part) for part in first["loc"]) or "scenario"
+    value = first["input"]
+    shown = "" if isinstance(value, dict | list) and first["type"] != "extra_forbidden" else f" (given: {value!r})"
+    allowed = f"{first['msg']}{shown}"
+    more = f" — and {len(others)} more" if others else ""
+    what = {"missing": "missing", "extra_forbidden": "unknown key"}.get(first["type"], "wrong value")
+    return InputError(f"{where}: {key}", what, f"{allowed}{more}; see `skyherd scenario schema`")
+
+
+def _complete(scenario: Scenario, folder: Path) -> Mission:
+    rng = np.random.default_rng([scenario.seed, 0])
+    if scenario.detector not in detector_names():
+        raise InputError("detector", f"no detector {scenario.detector!r}", f"one of {', '.join(detector_names())}")
+    limit = dictionary_size(scenario.marker.dictionary)
+    template = _template(scenario.template, scenario.robots, scenario.marker.dictionary, folder)
+    ids = _robot_ids(scenario.robots, template)
+    if ids.max() >= limit:
+        raise InputError(
+            "robots.ids",
+            f"{ids.size} robots with ids up to {ids.max()}, but {scenario.marker.dictionary} has {limit} markers",
+            f"ids from 0 to {limit - 1}, or a larger marker.dictionary",
+        )
+    _check_template(ids, template)
+    positions = _positions(scenario.robots, ids, template, rng)
+    headings = _headings(scenario.robots, ids.size, rng)
+    order = np.argsort(ids)
+    return Mission(scenario, template, ids[order], positions[order], headings[order])
+
+
+def _template(model: TemplateModel, robots: RobotsModel, dictionary: str, folder: Path) -> Template:
+    if model.image is not None:
+        return read_template_image(folder / model.image, dictionary)
+    count = next((len(given) for given in (robots.positions_m, robots.ids) if given is not None), robots.count)
+    if model.points is not None:
+        points = np.array(model.points, dtype=float).reshape(-1, 2)
+    elif count is None:
+        raise InputError("robots", "nothing tells how many there are", "positions_m, ids or count")
+    else:
+        points = shape_points(model.shape or "", count)
+    ids = np.arange(len(points)) if robots.ids is None else np.array(robots.ids)
+    if len(ids) != len(points):
+        raise InputError("template.points", f"{len(points)} points for {len(ids)} robots", "a point for each robot")
+    return Template.from_ground_points(ids, points)
+
+
+def _robot_ids(robots: RobotsModel, template: Template) -> IntArray:
+    count = len(robots.positions_m) if robots.positions_m is not None else robots.count or template.ids.size
+    ids = np.arange(count) if robots.ids is None else np.array(robots.ids, dtype=np.int64)
+    if ids.size < 2:
+        raise InputError("robots", f"{ids.size} robot(s)", "at least two, since fewer make no shape")
+    if np.unique(ids).size != ids.size:
+        twice = sorted({int(i) for i in ids if np.sum(ids == i) > 1})
+        raise InputError("robots.ids", f"duplicate ids {twice}", "each robot its own marker")
+    if ids.size != count:
+        raise InputError("robots.ids", f"{ids.size} ids for {count} robots", "an id for each robot")
+    return ids
+
+
+def _check_template(ids: IntArray, template: Template) -> None:
+    missing, extra = np.setdiff1d(ids, template.ids), np.setdiff1d(template.ids, ids)
+    if missing.size or extra.size:
+        what = f"no point for robot(s) {missing.tolist()}" if missing.size else f"points for {extra.tolist()}, who are no robots"
+        raise InputError("template", what, "one point for each robot")
+
+
+def _positions(robots: RobotsModel, ids: IntArray, template: Template, rng: np.random.Generator) -> Array:
+    if (robots.positions_m is None) == (robots.scatter is None):
+        raise InputError("robots", "needs a start", "exactly one of positions_m and scatter")
+    if robots.scatter is not None:
+        return _scatter(robots.scatter, template.points_of(ids).conj(), rng)
+    positions = np.array(robots.positions_m, dtype=float)
+    distances = np.linalg.norm(positions[:, None] - positions[None], axis=2)
+    first, second = np.nonzero(np.triu(distances <= 1e-9, 1))
+    if first.size:
+        raise InputError(
+            "robots.positions_m",
+            f"robots {ids[first[0]]} and {ids[second[0]]} are on one spot, {positions[first[0]].tolist()}",
+            "each robot its own place",
+        )
+    return positions
+
+
+def _scatter(model: ScatterModel, points: np.ndarray, rng: np.random.Generator) -> Array:
+    turned = (points - points.mean()) * model.scale_m * np.exp(1j * np.radians(model.rotation_deg))
+    home = np.column_stack([turned.real, turned.imag]) + model.center_m
+    placed = np.zeros((0, 2))
+    for place in home:
+        for _ in range(SCATTER_TRIES):
+            at = place + rng.uniform(-model.jitter_m, model.jitter_m, size=2)
+            if not (np.linalg.norm(placed - at, axis=1) < model.spacing_m).any():
+                break
+        else:
+            raise InputError("robots.scatter", f"no room for {len(home)} robots", "a smaller spacing_m or a larger scale_m")
+        placed = np.vstack([placed, at])
+    return placed
+
+
+def _headings(robots: RobotsModel, count: int, rng: np.random.Generator) -> Array:
+    if robots.headings_deg is None:
+        return rng.uniform(-np.pi, np.pi, size=count)
+    if len(robots.headings_deg) != count:
+        raise InputError("robots.headings_deg", f"{len(robots.headings_deg)} headings for {count} robots", "one for each")
+    return np.radians(robots.headings_deg)

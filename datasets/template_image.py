@@ -1,0 +1,31 @@
+"""A template read from a picture: the shape is where its markers are."""
+
+from pathlib import Path
+
+import numpy as np
+from PIL import Image, UnidentifiedImageError
+
+from skyherd.control import Template
+from skyherd.errors import InputError
+from skyherd.vision import create_detector, explain_nothing_decoded
+
+
+def read_template_image(path: Path, dictionary: str) -> Template:
+    """Template of the markers found in an image file.
+
+    Raises:
+        InputError: the file cannot be read, or fewer than two markers are found in it.
+    """
+    try:
+        with Image.open(path) as image:
+            grey = np.array(image.convert("L"))
+    except FileNotFoundError:
+        raise InputError(str(path), "no such file", "a PNG with every robot's marker in it") from None
+    except (UnidentifiedImageError, OSError) as error:
+        raise InputError(str(path), f"not a readable image ({error})", "a PNG with markers") from None
+    detector = create_detector("aruco", dictionary=dictionary)
+    found = detector.detect(grey)
+    if len(found) < 2:
+        why = explain_nothing_decoded(detector, grey) or f"{len(found)} marker(s) of {dictionary} found"
+        raise InputError(str(path), why, "a top view with every robot's marker, each with a white quiet zone")
+    return Template.from_image_points(found.ids, found.centers_px)

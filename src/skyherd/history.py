@@ -1,0 +1,134 @@
+"""A run as arrays over time: what the figures, the summary and the video's plots are drawn from."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from operator import attrgetter
+
+import numpy as np
+
+from skyherd.control.topology import control_matrix
+from skyherd.datasets import Mission
+from skyherd.geometry import Array, BoolArray, IntArray
+from skyherd.loop import Step
+
+
+@dataclass(frozen=True)
+class ImageTrace:
+    """Where one unit saw the robots it controlled: (K,) times, (K, N) image points `u + iv`, NaN if unseen."""
+
+    times_s: Array
+    points_px: np.ndarray
+
+
+@dataclass(frozen=True)
+class History:
+    """T steps of N robots and U units.
+
+    Attributes:
+        mission: what was run.
+        times_s: (T,).
+        positions_m: (T, N, 2).
+        headings_rad: (T, N).
+        v_mps: (T, N) commanded, within the wheels' limits.
+        omega_radps: (T, N).
+        unit_positions_m: (T, U, 2).
+        heights_m: (T, U).
+        yaws_rad: (T, U).
+        zooms: (T, U).
+        V: (T,) m².
+        V_units: (T, U) m²; NaN for a set that makes no shape.
+        scales: (T, U) metres a template unit.
+        rotations_rad: (T, U) ground sense.
+        shape_error: (T,).
+        shape_scale: (T,) metres a template unit.
+        shape_rotation_rad: (T,).
+        min_separation_m: (T,).
+        conditions: (T, 5) whether TC1-TC5 hold.
+        controlled: (T, U, N) S_j^c.
+        traces: image traces by unit.
+        frames: images taken.
+        whole: markers whose card was whole in an image, over all images.
+        found: those of them detected.
+        false_detections: detections of no robot.
+    """
+
+    mission: Mission
+    times_s: Array
+    positions_m: Array
+    headings_rad: Array
+    v_mps: Array
+    omega_radps: Array
+    unit_positions_m: Array
+    heights_m: Array
+    yaws_rad: Array
+    zooms: Array
+    V: Array
+    V_units: Array
+    scales: Array
+    rotations_rad: Array
+    shape_error: Array
+    shape_scale: Array
+    shape_rotation_rad: Array
+    min_separation_m: Array
+    conditions: BoolArray
+    controlled: BoolArray
+    traces: list[ImageTrace]
+    frames: int
+    whole: int
+    found: int
+    false_detections: int
+
+    @property
+    def ids(self) -> IntArray:
+        """(N,) robots."""
+        return self.mission.ids
+
+
+_COLUMNS = {
+    "times_s": "time_s",
+    "positions_m": "positions_m",
+    "headings_rad": "headings_rad",
+    "v_mps": "command.v_mps",
+    "omega_radps": "command.omega_radps",
+    "unit_positions_m": "fleet.positions_m",
+    "heights_m": "fleet.heights_m",
+    "yaws_rad": "fleet.yaws_rad",
+    "zooms": "fleet.zooms",
+    "V": "observation.V",
+    "V_units": "observation.V_units",
+    "scales": "observation.scales",
+    "rotations_rad": "observation.rotations_rad",
+    "shape_error": "observation.shape.error",
+    "shape_scale": "observation.shape.scale",
+    "shape_rotation_rad": "observation.shape.rotation_rad",
+    "min_separation_m": "observation.min_separation_m",
+}
+"""Field of the history: where a step has it."""
+
+
+def make_history(mission: Mission, steps: Iterable[Step]) -> History:
+    """Stack the steps of a run; there must be at least one."""
+    steps = list(steps)
+    columns = {name: np.array([attrgetter(path)(step) for step in steps]) for name, path in _COLUMNS.items()}
+    frames = [frame for step in steps for frame in step.frames.values()]
+    conditions = [step.observation.conditions for step in steps]
+    return History(
+        mission=mission,
+        **columns,
+        conditions=np.array([[c.tc1, c.tc2, c.tc3, c.tc4, c.tc5] for c in conditions]),
+        controlled=np.array([control_matrix(step.control_sets, mission.ids) for step in steps]),
+        traces=[_trace(mission, steps, unit) for unit in range(len(mission.scenario.units))],
+        frames=len(frames),
+        whole=sum(frame.sight.whole_ids.size for frame in frames),
+        found=sum(frame.sight.found_ids.size for frame in frames),
+        false_detections=sum(frame.sight.false_detections for frame in frames),
+    )
+
+
+def _trace(mission: Mission, steps: list[Step], unit: int) -> ImageTrace:
+    seen = [(step.time_s, step.frames[unit]) for step in steps if unit in step.frames]
+    points = np.full((len(seen), mission.ids.size), np.nan + 1j * np.nan)
+    for row, (_, frame) in enumerate(seen):
+        mine = frame.sight.detections.select(frame.decision.report.controlled_ids)
+        points[row, np.searchsorted(mission.ids, mine.ids)] = mine.centers_px[:, 0] + 1j * mine.centers_px[:, 1]
+    return ImageTrace(np.array([time for time, _ in seen]), points)

@@ -1,0 +1,133 @@
+"""The loop: images in, formation out. Everything else hangs off the steps that it yields."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from time import perf_counter
+
+import numpy as np
+
+from skyherd.control import AerialController, Follow, Hover, Inboxes, MarkerGains, Perimeter, PixelGains, SafetyRadius
+from skyherd.control import robot_commands
+from skyherd.control.flight import Flight
+from skyherd.control.robot_law import Gains
+from skyherd.control.selection import NO_ROBOTS
+from skyherd.control.unit import Decision
+from skyherd.datasets import Mission, Scenario
+from skyherd.datasets.models import FlightModel
+from skyherd.geometry import IntArray
+from skyherd.messages import VelocityCommand
+from skyherd.observer import Observation, Observer
+from skyherd.perception import Perception, Sight, make_perception
+from skyherd.world import Fleet, Network, World
+
+
+@dataclass(frozen=True)
+class UnitFrame:
+    """One unit's image and what it decided on it."""
+
+    sight: Sight
+    decision: Decision
+
+
+@dataclass(frozen=True)
+class Step:
+    """All that happened at one instant, before the world moves on."""
+
+    time_s: float
+    positions_m: np.ndarray
+    headings_rad: np.ndarray
+    fleet: Fleet
+    frames: dict[int, UnitFrame]
+    command: VelocityCommand
+    control_sets: dict[int, IntArray]
+    observation: Observation
+
+
+@dataclass
+class Stopwatch:
+    """Wall time spent in each part of the loop, seconds."""
+
+    spent_s: dict[str, float] = field(default_factory=dict)
+
+    def lap(self, part: str, since_s: float) -> float:
+        """Book the time from `since_s` to now under `part`; returns now."""
+        now = perf_counter()
+        self.spent_s[part] = self.spent_s.get(part, 0.0) + now - since_s
+        return now
+
+
+def make_flight(model: FlightModel) -> Flight:
+    """The motion law a scenario asks for."""
+    yaw_rate = float(np.radians(model.yaw_rate_degps))
+    if model.kind == "hover":
+        return Hover(yaw_rate)
+    if model.kind == "perimeter":
+        return Perimeter(
+            model.desired_radius, model.speed_mps, model.lateral_gain_mps, model.climb_gain_mps, yaw_rate
+        )
+    return Follow(model.desired_radius, model.lateral_gain_mps, model.climb_gain_mps, model.dead_band)
+
+
+def make_gains(scenario: Scenario) -> Gains:
+    """The robots' gains a scenario asks for."""
+    control = scenario.control
+    if control.gains == "pixel":
+        return PixelGains(control.k_v, control.k_omega, control.b_th)
+    return MarkerGains(control.k, control.k_omega, control.b_th, scenario.marker.side_m)
+
+
+def make_crew(mission: Mission) -> list[AerialController]:
+    """One controller for each unit of a mission."""
+    scenario = mission.scenario
+    selection = SafetyRadius(**scenario.selection.model_dump())
+    return [
+        AerialController(mission.template, selection, make_flight(unit.flight), nearest=scenario.control.neighbors)
+        for unit in scenario.units
+    ]
+
+
+def run_steps(mission: Mission, perception: Perception | None = None) -> Iterator[Step]:
+    """Run a mission, yielding each step as it is decided and before the world moves.
+
+    The same mission gives the same steps: every random draw comes from the scenario's seed.
+    """
+    scenario = mission.scenario
+    sight_rng, network_rng, frame_rng = (np.random.default_rng([scenario.seed, part]) for part in (1, 2, 3))
+    world, observer, crew = World(mission), Observer(mission.template, mission.ids), make_crew(mission)
+    perception = perception or make_perception(mission, sight_rng)
+    network = Network(scenario.network.message_loss, network_rng, len(crew))
+    inboxes = Inboxes(mission.ids, np.arange(len(crew)), scenario.robots.timeout_s)
+    gains, sets = make_gains(scenario), {unit: NO_ROBOTS for unit in range(len(crew))}
+    for tick in range(round(scenario.duration_s / scenario.step_s) + 1):
+        time_s = tick * scenario.step_s
+        frames = {}
+        for unit in _due(scenario, tick):
+            if frame_rng.random() < scenario.network.frame_loss:
+                continue
+            sight = perception.look(world, unit, time_s)
+            decision = crew[unit].step(sight.detections, list(network.reports[unit].values()))
+            network.send(decision.goals, decision.report, time_s + scenario.units[unit].latency_s)
+            world.fly(decision.flight)
+            frames[unit], sets[unit] = UnitFrame(sight, decision), decision.report.controlled_ids
+        for goals, received in network.deliver(time_s):
+            inboxes.receive(goals, time_s, received)
+        command = world.limit(robot_commands(inboxes, gains, time_s))
+        observation = observer.observe(world.positions_m, sets)
+        yield Step(
+            time_s, world.positions_m, world.headings_rad, world.fleet, frames, command, dict(sets), observation
+        )
+        world.advance(command, time_s, scenario.step_s)
+
+
+def _due(scenario: Scenario, tick: int) -> list[int]:
+    """Units whose next image falls in this tick: each keeps its own frame rate."""
+    step = scenario.step_s
+
+    def shots(ticks: int, rate_hz: float) -> int:
+        return int(np.floor(ticks * step * rate_hz + 1e-9))
+
+    return [
+        unit
+        for unit, model in enumerate(scenario.units)
+        if tick == 0 or shots(tick, model.frame_rate_hz) > shots(tick - 1, model.frame_rate_hz)
+    ]

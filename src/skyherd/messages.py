@@ -1,0 +1,245 @@
+"""Every value that passes between the parts: frozen, read-only, checked when made.
+
+Frames: image u right, v down, an integer is a pixel centre, angles run from +u to +v; robot x forward,
+y left, angles counter-clockwise. Units are in the names.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from skyherd.errors import MessageError
+from skyherd.geometry import Array, IntArray
+
+
+def _frozen(owner: object, name: str, shape: tuple[int | None, ...], *, integer: bool = False) -> None:
+    """Replace a field by a checked, read-only copy of itself."""
+    array = np.array(getattr(owner, name), dtype=np.int64 if integer else np.float64)
+    if array.size == 0 and 0 in [want for want in shape if want is not None]:
+        array = array.reshape([want or 0 for want in shape])
+    if array.ndim != len(shape) or any(
+        want is not None and want != have for want, have in zip(shape, array.shape, strict=True)
+    ):
+        raise MessageError(f"{type(owner).__name__}.{name}: shape {array.shape}, expected {shape}")
+    if not integer and not np.isfinite(array).all():
+        raise MessageError(f"{type(owner).__name__}.{name}: every value must be finite")
+    array.setflags(write=False)
+    object.__setattr__(owner, name, array)
+
+
+def _frozen_ids(owner: object, name: str) -> int:
+    """Freeze a field of robot ids and refuse a repeated one; returns their number."""
+    _frozen(owner, name, (None,), integer=True)
+    ids = getattr(owner, name)
+    if np.unique(ids).size != ids.size:
+        raise MessageError(f"{type(owner).__name__}.{name}: repeated id in {ids.tolist()}")
+    return int(ids.size)
+
+
+@dataclass(frozen=True)
+class Detections:
+    """What one unit's detector found in one image: all that `control` ever sees of the world.
+
+    Attributes:
+        unit_id: the aerial unit whose image it is.
+        time_s: when the image was taken.
+        image_size_px: (2,) width and height.
+        ids: (N,) marker ids, each once.
+        centers_px: (N, 2) marker centres.
+        headings_rad: (N,) direction of each robot's forward axis, from +u to +v.
+        sides_px: (N,) side of the black square.
+        corners_px: (N, 4, 2) corners, the first two ahead of the robot: left, right.
+        covariances: (N, 3, 3) of (u, v, heading), in px², px·rad, rad².
+    """
+
+    unit_id: int
+    time_s: float
+    image_size_px: Array
+    ids: IntArray
+    centers_px: Array
+    headings_rad: Array
+    sides_px: Array
+    corners_px: Array
+    covariances: Array
+
+    def __post_init__(self) -> None:
+        n = _frozen_ids(self, "ids")
+        _frozen(self, "image_size_px", (2,))
+        _frozen(self, "centers_px", (n, 2))
+        _frozen(self, "headings_rad", (n,))
+        _frozen(self, "sides_px", (n,))
+        _frozen(self, "corners_px", (n, 4, 2))
+        _frozen(self, "covariances", (n, 3, 3))
+        if (self.sides_px <= 0).any():
+            raise MessageError("Detections.sides_px: every side must be positive")
+
+    def __len__(self) -> int:
+        return int(self.ids.size)
+
+    def select(self, ids: npt.ArrayLike) -> "Detections":
+        """Keep only the robots named in `ids`, in the order found."""
+        keep = np.isin(self.ids, ids)
+        return Detections(
+            unit_id=self.unit_id,
+            time_s=self.time_s,
+            image_size_px=self.image_size_px,
+            ids=self.ids[keep],
+            centers_px=self.centers_px[keep],
+            headings_rad=self.headings_rad[keep],
+            sides_px=self.sides_px[keep],
+            corners_px=self.corners_px[keep],
+            covariances=self.covariances[keep],
+        )
+
+
+@dataclass(frozen=True)
+class RobotGoal:
+    """What one robot reads of one unit's `MotionGoals`: the message on the wire."""
+
+    robot_id: int
+    unit_id: int
+    time_s: float
+    rho_px: float
+    bearing_rad: float
+    side_px: float
+    neighbor_ids: IntArray
+    neighbor_distances_px: Array
+
+
+@dataclass(frozen=True)
+class MotionGoals:
+    """Goals that one unit sends to the robots it controls (paper eq. 2-3), as arrays over robots.
+
+    Attributes:
+        unit_id: the sender.
+        time_s: when its image was taken.
+        ids: (N,) robots addressed.
+        rho_px: (N,) length of the vector to the desired point, in the sender's pixels.
+        bearings_rad: (N,) its direction in the robot's own frame, 0 ahead, positive to the left; the
+            paper's angle is `alpha = pi - bearing`.
+        sides_px: (N,) each robot's own marker side in the sender's image.
+        neighbor_ids: (N, K) robots near each one in the image; -1 fills the row.
+        neighbor_distances_px: (N, K) image distances to them; 0 where there is none.
+    """
+
+    unit_id: int
+    time_s: float
+    ids: IntArray
+    rho_px: Array
+    bearings_rad: Array
+    sides_px: Array
+    neighbor_ids: IntArray
+    neighbor_distances_px: Array
+
+    def __post_init__(self) -> None:
+        n = _frozen_ids(self, "ids")
+        _frozen(self, "rho_px", (n,))
+        _frozen(self, "bearings_rad", (n,))
+        _frozen(self, "sides_px", (n,))
+        _frozen(self, "neighbor_ids", (n, None), integer=True)
+        _frozen(self, "neighbor_distances_px", (n, self.neighbor_ids.shape[1]))
+        if (self.rho_px < 0).any() or (self.sides_px <= 0).any():
+            raise MessageError("MotionGoals: rho_px must not be negative, sides_px must be positive")
+
+    def __len__(self) -> int:
+        return int(self.ids.size)
+
+    def for_robot(self, robot_id: int) -> RobotGoal:
+        """Cut out the message for one robot; KeyError if this unit does not address it."""
+        found = np.flatnonzero(self.ids == robot_id)
+        if not found.size:
+            raise KeyError(robot_id)
+        row = int(found[0])
+        near = self.neighbor_ids[row] >= 0
+        return RobotGoal(
+            robot_id=robot_id,
+            unit_id=self.unit_id,
+            time_s=self.time_s,
+            rho_px=float(self.rho_px[row]),
+            bearing_rad=float(self.bearings_rad[row]),
+            side_px=float(self.sides_px[row]),
+            neighbor_ids=self.neighbor_ids[row][near],
+            neighbor_distances_px=self.neighbor_distances_px[row][near],
+        )
+
+
+@dataclass(frozen=True)
+class VelocityCommand:
+    """Wheel commands of the team: (N,) ids, forward speed and counter-clockwise turn rate."""
+
+    ids: IntArray
+    v_mps: Array
+    omega_radps: Array
+
+    def __post_init__(self) -> None:
+        n = _frozen_ids(self, "ids")
+        _frozen(self, "v_mps", (n,))
+        _frozen(self, "omega_radps", (n,))
+
+
+@dataclass(frozen=True)
+class UnitReport:
+    """What one aerial unit tells the others.
+
+    Attributes:
+        unit_id: the sender.
+        time_s: when its image was taken.
+        image_size_px: (2,) width and height of its images.
+        ids: (N,) robots it sees.
+        points_px: (N, 2) where it sees them.
+        controlled_ids: (M,) robots it controls.
+        secure_ids: (L,) those of them well inside its safety radius, which it will not give up now.
+    """
+
+    unit_id: int
+    time_s: float
+    image_size_px: Array
+    ids: IntArray
+    points_px: Array
+    controlled_ids: IntArray
+    secure_ids: IntArray
+
+    def __post_init__(self) -> None:
+        n = _frozen_ids(self, "ids")
+        _frozen(self, "image_size_px", (2,))
+        _frozen(self, "points_px", (n, 2))
+        _frozen_ids(self, "controlled_ids")
+        _frozen_ids(self, "secure_ids")
+
+
+@dataclass(frozen=True)
+class FlightCommand:
+    """Velocity that a unit asks of its own autopilot, in its camera's frame.
+
+    Attributes:
+        unit_id: the unit.
+        lateral_mps: (2,) along the image's +u and +v.
+        climb_mps: upwards.
+        yaw_rate_radps: counter-clockwise seen from above.
+    """
+
+    unit_id: int
+    lateral_mps: Array
+    climb_mps: float
+    yaw_rate_radps: float
+
+    def __post_init__(self) -> None:
+        _frozen(self, "lateral_mps", (2,))
+        if not (np.isfinite(self.climb_mps) and np.isfinite(self.yaw_rate_radps)):
+            raise MessageError("FlightCommand: climb_mps and yaw_rate_radps must be finite")
+
+
+def centred(points_px: Array, image_size_px: Array) -> Array:
+    """Image points (N, 2) from the image centre, in halves of the image's shorter side.
+
+    In these units a rule on distances from the centre means the same for every camera.
+    """
+    return np.asarray((points_px - (image_size_px - 1) / 2) / (image_size_px.min() / 2))
+
+
+def shared_ids(own: npt.ArrayLike, reports: Sequence[UnitReport]) -> IntArray:
+    """Robots of `own` that at least one other unit reports to control."""
+    others = [report.controlled_ids for report in reports]
+    return np.intersect1d(own, np.concatenate(others)) if others else np.array([], dtype=np.int64)

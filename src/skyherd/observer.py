@@ -1,0 +1,91 @@
+"""What only one who knows the truth can say: V, the topology's conditions, how good the shape is.
+
+For plots and tests; nothing here reaches `control`.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.distance import pdist
+
+from skyherd.control import Template, fit_similarity
+from skyherd.control.topology import Conditions, ControlSets, check_conditions, control_matrix
+from skyherd.errors import DegenerateSetError
+from skyherd.geometry import Array, IntArray, to_complex
+
+
+@dataclass(frozen=True)
+class ShapeFit:
+    """The similarity of the template that fits a formation best, on the ground.
+
+    Attributes:
+        error: RMS distance to it over the formation's RMS radius.
+        scale: metres a template unit.
+        rotation_rad: counter-clockwise.
+        squares_m2: sum of squared distances to it.
+    """
+
+    error: float
+    scale: float
+    rotation_rad: float
+    squares_m2: float
+
+
+def fit_shape(template_ground: np.ndarray, positions: np.ndarray) -> ShapeFit:
+    """Fit template points (N,) to ground positions (N,), both complex in map sense."""
+    similarity = fit_similarity(template_ground, positions)
+    squares = float(np.sum(np.abs(similarity(template_ground) - positions) ** 2))
+    spread = float(np.sum(np.abs(positions - positions.mean()) ** 2))
+    return ShapeFit(float(np.sqrt(squares / spread)), similarity.scale, similarity.rotation_rad, squares)
+
+
+@dataclass(frozen=True)
+class Observation:
+    """The state of a mission at one instant.
+
+    Attributes:
+        V: cost function, m² (eq. 9).
+        V_units: (U,) each unit's share, `1/2 Σ_i |x_i^{d,j} - x_i|²`; NaN for a set that makes no shape.
+        scales: (U,) metres a template unit, of each partial formation.
+        rotations_rad: (U,) of each partial formation, ground sense.
+        conditions: TC1-TC5.
+        shape: of the whole formation.
+        min_separation_m: between any two robots.
+    """
+
+    V: float
+    V_units: Array
+    scales: Array
+    rotations_rad: Array
+    conditions: Conditions
+    shape: ShapeFit
+    min_separation_m: float
+
+
+class Observer:
+    """Watches a team form the shape of `template`; `ids` are its robots, ascending."""
+
+    def __init__(self, template: Template, ids: IntArray) -> None:
+        self.ids = ids
+        self.template_ground = template.points_of(ids).conj()
+
+    def observe(self, positions_m: Array, sets: ControlSets) -> Observation:
+        """Judge robots at positions (N, 2) under the topology `sets`."""
+        positions = to_complex(positions_m)
+        controlled = control_matrix(sets, self.ids)
+        partial = np.full((len(controlled), 3), np.nan)
+        for unit, mine in enumerate(controlled):
+            try:
+                fit = fit_shape(self.template_ground[mine], positions[mine])
+            except DegenerateSetError:
+                continue
+            partial[unit] = fit.squares_m2 / 2, fit.scale, fit.rotation_rad
+        return Observation(
+            V=float(np.nansum(partial[:, 0])),
+            V_units=partial[:, 0],
+            scales=partial[:, 1],
+            rotations_rad=partial[:, 2],
+            conditions=check_conditions(controlled),
+            shape=fit_shape(self.template_ground, positions),
+            min_separation_m=float(pdist(positions_m).min()),
+        )

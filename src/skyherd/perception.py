@@ -1,0 +1,167 @@
+"""From the world to a unit's detections: through rendered pixels, or by projection, exact or noisy."""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from skyherd.datasets import Mission
+from skyherd.errors import InputError
+from skyherd.geometry import Array, BoolArray, IntArray, to_complex
+from skyherd.markers import card_side
+from skyherd.messages import Detections
+from skyherd.render import Ground, Renderer, Sensor, project_markers
+from skyherd.render.camera import MarkerProjection
+from skyherd.vision import create_detector, explain_nothing_decoded
+from skyherd.vision.accuracy import DetectorAccuracy, load_accuracy
+from skyherd.world import World
+
+Image = npt.NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class Sight:
+    """What one unit's camera gave, and the truth that recall is judged by.
+
+    Attributes:
+        detections: for the controller.
+        whole_ids: robots whose whole marker card is in the image.
+        found_ids: those of them that were detected.
+        false_detections: detections that are of no robot, or farther than half a side from theirs.
+        image: the picture, if one was made.
+    """
+
+    detections: Detections
+    whole_ids: IntArray
+    found_ids: IntArray
+    false_detections: int
+    image: Image | None
+
+
+class Perception(Protocol):
+    """A unit's eyes."""
+
+    def look(self, world: World, unit: int, time_s: float) -> Sight:
+        """What `unit` sees now."""
+        ...
+
+
+def make_perception(mission: Mission, rng: np.random.Generator) -> Perception:
+    """The perception a scenario asks for: `rendered`, `ideal` or `noisy`."""
+    scenario = mission.scenario
+    if scenario.perception == "ideal":
+        return Projected(scenario.marker.side_m, scenario.marker.dictionary)
+    if scenario.perception == "noisy":
+        accuracy = load_accuracy(scenario.detector)
+        return Projected(scenario.marker.side_m, scenario.marker.dictionary, accuracy=accuracy, rng=rng)
+    return Rendered(mission, rng)
+
+
+def _project(world: World, unit: int, side_m: float, dictionary: str) -> MarkerProjection:
+    return project_markers(
+        world.cameras[unit],
+        world.camera_pose(unit),
+        world.positions_m,
+        world.headings_rad,
+        side_m,
+        side_m * card_side(dictionary),
+    )
+
+
+class Rendered:
+    """Pixels drawn by `skyherd.render` and read by `skyherd.vision`."""
+
+    def __init__(self, mission: Mission, rng: np.random.Generator) -> None:
+        scenario = mission.scenario
+        sigma_px = float(np.hypot(scenario.sensor.psf_px, np.sqrt(1 / 12)))
+        self.side_m, self.dictionary = scenario.marker.side_m, scenario.marker.dictionary
+        self.detector = create_detector(scenario.detector, dictionary=self.dictionary)
+        self.renderer = Renderer(
+            self.dictionary,
+            self.side_m,
+            Ground(scenario.seed, mean=scenario.ground.mean, contrast=scenario.ground.contrast, sigma_px=sigma_px),
+            Sensor(scenario.sensor.noise, rng),
+            psf_px=scenario.sensor.psf_px,
+        )
+
+    def look(self, world: World, unit: int, time_s: float) -> Sight:
+        """Render the unit's image and detect the markers in it."""
+        truth = _project(world, unit, self.side_m, self.dictionary)
+        image = self.renderer.render(
+            world.cameras[unit], world.camera_pose(unit), world.ids, world.positions_m, world.headings_rad
+        )
+        detections = self.detector.detect(image, time_s=time_s, unit_id=unit)
+        whole_ids = world.ids[truth.whole]
+        if time_s == 0 and not len(detections) and whole_ids.size:
+            why = explain_nothing_decoded(self.detector, image)
+            if why:
+                raise InputError(f"unit {unit}", why, "an image as the eye sees it")
+        right = _right(detections, world.ids, truth)
+        found_ids = np.intersect1d(whole_ids, detections.ids[right])
+        return Sight(detections, whole_ids, found_ids, int((~right).sum()), image)
+
+
+def _right(detections: Detections, ids: IntArray, truth: MarkerProjection) -> BoolArray:
+    """Which detections (N,) are of a robot of the team and within half a side of it."""
+    row = np.searchsorted(ids, detections.ids).clip(max=ids.size - 1)
+    error = np.linalg.norm(truth.centers_px[row] - detections.centers_px, axis=1)
+    return np.asarray((ids[row] == detections.ids) & (error <= detections.sides_px / 2))
+
+
+class Projected:
+    """Exact projection of every robot whose card is whole in view, with measured noise if asked.
+
+    Args:
+        side_m: side of the markers.
+        dictionary: of the markers.
+        accuracy: the detector whose covariance the noise is drawn from; none for exact points.
+        rng: what draws it.
+    """
+
+    def __init__(
+        self,
+        side_m: float,
+        dictionary: str,
+        *,
+        accuracy: DetectorAccuracy | None = None,
+        rng: np.random.Generator | None = None,
+    ) -> None:
+        self.side_m, self.dictionary, self.accuracy = side_m, dictionary, accuracy
+        self.rng = rng or np.random.default_rng(0)
+
+    def look(self, world: World, unit: int, time_s: float) -> Sight:
+        """Project the robots into the unit's image."""
+        truth = _project(world, unit, self.side_m, self.dictionary)
+        ids = world.ids[truth.whole]
+        centers, corners = truth.centers_px[truth.whole], truth.corners_px[truth.whole]
+        headings, sides = _headings_and_sides(centers, corners)
+        covariances = np.zeros((ids.size, 3, 3))
+        if self.accuracy is not None and ids.size:
+            covariances = self.accuracy.covariances(sides)
+            error = np.sqrt(np.einsum("nii->ni", covariances)) * self.rng.standard_normal((ids.size, 3))
+            centers, corners = centers + error[:, :2], corners + error[:, None, :2]
+            headings = headings + error[:, 2]
+        detections = Detections(
+            unit_id=unit,
+            time_s=time_s,
+            image_size_px=np.array(world.cameras[unit].size_px),
+            ids=ids,
+            centers_px=centers,
+            headings_rad=headings,
+            sides_px=sides,
+            corners_px=corners,
+            covariances=covariances,
+        )
+        return Sight(detections, ids, ids, 0, None)
+
+
+def _headings_and_sides(centers_px: Array, corners_px: Array) -> tuple[Array, Array]:
+    """Heading (N,) towards the middle of the front edge, and side (N,), the root of the area.
+
+    Unlike `pose_of_corners` this also holds for mirrored markers, which no detector decodes.
+    """
+    corners = to_complex(corners_px)
+    heading = np.angle(corners[:, :2].mean(axis=1) - to_complex(centers_px))
+    diagonals = (corners[:, 2] - corners[:, 0]).conj() * (corners[:, 3] - corners[:, 1])
+    return heading, np.sqrt(np.abs(diagonals.imag) / 2)

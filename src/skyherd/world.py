@@ -1,0 +1,173 @@
+"""The truth: unicycle robots, aerial units with their autopilots, and the network between them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from skyherd.datasets import Mission, Scenario
+from skyherd.datasets.models import AutopilotModel, CameraModel, UnitModel
+from skyherd.geometry import Array, BoolArray, to_complex, to_points, wrap_angle
+from skyherd.messages import FlightCommand, MotionGoals, UnitReport, VelocityCommand
+from skyherd.render import Camera, CameraPose
+
+
+def move_unicycles(
+    positions_m: Array, headings_rad: Array, v_mps: Array, omega_radps: Array, step_s: float
+) -> tuple[Array, Array]:
+    """Positions (N, 2) and headings (N,) after `step_s` at constant v and omega: exact arcs.
+
+    The chord of an arc that turns by `a = omega t` is `v t sin(a/2)/(a/2)` long and points along the mean
+    heading, which holds for a = 0 too.
+    """
+    turn = omega_radps * step_s
+    chord = v_mps * step_s * np.sinc(turn / (2 * np.pi)) * np.exp(1j * (headings_rad + turn / 2))
+    return positions_m + to_points(chord), wrap_angle(headings_rad + turn)
+
+
+@dataclass(frozen=True)
+class Fleet:
+    """State of the aerial units: positions (U, 2), heights (U,), yaws (U,), zooms (U,)."""
+
+    positions_m: Array
+    heights_m: Array
+    yaws_rad: Array
+    zooms: Array
+
+
+def make_camera(model: CameraModel) -> Camera:
+    """The camera a scenario describes."""
+    focal_px = model.focal_px
+    if focal_px is None:
+        focal_px = min(model.size_px) / 2 / float(np.tan(np.radians(model.half_angle_deg or 0.0)))
+    return Camera(
+        size_px=model.size_px,
+        focal_px=focal_px,
+        principal_point_px=model.principal_point_px,
+        aspect=model.aspect,
+        skew=model.skew,
+        mirrored=model.mirrored,
+    )
+
+
+def _fly(fleet: Fleet, commands: Sequence[FlightCommand], limits: AutopilotModel, step_s: float) -> Fleet:
+    """Single integrators with limited speeds, each in its camera's axes, kept between two heights."""
+    lateral = np.array([command.lateral_mps for command in commands])
+    speed = np.linalg.norm(lateral, axis=1, keepdims=True)
+    lateral *= np.minimum(1.0, limits.max_speed_mps / np.maximum(speed, 1e-12))
+    climb = np.clip([c.climb_mps for c in commands], -limits.max_climb_mps, limits.max_climb_mps)
+    most = np.radians(limits.max_yaw_rate_degps)
+    yaw_rate = np.clip([c.yaw_rate_radps for c in commands], -most, most)
+    moved = to_points(to_complex(lateral).conj() * np.exp(1j * fleet.yaws_rad)) * step_s
+    return Fleet(
+        positions_m=fleet.positions_m + moved,
+        heights_m=np.clip(fleet.heights_m + climb * step_s, limits.min_height_m, limits.max_height_m),
+        yaws_rad=wrap_angle(fleet.yaws_rad + yaw_rate * step_s),
+        zooms=fleet.zooms,
+    )
+
+
+class World:
+    """Robots and units as they are; `control` never sees it.
+
+    Attributes:
+        ids: (N,) robots.
+        positions_m: (N, 2).
+        headings_rad: (N,).
+        fleet: the aerial units.
+        cameras: one for each unit.
+    """
+
+    def __init__(self, mission: Mission) -> None:
+        self.scenario: Scenario = mission.scenario
+        self.ids = mission.ids
+        self.positions_m, self.headings_rad = mission.positions_m.copy(), mission.headings_rad.copy()
+        units: list[UnitModel] = self.scenario.units
+        self.cameras = [make_camera(unit.camera) for unit in units]
+        self.fleet = Fleet(
+            positions_m=np.array([unit.position_m for unit in units]),
+            heights_m=np.array([unit.height_m for unit in units]),
+            yaws_rad=np.radians([unit.yaw_deg for unit in units]),
+            zooms=self._zooms(0.0),
+        )
+        self._commands = [FlightCommand(unit, np.zeros(2), 0.0, 0.0) for unit in range(len(units))]
+
+    def camera_pose(self, unit: int) -> CameraPose:
+        """Where one unit's camera is now."""
+        fleet = self.fleet
+        tilt_u, tilt_v = np.radians(self.scenario.units[unit].tilt_deg)
+        return CameraPose(
+            position_m=(float(fleet.positions_m[unit, 0]), float(fleet.positions_m[unit, 1])),
+            height_m=float(fleet.heights_m[unit]),
+            yaw_rad=float(fleet.yaws_rad[unit]),
+            tilt_rad=(float(tilt_u), float(tilt_v)),
+            zoom=float(fleet.zooms[unit]),
+        )
+
+    def fly(self, command: FlightCommand) -> None:
+        """Hand a unit's autopilot the velocity to fly until the next command."""
+        self._commands[command.unit_id] = command
+
+    def limit(self, command: VelocityCommand) -> VelocityCommand:
+        """What the wheels make of a command: v and omega within their limits."""
+        robots = self.scenario.robots
+        return VelocityCommand(
+            command.ids,
+            np.clip(command.v_mps, -robots.max_speed_mps, robots.max_speed_mps),
+            np.clip(command.omega_radps, -robots.max_turn_radps, robots.max_turn_radps),
+        )
+
+    def advance(self, command: VelocityCommand, time_s: float, step_s: float) -> None:
+        """Move all from `time_s` to `time_s + step_s`; `command` is for all robots, in order."""
+        self.positions_m, self.headings_rad = move_unicycles(
+            self.positions_m, self.headings_rad, command.v_mps, command.omega_radps, step_s
+        )
+        fleet = _fly(self.fleet, self._commands, self.scenario.autopilot, step_s)
+        self.fleet = Fleet(fleet.positions_m, fleet.heights_m, fleet.yaws_rad, self._zooms(time_s + step_s))
+
+    def _zooms(self, time_s: float) -> Array:
+        return np.array(
+            [np.interp(time_s, *np.array(unit.zoom, dtype=float).T) for unit in self.scenario.units]
+        )
+
+
+@dataclass
+class Network:
+    """Messages on their way: late by their sender's latency, lost at random for each receiver.
+
+    Attributes:
+        loss: share of messages lost.
+        rng: what decides.
+        reports: by receiving unit, the last report heard from each other one.
+    """
+
+    loss: float
+    rng: np.random.Generator
+    units: int
+    reports: list[dict[int, UnitReport]] = field(init=False)
+    _waiting: list[tuple[float, MotionGoals | None, UnitReport]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.reports = [{} for _ in range(self.units)]
+
+    def send(self, goals: MotionGoals | None, report: UnitReport, arrival_s: float) -> None:
+        """Send one unit's goals to its robots and its report to the other units."""
+        self._waiting.append((arrival_s, goals, report))
+
+    def deliver(self, time_s: float) -> list[tuple[MotionGoals, BoolArray]]:
+        """Goals that arrive by now, each with (N,) which of its robots heard it; reports are kept."""
+        arrived = [item for item in self._waiting if item[0] <= time_s + 1e-9]
+        self._waiting = [item for item in self._waiting if item[0] > time_s + 1e-9]
+        delivered = []
+        for _, goals, report in arrived:
+            for unit in range(self.units):
+                if unit != report.unit_id and self._heard(1)[0]:
+                    self.reports[unit][report.unit_id] = report
+            if goals is not None:
+                delivered.append((goals, self._heard(len(goals))))
+        return delivered
+
+    def _heard(self, count: int) -> BoolArray:
+        if self.loss == 0:
+            return np.ones(count, dtype=bool)
+        return self.rng.random(count) >= self.loss

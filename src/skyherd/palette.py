@@ -1,0 +1,22 @@
+"""One colour for each aerial unit, told apart by the colour-blind too (Okabe and Ito, 2008), and the rest."""
+
+UNIT_COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#F0E442", "#666666")
+INK = "#1b1f24"
+PAPER = "#ffffff"
+MUTED = "#8a9099"
+TEMPLATE_COLOR = "#7a3db8"
+
+
+def unit_color(unit: int) -> str:
+    """Hex colour of a unit; they repeat after eight."""
+    return UNIT_COLORS[unit % len(UNIT_COLORS)]
+
+
+def unit_rgb(unit: int) -> tuple[int, int, int]:
+    """Colour of a unit as 8-bit RGB."""
+    return rgb(unit_color(unit))
+
+
+def rgb(color: str) -> tuple[int, int, int]:
+    """8-bit RGB of a `#rrggbb` colour."""
+    return int(color[1:3], 16), int(color[3:5], 16), int(color[5:7], 16)

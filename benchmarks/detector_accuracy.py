@@ -40,7 +40,9 @@ class SizeResult:
     heading_std_deg: float
 
 
-def measure(side_px: float, frames: int, renderer: Renderer, detector: ArucoDetector, rng: np.random.Generator) -> SizeResult:
+def measure(
+    side_px: float, frames: int, renderer: Renderer, detector: ArucoDetector, rng: np.random.Generator
+) -> SizeResult:
     """Render `frames` images of markers of `side_px` and compare what is found with the truth."""
     found, errors = 0, []
     false = 0
@@ -53,10 +55,14 @@ def measure(side_px: float, frames: int, renderer: Renderer, detector: ArucoDete
         truth = project_markers(camera, pose, positions, headings, 1.0, card_side(DICTIONARY))
         centers, true_headings, sides = pose_of_corners(truth.corners_px)
         row = np.searchsorted(ids, seen.ids).clip(max=PER_FRAME - 1)
-        right = (ids[row] == seen.ids) & (np.linalg.norm(centers[row] - seen.centers_px, axis=1) < side_px / 2)
+        right = (ids[row] == seen.ids) & (
+            np.linalg.norm(centers[row] - seen.centers_px, axis=1) < side_px / 2
+        )
         found, false = found + int(right.sum()), false + int((~right).sum())
         turn = np.angle(np.exp(1j * (seen.headings_rad - true_headings[row])))
-        errors.append(np.column_stack([seen.centers_px - centers[row], turn, seen.sides_px - sides[row]])[right])
+        errors.append(
+            np.column_stack([seen.centers_px - centers[row], turn, seen.sides_px - sides[row]])[right]
+        )
     error = np.concatenate(errors)
     return SizeResult(
         side_px=side_px,
@@ -116,7 +122,8 @@ def main() -> None:
         r = measure(float(side_px), options.frames, renderer, detector, rng)
         results.append(r)
         print(
-            f"{r.side_px:7.0f}  {r.recall:6.4f}  {r.false_detections:5d}  {r.side_bias_px:+9.3f} ± {r.side_std_px:.3f}"
+            f"{r.side_px:7.0f}  {r.recall:6.4f}  {r.false_detections:5d}  "
+            f"{r.side_bias_px:+9.3f} ± {r.side_std_px:.3f}"
             f"   {r.position_bias_px:13.4f} / {r.position_std_px:.4f}   {r.heading_std_deg:12.3f}",
             flush=True,
         )

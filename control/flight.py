@@ -103,7 +103,7 @@ class Follow:
 
 
 def _nearer_there(shared: IntArray, seen: Detections, report: UnitReport) -> IntArray:
-    """Those of `shared` that the reporting unit sees nearer to its image centre; of equals, the first unit's."""
+    """Those of `shared` that the reporting unit sees nearer to its image centre; ties go to the first."""
     here = dict(zip(seen.ids.tolist(), centre_distances(seen).tolist(), strict=True))
     there = dict(zip(report.ids.tolist(), centre_distances(report).tolist(), strict=True))
     theirs = [

@@ -71,7 +71,8 @@ def scale_ratios(inboxes: Inboxes) -> Array:
     total = common.transpose(1, 0, 2)
     sides = inboxes.sides_px
     fallback = sides[:, None, :] / sides[None, :, :]
-    return np.sqrt(np.divide(common, total, out=fallback**2, where=(common > 0) & (total > 0)))
+    squared = np.divide(common, total, out=fallback**2, where=(common > 0) & (total > 0))
+    return np.asarray(np.sqrt(squared))
 
 
 def fuse_pixels(inboxes: Inboxes, time_s: float) -> ComplexArray:
@@ -84,5 +85,5 @@ def fuse_pixels(inboxes: Inboxes, time_s: float) -> ComplexArray:
 
 
 def fuse_marker_sides(inboxes: Inboxes, time_s: float) -> ComplexArray:
-    """Σ_j rho_i^j / side_px_ij (N,), in marker sides: the marker is the common scale; 0 where none is heard."""
+    """Σ_j rho_i^j / side_px_ij (N,), marker sides: the common scale; 0 if none is heard."""
     return np.asarray(np.where(inboxes.fresh(time_s), inboxes.rho_px / inboxes.sides_px, 0).sum(axis=0))

@@ -15,7 +15,8 @@ def motion_goals(
 
     `rho_i^j = p_i^{d,j} - p_i^j` (eq. 2); its direction in the robot's frame is the angle from the
     heading y to rho. Image angles run clockwise seen from above, the robot's counter-clockwise: the sense
-    flips here, once, as `bearing = -(arg rho - heading)`. The paper's angle (eq. 3) is `pi - bearing`.
+    flips here, once, as `bearing = -(arg rho - heading)`. The paper's angle (eq. 3) is `pi - bearing`,
+    with its z axis up, that is, for image coordinates (u, -v).
 
     Args:
         seen: all robots of the team in the image.

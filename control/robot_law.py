@@ -13,7 +13,10 @@ from skyherd.messages import VelocityCommand
 class Gains(Protocol):
     """How a robot turns the goals it heard into a vector to follow, and that into speed."""
 
-    k_omega: float
+    @property
+    def k_omega(self) -> float:
+        """Turn rate a radian, 1/s."""
+        ...
 
     def follow(self, inboxes: Inboxes, time_s: float) -> ComplexArray:
         """The vector to follow (N,), zero below the stop threshold."""
@@ -86,13 +89,13 @@ def unicycle_law(rho: ComplexArray, gains: Gains) -> tuple[Array, Array]:
 
         v = -sign(cos alpha) k rho,   omega = k_omega (alpha_d - alpha),
 
-    alpha_d = 0 where |alpha| <= pi/2 (the goal is behind: drive backwards), else pi.
+    alpha_d = 0 where |alpha| <= pi/2 (the goal is behind: drive backwards), else pi. As `-cos alpha` has
+    the sign of rho's forward part, a goal exactly abeam gives v = 0: the robot turns in place.
     """
     length = np.abs(rho)
     alpha = np.where(length > 0, wrap_angle(np.pi - np.angle(rho)), 0.0)
-    behind = np.abs(alpha) <= np.pi / 2
-    v_mps = -np.sign(np.cos(alpha)) * gains.speed_mps(length)
-    return v_mps, gains.k_omega * wrap_angle(np.where(behind, 0.0, np.pi) - alpha)
+    v_mps = np.sign(rho.real) * gains.speed_mps(length)
+    return v_mps, gains.k_omega * wrap_angle(np.where(rho.real <= 0, 0.0, np.pi) - alpha)
 
 
 def robot_commands(inboxes: Inboxes, gains: Gains, time_s: float) -> VelocityCommand:

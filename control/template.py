@@ -20,13 +20,17 @@ class Template:
         ids = np.array(self.ids, dtype=np.int64)
         points = np.array(self.points_px, dtype=np.complex128)
         if ids.shape != points.shape or ids.ndim != 1:
-            raise InputError("template", f"{ids.shape} ids, {points.shape} points", "one point for each robot id")
+            raise InputError(
+                "template", f"{ids.shape} ids, {points.shape} points", "one point for each robot id"
+            )
         if ids.size < 2:
             raise InputError("template", f"{ids.size} robots", "at least two, since fewer make no shape")
         if np.unique(ids).size != ids.size:
             raise InputError("template", f"repeated ids in {ids.tolist()}", "each robot once")
         if np.ptp(points.real) == 0 and np.ptp(points.imag) == 0:
-            raise DegenerateSetError("template: all points coincide; a shape needs at least two distinct points")
+            raise DegenerateSetError(
+                "template: all points coincide; a shape needs at least two distinct points"
+            )
         order = np.argsort(ids)
         ids, points = ids[order], points[order]
         ids.setflags(write=False)

@@ -65,9 +65,10 @@ def check_conditions(controlled: BoolArray) -> Conditions:
     np.fill_diagonal(common, 0)
     adjacent = common >= 2
     units = controlled.shape[0]
-    connected = connected_components(csr_array(adjacent), directed=False, return_labels=False) == 1
+    parts, _ = connected_components(csr_array(adjacent), directed=False)
+    connected = parts == 1
     return Conditions(
-        tc1=bool(connected),
+        tc1=connected,
         tc2=bool(controlled.any(axis=0).all()),
         tc3=bool((common[adjacent] == 2).all() and (common[~adjacent] == 0).all()),
         tc4=bool((controlled.sum(axis=0) <= 2).all()),

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-
 from skyherd.control.flight import Flight
 from skyherd.control.goals import motion_goals
 from skyherd.control.selection import ControlSet, SafetyRadius
@@ -31,7 +30,9 @@ class AerialController:
         nearest: neighbours whose distances it tells each robot.
     """
 
-    def __init__(self, template: Template, selection: SafetyRadius, flight: Flight, *, nearest: int = 3) -> None:
+    def __init__(
+        self, template: Template, selection: SafetyRadius, flight: Flight, *, nearest: int = 3
+    ) -> None:
         self.template, self.flight, self.nearest = template, flight, nearest
         self.control_set = ControlSet(selection)
 
@@ -41,7 +42,11 @@ class AerialController:
         controlled = self.control_set.update(seen, reports)
         try:
             goals = motion_goals(
-                seen, controlled, self.template, shared_ids=shared_ids(controlled, reports), nearest=self.nearest
+                seen,
+                controlled,
+                self.template,
+                shared_ids=shared_ids(controlled, reports),
+                nearest=self.nearest,
             )
         except DegenerateSetError:
             goals = None
@@ -55,5 +60,3 @@ class AerialController:
             secure_ids=self.control_set.secure(seen),
         )
         return Decision(goals, report, self.flight.command(seen, controlled, reports))
-
-

@@ -44,7 +44,9 @@ class RobotsModel(Model):
     """The ground team: where it starts, or how it is scattered."""
 
     positions_m: list[Point] | None = Field(None, description="start positions on the ground")
-    headings_deg: list[FiniteFloat] | None = Field(None, description="counter-clockwise from +x; random if left out")
+    headings_deg: list[FiniteFloat] | None = Field(
+        None, description="counter-clockwise from +x; random if left out"
+    )
     scatter: ScatterModel | None = Field(None, description="a random start in place of positions_m")
     count: Annotated[int, Field(ge=2)] | None = Field(None, description="robots, where nothing else tells")
     ids: list[Annotated[int, Field(ge=0)]] | None = Field(None, description="marker ids; 0, 1, … if left out")
@@ -112,7 +114,9 @@ class FlightModel(Model):
     climb_gain_mps: NotNegative = Field(1.0, description="climb for half an image")
     dead_band: NotNegative = Field(0.02, description="follow: errors of radius below this do not climb")
     speed_mps: NotNegative = Field(0.1, description="perimeter: speed along it")
-    yaw_rate_degps: FiniteFloat = Field(0.0, description="perimeter, hover: turn, counter-clockwise from above")
+    yaw_rate_degps: FiniteFloat = Field(
+        0.0, description="perimeter, hover: turn, counter-clockwise from above"
+    )
 
 
 class UnitModel(Model):
@@ -126,7 +130,9 @@ class UnitModel(Model):
     ] = Field((0.0, 0.0), description="about the camera's u and v axes")
     camera: CameraModel
     zoom: list[tuple[NotNegative, Positive]] = Field(
-        default=[(0.0, 1.0)], min_length=1, description="[time_s, factor on the focal length] points, linear between"
+        default=[(0.0, 1.0)],
+        min_length=1,
+        description="[time_s, factor on the focal length] points, linear between",
     )
     flight: FlightModel = FlightModel()
     frame_rate_hz: Positive = 10.0
@@ -180,7 +186,9 @@ class GroundModel(Model):
 class GoalModel(Model):
     """When a run counts as converged."""
 
-    shape_error: Positive = Field(0.01, description="RMS distance to the best-fitting shape over its RMS radius")
+    shape_error: Positive = Field(
+        0.01, description="RMS distance to the best-fitting shape over its RMS radius"
+    )
     hold_s: NotNegative = Field(5.0, description="how long it must stay under that, to the end")
 
 

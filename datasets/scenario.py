@@ -25,14 +25,18 @@ SCATTER_TRIES = 2000
 def scenario_names() -> list[str]:
     """Names of the built-in scenarios."""
     folder = files("skyherd.datasets.scenarios")
-    return sorted(entry.name.removesuffix(".toml") for entry in folder.iterdir() if entry.name.endswith(".toml"))
+    return sorted(
+        entry.name.removesuffix(".toml") for entry in folder.iterdir() if entry.name.endswith(".toml")
+    )
 
 
 def scenario_text(name: str) -> str:
     """TOML text of a built-in scenario."""
     if name not in scenario_names():
         raise InputError(
-            f"scenario {name!r}", "no such file, nor a built-in of that name", f"a TOML file or one of {', '.join(scenario_names())}"
+            f"scenario {name!r}",
+            "no such file, nor a built-in of that name",
+            f"a TOML file or one of {', '.join(scenario_names())}",
         )
     return files("skyherd.datasets.scenarios").joinpath(f"{name}.toml").read_text("utf-8")
 
@@ -100,7 +104,9 @@ def _parse(text: str, where: str) -> dict[str, Any]:
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        raise InputError(where, f"malformed TOML: {error}", "see `skyherd scenario show star` for a good one") from None
+        raise InputError(
+            where, f"malformed TOML: {error}", "see `skyherd scenario show star` for a good one"
+        ) from None
 
 
 def _apply_setting(tree: dict[str, Any], setting: str) -> None:
@@ -125,7 +131,7 @@ def _apply_setting(tree: dict[str, Any], setting: str) -> None:
 
 def _item(node: Any, index: str, setting: str) -> Any:
     if not isinstance(node, list) or not index.isdigit() or int(index) >= len(node):
-        allowed = f"0 to {len(node) - 1}" if isinstance(node, list) else "a key of the scenario; see `skyherd scenario schema`"
+        allowed = f"0 to {len(node) - 1}" if isinstance(node, list) else "see `skyherd scenario schema`"
         raise InputError(f"--set {setting}", f"nothing there called {index!r}", allowed)
     return node[int(index)]
 
@@ -135,7 +141,11 @@ def _first_error(error: ValidationError, where: str) -> InputError:
     first, *others = error.errors()
     key = ".".join(str(part) for part in first["loc"]) or "scenario"
     value = first["input"]
-    shown = "" if isinstance(value, dict | list) and first["type"] != "extra_forbidden" else f" (given: {value!r})"
+    shown = (
+        ""
+        if isinstance(value, dict | list) and first["type"] != "extra_forbidden"
+        else f" (given: {value!r})"
+    )
     allowed = f"{first['msg']}{shown}"
     more = f" — and {len(others)} more" if others else ""
     what = {"missing": "missing", "extra_forbidden": "unknown key"}.get(first["type"], "wrong value")
@@ -145,14 +155,16 @@ def _first_error(error: ValidationError, where: str) -> InputError:
 def _complete(scenario: Scenario, folder: Path) -> Mission:
     rng = np.random.default_rng([scenario.seed, 0])
     if scenario.detector not in detector_names():
-        raise InputError("detector", f"no detector {scenario.detector!r}", f"one of {', '.join(detector_names())}")
+        raise InputError(
+            "detector", f"no detector {scenario.detector!r}", f"one of {', '.join(detector_names())}"
+        )
     limit = dictionary_size(scenario.marker.dictionary)
     template = _template(scenario.template, scenario.robots, scenario.marker.dictionary, folder)
     ids = _robot_ids(scenario.robots, template)
     if ids.max() >= limit:
         raise InputError(
             "robots.ids",
-            f"{ids.size} robots with ids up to {ids.max()}, but {scenario.marker.dictionary} has {limit} markers",
+            f"{ids.size} robots, ids up to {ids.max()}, but {scenario.marker.dictionary} has {limit} markers",
             f"ids from 0 to {limit - 1}, or a larger marker.dictionary",
         )
     _check_template(ids, template)
@@ -165,7 +177,9 @@ def _complete(scenario: Scenario, folder: Path) -> Mission:
 def _template(model: TemplateModel, robots: RobotsModel, dictionary: str, folder: Path) -> Template:
     if model.image is not None:
         return read_template_image(folder / model.image, dictionary)
-    count = next((len(given) for given in (robots.positions_m, robots.ids) if given is not None), robots.count)
+    count = next(
+        (len(given) for given in (robots.positions_m, robots.ids) if given is not None), robots.count
+    )
     if model.points is not None:
         points = np.array(model.points, dtype=float).reshape(-1, 2)
     elif count is None:
@@ -174,7 +188,9 @@ def _template(model: TemplateModel, robots: RobotsModel, dictionary: str, folder
         points = shape_points(model.shape or "", count)
     ids = np.arange(len(points)) if robots.ids is None else np.array(robots.ids)
     if len(ids) != len(points):
-        raise InputError("template.points", f"{len(points)} points for {len(ids)} robots", "a point for each robot")
+        raise InputError(
+            "template.points", f"{len(points)} points for {len(ids)} robots", "a point for each robot"
+        )
     return Template.from_ground_points(ids, points)
 
 
@@ -194,7 +210,11 @@ def _robot_ids(robots: RobotsModel, template: Template) -> IntArray:
 def _check_template(ids: IntArray, template: Template) -> None:
     missing, extra = np.setdiff1d(ids, template.ids), np.setdiff1d(template.ids, ids)
     if missing.size or extra.size:
-        what = f"no point for robot(s) {missing.tolist()}" if missing.size else f"points for {extra.tolist()}, who are no robots"
+        what = (
+            f"no point for robot(s) {missing.tolist()}"
+            if missing.size
+            else f"points for {extra.tolist()}, who are no robots"
+        )
         raise InputError("template", what, "one point for each robot")
 
 
@@ -225,7 +245,9 @@ def _scatter(model: ScatterModel, points: np.ndarray, rng: np.random.Generator) 
             if not (np.linalg.norm(placed - at, axis=1) < model.spacing_m).any():
                 break
         else:
-            raise InputError("robots.scatter", f"no room for {len(home)} robots", "a smaller spacing_m or a larger scale_m")
+            raise InputError(
+                "robots.scatter", f"no room for {len(home)} robots", "a smaller spacing_m or a larger scale_m"
+            )
         placed = np.vstack([placed, at])
     return placed
 
@@ -234,5 +256,7 @@ def _headings(robots: RobotsModel, count: int, rng: np.random.Generator) -> Arra
     if robots.headings_deg is None:
         return rng.uniform(-np.pi, np.pi, size=count)
     if len(robots.headings_deg) != count:
-        raise InputError("robots.headings_deg", f"{len(robots.headings_deg)} headings for {count} robots", "one for each")
+        raise InputError(
+            "robots.headings_deg", f"{len(robots.headings_deg)} headings for {count} robots", "one for each"
+        )
     return np.radians(robots.headings_deg)

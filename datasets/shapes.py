@@ -20,17 +20,20 @@ def circle(count: int) -> Array:
 def star(count: int) -> Array:
     """Tips at radius 1 and notches at `STAR_INNER_RATIO` in turn; `count` is even and at least 6."""
     if count % 2 or count < 6:
-        raise InputError("template.shape", f"a star of {count} robots", "an even number of robots, at least 6")
+        raise InputError(
+            "template.shape", f"a star of {count} robots", "an even number of robots, at least 6"
+        )
     radius = np.where(np.arange(count) % 2 == 0, 1.0, STAR_INNER_RATIO)
-    return radius[:, None] * circle(count)
+    points: Array = radius[:, None] * circle(count)
+    return points
 
 
 def grid(count: int) -> Array:
     """Square grid of spacing 1, filled row by row, as near to a square as `count` divides."""
     columns = next(c for c in range(int(np.ceil(np.sqrt(count))), count + 1) if count % c == 0)
     index = np.arange(count)
-    points = np.column_stack([index % columns, index // columns]).astype(float)
-    return points - points.mean(axis=0)
+    points: Array = np.column_stack([index % columns, index // columns]).astype(float)
+    return np.asarray(points - points.mean(axis=0))
 
 
 def line(count: int) -> Array:

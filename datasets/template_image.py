@@ -7,7 +7,7 @@ from PIL import Image, UnidentifiedImageError
 
 from skyherd.control import Template
 from skyherd.errors import InputError
-from skyherd.vision import create_detector, explain_nothing_decoded
+from skyherd.vision import create_detector, explain_mirrored
 
 
 def read_template_image(path: Path, dictionary: str) -> Template:
@@ -25,7 +25,9 @@ def read_template_image(path: Path, dictionary: str) -> Template:
         raise InputError(str(path), f"not a readable image ({error})", "a PNG with markers") from None
     detector = create_detector("aruco", dictionary=dictionary)
     found = detector.detect(grey)
-    if len(found) < 2:
-        why = explain_nothing_decoded(detector, grey) or f"{len(found)} marker(s) of {dictionary} found"
+    why = explain_mirrored(detector, grey)
+    if why is None and len(found) < 2:
+        why = f"{len(found)} marker(s) of {dictionary} found"
+    if why is not None:
         raise InputError(str(path), why, "a top view with every robot's marker, each with a white quiet zone")
     return Template.from_image_points(found.ids, found.centers_px)

@@ -58,7 +58,11 @@ class Camera:
 
 @dataclass(frozen=True)
 class CameraPose:
-    """Where a camera is: ground position (x, y), height, yaw, tilt about its +u and +v axes, zoom."""
+    """Where a camera is: ground position (x, y), height, yaw, tilt, zoom.
+
+    A positive tilt turns the scene about the camera's +u (then +v) axis, right-handed: the camera itself
+    turns the other way.
+    """
 
     position_m: tuple[float, float]
     height_m: float
@@ -94,8 +98,11 @@ def project(camera: Camera, pose: CameraPose, points_m: npt.ArrayLike) -> Array:
 def footprint_m(camera: Camera, pose: CameraPose) -> Array:
     """Ground points (4, 2) under the image's corners."""
     width, height = camera.size_px
-    border = np.array([[-0.5, -0.5], [width - 0.5, -0.5], [width - 0.5, height - 0.5], [-0.5, height - 0.5]])
-    return apply_homography(np.linalg.inv(homography_image_ground(camera, pose)), border)
+    border: Array = np.array(
+        [[-0.5, -0.5], [width - 0.5, -0.5], [width - 0.5, height - 0.5], [-0.5, height - 0.5]]
+    )
+    ground_image = np.linalg.inv(homography_image_ground(camera, pose))
+    return apply_homography(np.asarray(ground_image, dtype=np.float64), border)
 
 
 @dataclass(frozen=True)
@@ -135,5 +142,5 @@ def project_markers(
     return MarkerProjection(
         centers_px=apply_homography(homography, positions_m),
         corners_px=apply_homography(homography, square_m(positions_m, headings_rad, side_m)),
-        whole=((cards >= -0.5) & (cards <= limit)).all(axis=(1, 2)),
+        whole=np.asarray(((cards >= -0.5) & (cards <= limit)).all(axis=(1, 2))),
     )

@@ -22,7 +22,13 @@ class Ground:
     """
 
     def __init__(
-        self, seed: int, *, mean: float = 128.0, contrast: float = 12.0, tile_m: float = 40.0, sigma_px: float = 0.85
+        self,
+        seed: int,
+        *,
+        mean: float = 128.0,
+        contrast: float = 12.0,
+        tile_m: float = 40.0,
+        sigma_px: float = 0.85,
     ) -> None:
         self.mean, self.tile_m = mean, tile_m
         # Each tile is laid two by two: a view that starts in the first then rarely leaves them, and the
@@ -48,14 +54,18 @@ class Ground:
         return _warp(laid, sample_image / sample_image[2, 2], size_px)
 
 
-def _warp(tile: npt.NDArray[np.uint8], sample_image: Array, size_px: tuple[int, int]) -> npt.NDArray[np.uint8]:
+def _warp(
+    tile: npt.NDArray[np.uint8], sample_image: Array, size_px: tuple[int, int]
+) -> npt.NDArray[np.uint8]:
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     if np.allclose(sample_image[2, :2], 0.0, atol=1e-12):
         return np.asarray(
-            cv2.warpAffine(tile, sample_image[:2], size_px, flags=flags, borderMode=cv2.BORDER_WRAP), dtype=np.uint8
+            cv2.warpAffine(tile, sample_image[:2], size_px, flags=flags, borderMode=cv2.BORDER_WRAP),
+            dtype=np.uint8,
         )
     return np.asarray(
-        cv2.warpPerspective(tile, sample_image, size_px, flags=flags, borderMode=cv2.BORDER_WRAP), dtype=np.uint8
+        cv2.warpPerspective(tile, sample_image, size_px, flags=flags, borderMode=cv2.BORDER_WRAP),
+        dtype=np.uint8,
     )
 
 
@@ -66,7 +76,7 @@ def _local_scale(homography: Array, at_m: Array) -> float:
 
 
 def _concrete(seed: int, samples: int, mean: float, contrast: float, sigma: float) -> npt.NDArray[np.uint8]:
-    """Periodic 1/f noise (samples, samples), the same pattern at every resolution, blurred by sigma samples."""
+    """Periodic 1/f noise (samples, samples), one pattern at every resolution, blurred by sigma."""
     rng = np.random.default_rng(seed)
     fine = 2048
     spectrum = np.fft.rfft2(rng.standard_normal((fine, fine)))

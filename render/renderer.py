@@ -49,18 +49,23 @@ class Renderer:
         camera: Camera,
         pose: CameraPose,
         ids: IntArray,
-        positions_m: npt.ArrayLike,
-        headings_rad: npt.ArrayLike,
+        positions_m: Array,
+        headings_rad: Array,
     ) -> npt.NDArray[np.uint8]:
         """Grey image (height, width) of robots `ids` (N,) at positions (N, 2) with headings (N,)."""
         homography = homography_image_ground(camera, pose)
         image = self.ground.draw(homography, camera.size_px)
-        for marker_id, position_m, heading_rad in zip(ids, np.asarray(positions_m), headings_rad, strict=True):
+        for marker_id, position_m, heading_rad in zip(ids, positions_m, headings_rad, strict=True):
             self._draw_marker(image, homography, int(marker_id), position_m, float(heading_rad))
         return self.sensor.expose(image)
 
     def _draw_marker(
-        self, image: npt.NDArray[np.uint8], homography: Array, marker_id: int, position_m: Array, heading_rad: float
+        self,
+        image: npt.NDArray[np.uint8],
+        homography: Array,
+        marker_id: int,
+        position_m: Array,
+        heading_rad: float,
     ) -> None:
         """Composite one card over `image`: F + (1 - A) background, within the card's bounding box."""
         card_m = self.side_m * card_side(self.dictionary)
@@ -86,7 +91,9 @@ def _ground_marker(position_m: Array, heading_rad: float, side_m: float) -> Arra
     return np.array([[c, -s, position_m[0]], [s, c, position_m[1]], [0.0, 0.0, 1.0]])
 
 
-def _clip_box(corners_px: Array, margin_px: float, shape: tuple[int, ...]) -> tuple[int, int, int, int] | None:
+def _clip_box(
+    corners_px: Array, margin_px: float, shape: tuple[int, ...]
+) -> tuple[int, int, int, int] | None:
     """Whole-pixel bounding box (left, top, right, bottom) inside the image, or None if outside it."""
     low = np.maximum(np.floor(corners_px.min(axis=0) - margin_px), 0).astype(int)
     high = np.minimum(np.ceil(corners_px.max(axis=0) + margin_px) + 1, [shape[1], shape[0]]).astype(int)

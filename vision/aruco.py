@@ -77,7 +77,7 @@ class ArucoDetector:
             dictionary = load_dictionary(self.dictionary)
             self._detectors[longer] = cv2.aruco.ArucoDetector(dictionary, _parameters(longer))
         corners, ids, _ = self._detectors[longer].detectMarkers(image)
-        if ids is None or len(ids) == 0:
+        if len(corners) == 0:
             return np.zeros(0, dtype=np.int64), np.zeros((0, 4, 2))
         unique, first, count = np.unique(np.ravel(ids), return_index=True, return_counts=True)
         once = count == 1

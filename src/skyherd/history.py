@@ -14,7 +14,7 @@ from skyherd.loop import Step
 
 @dataclass(frozen=True)
 class ImageTrace:
-    """Where one unit saw the robots it controlled: (K,) times, (K, N) image points `u + iv`, NaN if unseen."""
+    """Where one unit saw the robots it controlled: (K,) times, (K, N) points `u + iv` or NaN."""
 
     times_s: Array
     points_px: np.ndarray
@@ -130,5 +130,7 @@ def _trace(mission: Mission, steps: list[Step], unit: int) -> ImageTrace:
     points = np.full((len(seen), mission.ids.size), np.nan + 1j * np.nan)
     for row, (_, frame) in enumerate(seen):
         mine = frame.sight.detections.select(frame.decision.report.controlled_ids)
-        points[row, np.searchsorted(mission.ids, mine.ids)] = mine.centers_px[:, 0] + 1j * mine.centers_px[:, 1]
+        points[row, np.searchsorted(mission.ids, mine.ids)] = (
+            mine.centers_px[:, 0] + 1j * mine.centers_px[:, 1]
+        )
     return ImageTrace(np.array([time for time, _ in seen]), points)

@@ -1,13 +1,21 @@
 """The loop: images in, formation out. Everything else hangs off the steps that it yields."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
-from time import perf_counter
+from dataclasses import dataclass
 
 import numpy as np
 
-from skyherd.control import AerialController, Follow, Hover, Inboxes, MarkerGains, Perimeter, PixelGains, SafetyRadius
-from skyherd.control import robot_commands
+from skyherd.control import (
+    AerialController,
+    Follow,
+    Hover,
+    Inboxes,
+    MarkerGains,
+    Perimeter,
+    PixelGains,
+    SafetyRadius,
+    robot_commands,
+)
 from skyherd.control.flight import Flight
 from skyherd.control.robot_law import Gains
 from skyherd.control.selection import NO_ROBOTS
@@ -43,19 +51,6 @@ class Step:
     observation: Observation
 
 
-@dataclass
-class Stopwatch:
-    """Wall time spent in each part of the loop, seconds."""
-
-    spent_s: dict[str, float] = field(default_factory=dict)
-
-    def lap(self, part: str, since_s: float) -> float:
-        """Book the time from `since_s` to now under `part`; returns now."""
-        now = perf_counter()
-        self.spent_s[part] = self.spent_s.get(part, 0.0) + now - since_s
-        return now
-
-
 def make_flight(model: FlightModel) -> Flight:
     """The motion law a scenario asks for."""
     yaw_rate = float(np.radians(model.yaw_rate_degps))
@@ -81,7 +76,9 @@ def make_crew(mission: Mission) -> list[AerialController]:
     scenario = mission.scenario
     selection = SafetyRadius(**scenario.selection.model_dump())
     return [
-        AerialController(mission.template, selection, make_flight(unit.flight), nearest=scenario.control.neighbors)
+        AerialController(
+            mission.template, selection, make_flight(unit.flight), nearest=scenario.control.neighbors
+        )
         for unit in scenario.units
     ]
 
@@ -114,7 +111,14 @@ def run_steps(mission: Mission, perception: Perception | None = None) -> Iterato
         command = world.limit(robot_commands(inboxes, gains, time_s))
         observation = observer.observe(world.positions_m, sets)
         yield Step(
-            time_s, world.positions_m, world.headings_rad, world.fleet, frames, command, dict(sets), observation
+            time_s,
+            world.positions_m,
+            world.headings_rad,
+            world.fleet,
+            frames,
+            command,
+            dict(sets),
+            observation,
         )
         world.advance(command, time_s, scenario.step_s)
 

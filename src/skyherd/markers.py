@@ -30,7 +30,9 @@ def dictionary_names() -> list[str]:
 def load_dictionary(name: str) -> cv2.aruco.Dictionary:
     """OpenCV's dictionary of that name, such as `4X4_50`; InputError names those there are."""
     if name not in dictionary_names():
-        raise InputError("marker dictionary", f"no dictionary {name!r}", f"one of {', '.join(dictionary_names())}")
+        raise InputError(
+            "marker dictionary", f"no dictionary {name!r}", f"one of {', '.join(dictionary_names())}"
+        )
     return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{name}"))
 
 

@@ -13,7 +13,7 @@ from skyherd.markers import card_side
 from skyherd.messages import Detections
 from skyherd.render import Ground, Renderer, Sensor, project_markers
 from skyherd.render.camera import MarkerProjection
-from skyherd.vision import create_detector, explain_nothing_decoded
+from skyherd.vision import create_detector, explain_mirrored
 from skyherd.vision.accuracy import DetectorAccuracy, load_accuracy
 from skyherd.world import World
 
@@ -80,7 +80,9 @@ class Rendered:
         self.renderer = Renderer(
             self.dictionary,
             self.side_m,
-            Ground(scenario.seed, mean=scenario.ground.mean, contrast=scenario.ground.contrast, sigma_px=sigma_px),
+            Ground(
+                scenario.seed, mean=scenario.ground.mean, contrast=scenario.ground.contrast, sigma_px=sigma_px
+            ),
             Sensor(scenario.sensor.noise, rng),
             psf_px=scenario.sensor.psf_px,
         )
@@ -93,10 +95,8 @@ class Rendered:
         )
         detections = self.detector.detect(image, time_s=time_s, unit_id=unit)
         whole_ids = world.ids[truth.whole]
-        if time_s == 0 and not len(detections) and whole_ids.size:
-            why = explain_nothing_decoded(self.detector, image)
-            if why:
-                raise InputError(f"unit {unit}", why, "an image as the eye sees it")
+        if time_s == 0 and (why := explain_mirrored(self.detector, image)):
+            raise InputError(f"unit {unit}", why, "an image as the eye sees it")
         right = _right(detections, world.ids, truth)
         found_ids = np.intersect1d(whole_ids, detections.ids[right])
         return Sight(detections, whole_ids, found_ids, int((~right).sum()), image)

@@ -1,0 +1,66 @@
+"""The command line: one file a verb, each thin: parse, check, one call.
+
+Exit codes: 0 done; 1 the run did not reach its goal; 2 bad input or output; 130 interrupted.
+"""
+
+import sys
+from typing import Any, cast
+
+import typer
+
+from skyherd import __version__
+from skyherd.cli.console import complain
+from skyherd.cli.report import report
+from skyherd.cli.run import run
+from skyherd.cli.scenario import scenario_app
+from skyherd.errors import SkyherdError
+
+UsageError: type[Exception] = typer.BadParameter.__base__ or typer.BadParameter
+"""Root of what Typer raises for wrong arguments: click's, or that of its own copy of click."""
+
+app = typer.Typer(
+    name="skyherd",
+    help="Steer a team of ground robots into a shape with nothing but what uncalibrated flying cameras see.",
+    add_completion=False,
+    rich_markup_mode=None,
+)
+app.command()(run)
+app.command()(report)
+app.add_typer(scenario_app, name="scenario")
+
+
+def _version(show: bool) -> None:
+    if show:
+        typer.echo(f"skyherd {__version__}")
+        raise typer.Exit
+
+
+@app.callback(invoke_without_command=True)
+def _options(
+    context: typer.Context,
+    version: bool = typer.Option(
+        False, "--version", callback=_version, is_eager=True, help="Show the version."
+    ),
+) -> None:
+    """Steer a team of ground robots into a shape with nothing but what uncalibrated flying cameras see."""
+    if context.invoked_subcommand is None:
+        typer.echo(context.get_help())
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run the command line and exit with its code; what a user got wrong is one line on stderr."""
+    try:
+        code = app(arguments, standalone_mode=False, prog_name="skyherd")
+    except UsageError as error:
+        complain(f"{cast(Any, error).format_message()}; see `skyherd --help`")
+        code = 2
+    except SkyherdError as error:
+        complain(str(error))
+        code = error.exit_code
+    except OSError as error:
+        complain(f"{error.filename or 'output'}: {error.strerror or error}; nothing after this was written")
+        code = 2
+    except (KeyboardInterrupt, typer.Abort):
+        complain("interrupted; what was recorded can be seen with `skyherd report DIR`")
+        code = 130
+    sys.exit(code or 0)

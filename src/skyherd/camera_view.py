@@ -1,0 +1,171 @@
+"""What one aerial unit sees and wants: its image, its robots, and where it asks them to go."""
+
+import cv2
+import numpy as np
+
+from skyherd.canvas import (
+    Box,
+    Color,
+    Image,
+    circle_dashes,
+    draw_arrows,
+    draw_circle,
+    draw_lines,
+    draw_ring,
+    draw_segments,
+    draw_text,
+    fill_polygon,
+)
+from skyherd.control.topology import ControlSets
+from skyherd.geometry import Array, BoolArray, IntArray, to_points
+from skyherd.loop import UnitFrame
+from skyherd.messages import Detections
+from skyherd.palette import INK, MUTED, PAPER, TEMPLATE_COLOR, rgb, unit_rgb
+
+TITLE_PX = 26
+BORDER_PX = 3
+PLAIN: Color = (236, 237, 233)
+"""Ground colour where there is no picture."""
+
+FOREIGN: Color = (78, 83, 90)
+"""Marks of robots that the unit sees and does not control."""
+
+RING_PX = 4
+"""From a robot's ring to the one of the units it is shared with."""
+
+LIFT = 0.7
+"""Exponent of the display curve of camera images: brightens mid greys, so that colours stand out."""
+
+_CURVE = np.rint(255 * (np.arange(256) / 255) ** LIFT).astype(np.uint8)
+
+
+def desired_points_px(frame: UnitFrame) -> Array:
+    """Image points (N, 2) where a unit wants the robots of its goals.
+
+    The robot hears a length rho and a bearing in its own frame, counter-clockwise from its heading;
+    in the image, whose angles are clockwise, rho points along `heading - bearing`.
+    """
+    goals = frame.decision.goals
+    if goals is None:
+        return np.zeros((0, 2))
+    robots = frame.sight.detections
+    row = _rows(robots, goals.ids)
+    rho = goals.rho_px * np.exp(1j * (robots.headings_rad[row] - goals.bearings_rad))
+    return np.asarray(robots.centers_px[row] + to_points(rho))
+
+
+def _rows(robots: Detections, ids: IntArray) -> IntArray:
+    """Rows (N,) of the detections that are of robots `ids`, all of which were detected."""
+    order = np.argsort(robots.ids)
+    return np.asarray(order[np.searchsorted(robots.ids, ids, sorter=order)])
+
+
+def owners_by_robot(sets: ControlSets) -> dict[int, list[int]]:
+    """Units that control each robot, ascending; a robot without any is left out."""
+    owners: dict[int, list[int]] = {}
+    for unit in sorted(sets):
+        for robot_id in sets[unit].tolist():
+            owners.setdefault(robot_id, []).append(unit)
+    return owners
+
+
+class CameraView:
+    """Draws one unit's frames into its cell of the canvas: a title, and the image below it.
+
+    Args:
+        unit: whose images they are.
+        cell: the part of the canvas to draw in.
+        image_size_px: width and height of the unit's images.
+        radius: safety radius, in halves of the image's shorter side.
+    """
+
+    def __init__(self, unit: int, cell: Image, image_size_px: tuple[int, int], radius: float) -> None:
+        self.unit, self.color = unit, unit_rgb(unit)
+        width, height = image_size_px
+        room = np.array([cell.shape[1], cell.shape[0] - TITLE_PX]) - 2 * BORDER_PX
+        self.scale = float(min(room / (width, height)))
+        shown = Box(BORDER_PX, TITLE_PX + BORDER_PX, int(width * self.scale), int(height * self.scale))
+        self._title = cell[:TITLE_PX]
+        self._picture = shown.of(cell)
+        self._grey = np.empty((shown.height, shown.width), np.uint8)
+        center_px = self.to_panel(np.array([(width - 1) / 2, (height - 1) / 2]))
+        self._circle = circle_dashes(center_px, radius * min(width, height) / 2 * self.scale)
+        box = Box(0, TITLE_PX, shown.width + 2 * BORDER_PX, shown.height + 2 * BORDER_PX)
+        box.of(cell)[:] = self.color
+        self._picture[:] = PLAIN
+        self._write_title(f"unit {unit} · no image yet")
+
+    def to_panel(self, points_px: Array) -> Array:
+        """Places (..., 2) on the panel of points of the camera's image."""
+        return np.asarray((points_px + 0.5) * self.scale - 0.5)
+
+    def draw(self, frame: UnitFrame, sets: ControlSets) -> None:
+        """Draw a frame, given which robots each unit controls."""
+        robots = frame.sight.detections
+        controlled = frame.decision.report.controlled_ids
+        self._write_title(f"unit {self.unit} · {controlled.size} controlled · {len(robots)} seen")
+        self._draw_image(frame)
+        plain = frame.sight.image is None
+        draw_lines(self._picture, self._circle, rgb(MUTED if plain else PAPER), 2)
+        self._draw_marks(robots, {**sets, self.unit: controlled})
+        self._draw_goals(frame)
+        self._draw_ids(robots)
+
+    def _write_title(self, text: str) -> None:
+        self._title[:] = rgb(PAPER)
+        draw_circle(self._title, (7, TITLE_PX / 2), 6, self.color, -1)
+        draw_text(self._title, text, (20, TITLE_PX / 2), rgb(INK), size_px=15)
+
+    def _draw_image(self, frame: UnitFrame) -> None:
+        """The picture, or its markers as black squares where none was made."""
+        image = frame.sight.image
+        if image is None:
+            self._picture[:] = PLAIN
+            for corners in self.to_panel(frame.sight.detections.corners_px):
+                fill_polygon(self._picture, corners, (0, 0, 0))
+            return
+        height, width = self._grey.shape
+        cv2.resize(image, (width, height), dst=self._grey, interpolation=cv2.INTER_AREA)
+        cv2.LUT(self._grey, _CURVE, dst=self._grey)
+        cv2.cvtColor(self._grey, cv2.COLOR_GRAY2RGB, dst=self._picture)
+
+    def _draw_marks(self, robots: Detections, sets: ControlSets) -> None:
+        """Rings: this unit's colour, then the colours of the others that share the robot; else grey."""
+        owners = owners_by_robot(sets)
+        units = [owners.get(robot_id, []) for robot_id in robots.ids.tolist()]
+        mine = np.array([self.unit in who for who in units], dtype=bool)
+        shared = mine & np.array([len(who) > 1 for who in units], dtype=bool)
+        centers, radii = self.to_panel(robots.centers_px), self._radii(robots)
+        self._draw_ticks(centers, radii + RING_PX * shared, robots.headings_rad, mine)
+        for who, center, radius in zip(units, centers.tolist(), radii.tolist(), strict=True):
+            own = self.unit in who
+            draw_ring(self._picture, center, radius, [self.color if own else FOREIGN])
+            others = [unit_rgb(unit) for unit in who if unit != self.unit]
+            if own and others:
+                draw_ring(self._picture, center, radius + RING_PX, others)
+
+    def _draw_ticks(self, centers: Array, radii: Array, headings_rad: Array, mine: BoolArray) -> None:
+        """Heading ticks (N,) from the rings outwards."""
+        ahead = to_points(np.exp(1j * headings_rad))
+        starts, ends = centers + radii[:, None] * ahead, centers + (radii[:, None] + 8) * ahead
+        draw_segments(self._picture, starts, ends, rgb(PAPER), 5)
+        draw_segments(self._picture, starts[mine], ends[mine], self.color, 3)
+        draw_segments(self._picture, starts[~mine], ends[~mine], FOREIGN, 3)
+
+    def _radii(self, robots: Detections) -> Array:
+        """Radii (N,) of the rings around robots: outside the marker, and not too small to see."""
+        return np.maximum(0.95 * robots.sides_px * self.scale, 7.0)
+
+    def _draw_goals(self, frame: UnitFrame) -> None:
+        if frame.decision.goals is None:
+            return
+        robots = frame.sight.detections
+        starts = self.to_panel(robots.centers_px[_rows(robots, frame.decision.goals.ids)])
+        tips = self.to_panel(desired_points_px(frame))
+        draw_arrows(self._picture, starts, tips, rgb(TEMPLATE_COLOR), rgb(PAPER))
+
+    def _draw_ids(self, robots: Detections) -> None:
+        places = self.to_panel(robots.centers_px).tolist()
+        for robot_id, (u, v), radius in zip(robots.ids.tolist(), places, self._radii(robots), strict=True):
+            at = u + 0.75 * radius + 4, v - 0.75 * radius - 5
+            draw_text(self._picture, str(robot_id), at, rgb(INK), size_px=12, bold=True, halo=rgb(PAPER))

@@ -1,0 +1,204 @@
+"""Drawing on RGB images: anti-aliased shapes with sub-pixel places, and text.
+
+Points are (u, v) in pixels of the image drawn on, u right, v down, an integer being a pixel centre.
+Images may be views of a larger one: what falls outside is cut off.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Literal
+
+import cv2
+import matplotlib
+import numpy as np
+import numpy.typing as npt
+from PIL import Image as PillowImage
+from PIL import ImageDraw, ImageFont
+
+Image = npt.NDArray[np.uint8]
+Color = tuple[int, int, int]
+Align = Literal["left", "center", "right"]
+
+_SHIFT = 4
+_ONE = 1 << _SHIFT
+_FAR_PX = 1e5
+_CAP_HEIGHT = 0.729
+"""Height of DejaVu Sans capitals and digits over the font size."""
+
+
+@dataclass(frozen=True)
+class Box:
+    """A rectangle of an image, px."""
+
+    left: int
+    top: int
+    width: int
+    height: int
+
+    def of(self, image: Image) -> Image:
+        """The part of the image in the box, as a view."""
+        return image[self.top : self.top + self.height, self.left : self.left + self.width]
+
+
+def _fixed(points_px: npt.ArrayLike) -> npt.NDArray[np.int32]:
+    """Points as OpenCV's fixed-point numbers, those far outside pulled in."""
+    points = np.asarray(points_px, dtype=np.float64).clip(-_FAR_PX, _FAR_PX)
+    fixed: npt.NDArray[np.int32] = np.rint(points * _ONE).astype(np.int32)
+    return fixed
+
+
+def _fixed_point(point_px: Sequence[float]) -> tuple[int, int]:
+    u, v = point_px
+    return round(u * _ONE), round(v * _ONE)
+
+
+def draw_lines(
+    image: Image, lines_px: Iterable[npt.ArrayLike], color: Color, width_px: int = 1, *, closed: bool = False
+) -> None:
+    """Draw polylines, each (M, 2)."""
+    lines = [_fixed(line) for line in lines_px]
+    if lines:
+        cv2.polylines(image, lines, closed, color, width_px, cv2.LINE_AA, _SHIFT)
+
+
+def draw_segments(
+    image: Image, starts_px: npt.ArrayLike, ends_px: npt.ArrayLike, color: Color, width_px: int = 1
+) -> None:
+    """Draw straight lines from (N, 2) to (N, 2)."""
+    draw_lines(image, np.stack([starts_px, ends_px], axis=1), color, width_px)
+
+
+def fill_polygon(image: Image, points_px: npt.ArrayLike, color: Color) -> None:
+    """Fill a polygon (M, 2)."""
+    cv2.fillPoly(image, [_fixed(points_px)], color, cv2.LINE_AA, _SHIFT)
+
+
+def draw_circle(
+    image: Image, center_px: Sequence[float], radius_px: float, color: Color, width_px: int = 1
+) -> None:
+    """Draw a circle, or a disc if `width_px` is -1."""
+    center = _fixed_point(center_px)
+    cv2.circle(image, center, round(radius_px * _ONE), color, width_px, cv2.LINE_AA, _SHIFT)
+
+
+def draw_ring(
+    image: Image, center_px: Sequence[float], radius_px: float, colors: Sequence[Color], width_px: int = 2
+) -> None:
+    """Draw a circle in equal arcs of the colours given, clockwise from the left."""
+    if len(colors) == 1:
+        draw_circle(image, center_px, radius_px, colors[0], width_px)
+        return
+    center, radius = _fixed_point(center_px), round(radius_px * _ONE)
+    arc = 360.0 / len(colors)
+    for k, color in enumerate(colors):
+        start = 180.0 + k * arc
+        cv2.ellipse(image, center, (radius, radius), start, 0.0, arc, color, width_px, cv2.LINE_AA, _SHIFT)
+
+
+def dashes(
+    starts_px: npt.ArrayLike, ends_px: npt.ArrayLike, dash_px: float = 4.0
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Starts (M, 2) and ends (M, 2) of the dashes, as long as the gaps, of lines (N, 2) to (N, 2)."""
+    starts, ends = np.asarray(starts_px, dtype=float), np.asarray(ends_px, dtype=float)
+    lengths = np.linalg.norm(ends - starts, axis=1)
+    counts = np.ceil(lengths / (2 * dash_px)).astype(int)
+    line = np.repeat(np.arange(lengths.size), counts)
+    order = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
+    first = 2 * dash_px * order / lengths[line]
+    last = np.minimum(first + dash_px / lengths[line], 1.0)
+    way = (ends - starts)[line]
+    return starts[line] + first[:, None] * way, starts[line] + last[:, None] * way
+
+
+def circle_dashes(
+    center_px: npt.ArrayLike, radius_px: float, dash_px: float = 6.0
+) -> list[npt.NDArray[np.float64]]:
+    """Arcs (M, 2) of a dashed circle."""
+    count = max(8, round(np.pi * radius_px / dash_px))
+    starts = 2 * np.pi * np.arange(count) / count
+    angles = starts[:, None] + np.linspace(0.0, np.pi / count, 4)
+    return list(np.asarray(center_px) + radius_px * np.stack([np.cos(angles), np.sin(angles)], axis=-1))
+
+
+@lru_cache(maxsize=64)
+def _font(size_px: int, bold: bool) -> ImageFont.FreeTypeFont:
+    name = "DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf"
+    return ImageFont.truetype(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / name, size_px)
+
+
+def text_width(text: str, size_px: int = 13, *, bold: bool = False) -> float:
+    """Width of a text, px."""
+    return float(_font(size_px, bold).getlength(text))
+
+
+@dataclass(frozen=True)
+class _Sprite:
+    """A text ready to be blended, `(image * keep + add) / 256`, and where its anchor is in it."""
+
+    keep: npt.NDArray[np.uint16]
+    add: npt.NDArray[np.uint16]
+    anchor_px: tuple[float, float]
+
+
+@lru_cache(maxsize=4096)
+def _sprite(text: str, size_px: int, bold: bool, align: Align, color: Color, halo: Color | None) -> _Sprite:
+    font, pad = _font(size_px, bold), 3
+    ascent, descent = font.getmetrics()
+    length = font.getlength(text)
+    mask = PillowImage.new("L", (int(np.ceil(length)) + 2 * pad, ascent + descent + 2 * pad))
+    ImageDraw.Draw(mask).text((pad, pad), text, fill=255, font=font)
+    ink = np.asarray(mask, dtype=np.float64)[..., None] / 255
+    add, keep = ink * color, 1 - ink
+    if halo is not None:
+        disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
+        around = cv2.GaussianBlur(cv2.dilate(np.asarray(mask), disc), (3, 3), 0)[..., None] / 255
+        add, keep = add + keep * around * halo, keep * (1 - around)
+    anchor = {"left": 0.0, "center": length / 2, "right": length}[align]
+    return _Sprite(
+        np.floor(keep * 256).astype(np.uint16),
+        np.floor(add * 256).astype(np.uint16),
+        (pad + anchor, pad + ascent - size_px * _CAP_HEIGHT / 2),
+    )
+
+
+def draw_text(
+    image: Image,
+    text: str,
+    at_px: tuple[float, float],
+    color: Color,
+    *,
+    size_px: int = 13,
+    bold: bool = False,
+    align: Align = "left",
+    halo: Color | None = None,
+) -> None:
+    """Write a line of text; `at_px` is half-way up its capitals, at its left, centre or right.
+
+    The halo is a rim in that colour, for text over pictures.
+    """
+    sprite = _sprite(text, size_px, bold, align, color, halo)
+    left = round(at_px[0] - sprite.anchor_px[0])
+    top = round(at_px[1] - sprite.anchor_px[1])
+    height, width = sprite.keep.shape[:2]
+    rows = slice(max(0, -top), max(0, min(height, image.shape[0] - top)))
+    columns = slice(max(0, -left), max(0, min(width, image.shape[1] - left)))
+    patch = image[max(top, 0) : max(top + height, 0), max(left, 0) : max(left + width, 0)]
+    if patch.size:
+        patch[:] = (patch * sprite.keep[rows, columns] + sprite.add[rows, columns]) >> 8
+
+
+def draw_arrows(
+    image: Image, starts_px: npt.ArrayLike, tips_px: npt.ArrayLike, color: Color, halo: Color
+) -> None:
+    """Draw arrows with a pale rim from (N, 2) to (N, 2); short ones have small heads."""
+    starts, tips = np.asarray(starts_px, dtype=float), np.asarray(tips_px, dtype=float)
+    lengths = np.linalg.norm(tips - starts, axis=1, keepdims=True)
+    along = (tips - starts) / np.maximum(lengths, 1e-9)
+    heads = np.minimum(8.0, 0.6 * lengths)
+    bases, across = tips - heads * along, 0.45 * heads * along[:, ::-1] * (-1.0, 1.0)
+    draw_segments(image, starts, tips, halo, 4)
+    draw_segments(image, starts, bases, color, 2)
+    for head in np.stack([tips, bases + across, bases - across], axis=1):
+        fill_polygon(image, head, color)

@@ -1,0 +1,95 @@
+"""`skyherd run`: run a scenario and leave its recording, video, figures, summary and page in a folder."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+from skyherd.cli.console import err, out, warn
+from skyherd.datasets import Mission, load_mission
+from skyherd.loop import Step
+from skyherd.runner import PAGE, VIDEO, prepare_folder, run_mission
+
+
+def run(
+    scenario: Annotated[str, typer.Argument(help="A built-in scenario or a TOML file.")],
+    out_dir: Annotated[
+        Path | None, typer.Option("--out", help="Folder to make; runs/NAME if left out.")
+    ] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed of every random draw.")] = None,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option("--set", help="key=value put over the scenario, such as control.k=0.2."),
+    ] = None,
+    perception: Annotated[
+        str | None, typer.Option(help="rendered, ideal, or noisy: ideal with the detector's measured noise.")
+    ] = None,
+    no_video: Annotated[bool, typer.Option("--no-video", help="Make no video.")] = False,
+    record_images: Annotated[
+        bool, typer.Option("--record-images", help="Keep the cameras' images in the recording, as JPEG.")
+    ] = False,
+    force: Annotated[bool, typer.Option("--force", help="Write an existing folder anew.")] = False,
+) -> int:
+    """Run a scenario; exit code 0 if the shape was reached, 1 if not, 2 for bad input."""
+    chosen = [*(settings or []), *([f"perception={perception}"] if perception else [])]
+    mission = load_mission(scenario, chosen, seed=seed)
+    folder = out_dir or Path("runs") / mission.scenario.name
+    prepare_folder(folder, force=force)
+    with Watcher(mission) as watcher:
+        summary = run_mission(
+            mission, folder, video=not no_video, record_images=record_images, on_step=watcher.step
+        )
+    _tell(summary, folder)
+    return 0 if summary["converged"] else 1
+
+
+class Watcher(Progress):
+    """Progress bar with simulated time, V and detections; warns once of cameras that see no robot."""
+
+    def __init__(self, mission: Mission) -> None:
+        super().__init__(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            TextColumn("{task.fields[state]}"),
+            TimeRemainingColumn(),
+            console=err,
+            disable=not err.is_terminal,
+            transient=True,
+        )
+        self._duration_s = mission.scenario.duration_s
+        self._bar = self.add_task(mission.scenario.name, total=self._duration_s, state="")
+
+    def step(self, step: Step) -> None:
+        """Show one step."""
+        if step.time_s == 0:
+            for unit, frame in step.frames.items():
+                if not frame.sight.whole_ids.size:
+                    warn(f"unit {unit} sees no robot at the start")
+        seen = sum(frame.sight.found_ids.size for frame in step.frames.values())
+        whole = sum(frame.sight.whole_ids.size for frame in step.frames.values())
+        state = (
+            f"{step.time_s:.0f}/{self._duration_s:g} s  V {step.observation.V:.3g} m²  found {seen}/{whole}"
+        )
+        if step.time_s >= self._duration_s - 1e-9:
+            state = "drawing figures and page …"
+        self.update(self._bar, completed=step.time_s, state=state)
+
+
+def _tell(summary: dict[str, Any], folder: Path) -> None:
+    """The result in a few lines."""
+    verdict = "reached" if summary["converged"] else "NOT reached"
+    recall = summary["detection_recall"]
+    out.print(
+        f"shape {verdict}: error {summary['shape_error']:.2g}, scale {summary['scale']:.4g} m a unit,"
+        f" V {summary['V_start']:.4g} → {summary['V_end']:.3g} m²",
+        markup=False,
+    )
+    out.print(
+        f"{summary['steps']} steps, {summary['frames']} images, "
+        f"recall {'–' if recall is None else format(recall, '.2%')}, "
+        f"{summary['topology_switches']} topology switches, {summary['wall_s']:.1f} s",
+        markup=False,
+    )
+    films = [folder / VIDEO] if (folder / VIDEO).exists() else []
+    out.print("see " + "  ".join(str(path) for path in [folder / PAGE, *films]), markup=False)

@@ -1,0 +1,142 @@
+"""A run as a moving picture: what the cameras see, the ground from above, and the cost going down."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from skyherd.camera_view import BORDER_PX, TITLE_PX, CameraView
+from skyherd.canvas import Box, Image, draw_text, text_width
+from skyherd.datasets import Mission
+from skyherd.ground_view import GroundView
+from skyherd.key_view import draw_key
+from skyherd.loop import Step, UnitFrame
+from skyherd.palette import INK, MUTED, PAPER, rgb, unit_rgb
+from skyherd.plots_view import Curve, PlotView
+
+HEADER_PX = 46
+PLOTS_SHARE = 0.25
+CAMERAS_SHARE = 0.62
+KEY_PX = 80
+GAP_PX = 14
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where everything is on the canvas: a cell for each camera, the key, the ground, two plots."""
+
+    cameras: list[Box]
+    key: Box
+    ground: Box
+    plots: tuple[Box, Box]
+
+
+def make_layout(size_px: tuple[int, int], image_sizes_px: Sequence[tuple[int, int]]) -> Layout:
+    """Cameras in a near-square block on the left, the ground beside it, the plots below.
+
+    The key goes where the block has a cell to spare, or else below it.
+    """
+    width, height = size_px
+    units = len(image_sizes_px)
+    columns = int(np.ceil(np.sqrt(units)))
+    rows = -(-units // columns)
+    spare = rows * columns > units
+    bottom = height - round(PLOTS_SHARE * height)
+    room_high = bottom - HEADER_PX - (0 if spare else KEY_PX)
+    aspect = max(w / h for w, h in image_sizes_px)
+    frame = 2 * BORDER_PX
+    high = room_high / rows - TITLE_PX - frame - GAP_PX
+    wide = min(high * aspect, CAMERAS_SHARE * width / columns - frame - GAP_PX)
+    pitch_u, pitch_v = int(wide) + frame + GAP_PX, int(wide / aspect) + TITLE_PX + frame + GAP_PX
+    corners = [
+        (GAP_PX + column * pitch_u, HEADER_PX + row * pitch_v)
+        for row in range(rows)
+        for column in range(columns)
+    ]
+    cells = [Box(u, v, pitch_u - GAP_PX, pitch_v - GAP_PX) for u, v in corners]
+    below = HEADER_PX + rows * pitch_v
+    strip = Box(GAP_PX, below - GAP_PX // 2, columns * pitch_u - GAP_PX, bottom - below)
+    key = cells[units] if spare else strip
+    left = 2 * GAP_PX + columns * pitch_u
+    ground = Box(left, HEADER_PX, width - left - GAP_PX, bottom - HEADER_PX)
+    half = (width - 3 * GAP_PX) // 2
+    plots = tuple(Box(u, bottom + 4, half, height - bottom - 4) for u in (GAP_PX, width - GAP_PX - half))
+    return Layout(cells[:units], key, ground, (plots[0], plots[1]))
+
+
+class Composer:
+    """Makes a picture of each step of a mission; give it the steps in order.
+
+    Args:
+        mission: what is run.
+        size_px: width and height of the pictures, px.
+    """
+
+    def __init__(self, mission: Mission, size_px: tuple[int, int] = (1600, 1000)) -> None:
+        scenario = mission.scenario
+        self.mission, self.size_px = mission, size_px
+        self._canvas = np.empty((size_px[1], size_px[0], 3), np.uint8)
+        self._canvas[:] = rgb(PAPER)
+        self._shown = self._canvas.view()
+        self._shown.setflags(write=False)
+        sizes = [unit.camera.size_px for unit in scenario.units]
+        layout = make_layout(size_px, sizes)
+        self._cameras = [
+            CameraView(unit, box.of(self._canvas), sizes[unit], scenario.selection.radius)
+            for unit, box in enumerate(layout.cameras)
+        ]
+        self._ground = GroundView(mission, layout.ground.of(self._canvas))
+        draw_key(layout.key.of(self._canvas))
+        self._cost, self._scale = self._make_plots(layout)
+        self._last: dict[int, UnitFrame] = {}
+
+    def compose(self, step: Step) -> Image:
+        """Picture (height, width, 3) RGB of a step: read-only, and drawn over by the next call."""
+        self._last |= step.frames
+        for unit, frame in self._last.items():
+            self._cameras[unit].draw(frame, step.control_sets)
+        self._ground.draw(step)
+        seen = step.observation
+        self._cost.add(step.time_s, np.append(seen.V, seen.V_units))
+        self._scale.add(step.time_s, seen.scales)
+        self._draw_header(step)
+        return self._shown
+
+    def _make_plots(self, layout: Layout) -> tuple[PlotView, PlotView]:
+        duration_s = self.mission.scenario.duration_s
+        units = [Curve(f"unit {unit}", unit_rgb(unit)) for unit in range(len(self._cameras))]
+        cost, scale = (box.of(self._canvas) for box in layout.plots)
+        return (
+            PlotView(cost, "cost V, m²", [Curve("total", rgb(INK), 4), *units], duration_s, log=True),
+            PlotView(scale, "scale of each part, metres a template unit", units, duration_s),
+        )
+
+    def _draw_header(self, step: Step) -> None:
+        """What is run, on the left; how it goes, in columns that stay in place, on the right."""
+        header = self._canvas[:HEADER_PX]
+        header[:] = rgb(PAPER)
+        scenario, middle = self.mission.scenario, HEADER_PX / 2
+        name = f"skyherd · {scenario.name}"
+        draw_text(header, name, (GAP_PX, middle), rgb(INK), size_px=21, bold=True)
+        after = GAP_PX + text_width(name, 21, bold=True) + 14
+        draw_text(header, scenario.perception, (after, middle), rgb(MUTED), size_px=18)
+        right = header.shape[1] - GAP_PX
+        for label, value, width in reversed(self._figures(step)):
+            draw_text(header, value, (right - width, middle), rgb(INK), size_px=18, bold=True)
+            label_right = right - width - 8
+            draw_text(header, label, (label_right, middle), rgb(MUTED), size_px=16, align="right")
+            right = round(label_right - text_width(label, 16) - 26)
+
+    def _figures(self, step: Step) -> list[tuple[str, str, int]]:
+        """Label, value, and the width in px kept for the value."""
+        seen = step.observation
+        sights = [frame.sight for frame in self._last.values()]
+        found = sum(sight.found_ids.size for sight in sights)
+        whole = sum(sight.whole_ids.size for sight in sights)
+        return [
+            ("t", f"{step.time_s:.1f} s", 86),
+            ("shape error", f"{100 * seen.shape.error:.1f} %", 74),
+            ("closest pair", f"{seen.min_separation_m:.2f} m", 74),
+            ("detections", f"{found}/{whole}", 88),
+            ("V", f"{seen.V:.3g} m²" if seen.V >= 0.01 else f"{seen.V:.1e} m²", 112),
+        ]

@@ -1,0 +1,32 @@
+"""Files that are there whole or not at all."""
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+from skyherd.errors import OutputError
+
+
+def write_whole(path: Path, write: Callable[[Path], object]) -> Path:
+    """Let `write` make a file under another name, and give it the name `path` once it is whole.
+
+    Raises:
+        OutputError: it could not be written; nothing is left of it.
+    """
+    part = path.with_name(f".{path.name}.part")
+    try:
+        write(part)
+        os.replace(part, path)
+    except OSError as error:
+        why = error.strerror or error
+        raise OutputError(
+            f"{path}: cannot be written: {why}; free some space or choose another folder"
+        ) from None
+    finally:
+        part.unlink(missing_ok=True)
+    return path
+
+
+def write_text(path: Path, text: str) -> Path:
+    """Write a text file, UTF-8, whole or not at all; OutputError if it cannot be."""
+    return write_whole(path, lambda part: part.write_text(text, "utf-8"))

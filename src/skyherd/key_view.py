@@ -1,0 +1,82 @@
+"""The key to the symbols of the video."""
+
+from collections.abc import Callable
+
+from skyherd.camera_view import FOREIGN
+from skyherd.canvas import (
+    Image,
+    circle_dashes,
+    dashes,
+    draw_arrows,
+    draw_circle,
+    draw_lines,
+    draw_ring,
+    draw_segments,
+    draw_text,
+    text_width,
+)
+from skyherd.palette import INK, MUTED, PAPER, TEMPLATE_COLOR, rgb, unit_rgb
+
+SYMBOL_PX = 38
+ROW_PX = 23
+TEXT_PX = 12
+FIRST, SECOND = unit_rgb(0), unit_rgb(1)
+
+
+def _mine(image: Image, u: float, v: float) -> None:
+    draw_ring(image, (u, v), 6, [FIRST], 2)
+
+
+def _shared(image: Image, u: float, v: float) -> None:
+    draw_ring(image, (u, v), 5, [FIRST], 2)
+    draw_ring(image, (u, v), 9, [SECOND], 2)
+
+
+def _foreign(image: Image, u: float, v: float) -> None:
+    draw_ring(image, (u, v), 6, [FOREIGN], 2)
+
+
+def _goal(image: Image, u: float, v: float) -> None:
+    draw_arrows(image, [(u - 13, v)], [(u + 13, v)], rgb(TEMPLATE_COLOR), rgb(PAPER))
+
+
+def _radius(image: Image, u: float, v: float) -> None:
+    draw_lines(image, circle_dashes((u, v), 9, 3), rgb(MUTED), 2)
+
+
+def _robot(image: Image, u: float, v: float) -> None:
+    draw_ring(image, (u, v), 8, [FIRST, SECOND], 3)
+
+
+def _shape(image: Image, u: float, v: float) -> None:
+    draw_segments(image, *dashes([[u - 13, v]], [[u + 4, v]]), rgb(TEMPLATE_COLOR))
+    draw_circle(image, (u + 8, v), 5, rgb(TEMPLATE_COLOR), 1)
+
+
+def _unit(image: Image, u: float, v: float) -> None:
+    square = [[u - 9, v - 9], [u + 9, v - 9], [u + 9, v + 9], [u - 9, v + 9]]
+    draw_lines(image, [square], FIRST, 2, closed=True)
+    draw_lines(image, [[[u - 4, v], [u + 4, v]], [[u, v - 4], [u, v + 4]]], FIRST, 2)
+
+
+ITEMS: tuple[tuple[Callable[[Image, float, float], None], str], ...] = (
+    (_mine, "controlled by this unit"),
+    (_shared, "shared with another unit"),
+    (_foreign, "seen, not controlled"),
+    (_goal, "to the desired point"),
+    (_radius, "safety radius"),
+    (_robot, "coloured by its units"),
+    (_shape, "its place in the shape"),
+    (_unit, "unit and its view"),
+)
+
+
+def draw_key(panel: Image) -> None:
+    """Draw the key in as few rows as the panel is wide enough for."""
+    pitch = SYMBOL_PX + max(text_width(text, TEXT_PX) for _, text in ITEMS) + 6
+    columns = min(len(ITEMS), max(1, int(panel.shape[1] // pitch)))
+    rows = -(-len(ITEMS) // columns)
+    for k, (draw, text) in enumerate(ITEMS):
+        u, v = k // rows * pitch + SYMBOL_PX / 2, (k % rows + 0.5) * ROW_PX
+        draw(panel, u, v)
+        draw_text(panel, text, (u + SYMBOL_PX / 2 + 2, v), rgb(INK), size_px=TEXT_PX)

@@ -1,0 +1,121 @@
+"""The report's tables: the summary's keys in plain words, and their values as people read them."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import degrees, isfinite
+
+UNKNOWN = "not known"
+_SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+@dataclass(frozen=True)
+class Field:
+    """A summary key as the report shows it; `kind` says how its value is written."""
+
+    key: str
+    label: str
+    unit: str = ""
+    meaning: str = ""
+    kind: str = "plain"
+
+
+TC_MEANINGS = (
+    "Units that share two robots or more are neighbours; all units hang together that way.",
+    "Every robot is controlled by a unit.",
+    "Neighbouring units share exactly two robots, others none.",
+    "No robot is controlled by more than two units.",
+    "The units and their neighbours make a tree, without cycles.",
+)
+
+GROUPS: Mapping[str, tuple[Field, ...]] = {
+    "Outcome": (
+        Field("converged", "Converged", "", "The shape error stayed below its goal to the end."),
+        Field("complete", "Complete", "", "The run went to its planned end and was not cut short."),
+        Field(
+            "shape_error",
+            "Shape error",
+            "",
+            "RMS distance to the best-fitting copy of the shape, over the formation's RMS radius.",
+        ),
+        Field(
+            "scale",
+            "Scale",
+            "m/unit",
+            "Metres on the ground for a template unit; free, and settled by the run.",
+        ),
+        Field(
+            "rotation_rad",
+            "Rotation",
+            "",
+            "Counter-clockwise from the template; free, and settled by the run.",
+            "angle",
+        ),
+        Field(
+            "V_start", "Cost V at the start", "m²", "Half the sum of squared distances to the desired points."
+        ),
+        Field("V_end", "Cost V at the end", "m²", "Zero where every unit's robots are in the shape."),
+    ),
+    "Robots": (
+        Field("min_separation_m", "Closest two robots", "m", "Between centres, over the whole run."),
+        Field("path_length_m", "Distance travelled", "m", "All robots together."),
+    ),
+    "Vision": (
+        Field(
+            "detection_recall",
+            "Markers detected",
+            "",
+            "Share of the markers that were whole in an image.",
+            "share",
+        ),
+        Field("false_detections", "False detections", "", "Markers reported where there was none."),
+        Field("frames", "Images", "", "Taken by all units together."),
+        Field(
+            "perception", "Perception", "", "Detections from rendered images, or from exact or noisy truth."
+        ),
+    ),
+    "Topology": (
+        Field(
+            "topology_switches",
+            "Topology switches",
+            "",
+            "Instants when a unit took a robot over or gave one up.",
+        ),
+        *(
+            Field(f"tc{number}_violation_s", f"TC{number} violated", "s", meaning)
+            for number, meaning in enumerate(TC_MEANINGS, 1)
+        ),
+    ),
+    "Run": (
+        Field("scenario", "Scenario"),
+        Field("seed", "Seed", "", "The same scenario and seed give the same run."),
+        Field("simulated_s", "Simulated time", "s"),
+        Field("wall_s", "Computing time", "s"),
+        Field("real_time_factor", "Real-time factor", "×", "Simulated time over computing time."),
+        Field("steps", "Steps"),
+        Field("loop_steps_per_s", "Steps computed", "per second"),
+        Field("frames_per_s", "Images processed", "per second"),
+    ),
+}
+"""Every key of the summary that is a single value, in the order shown."""
+
+
+def value_text(field: Field, value: object) -> str:
+    """A value with its unit, as people write it."""
+    if value is None or (isinstance(value, float) and not isfinite(value)):
+        return UNKNOWN
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if not isinstance(value, int | float):
+        return str(value)
+    if field.kind == "angle":
+        return f"{degrees(value):.1f}° ({number_text(value)} rad)".replace("-", "−")
+    if field.kind == "share":
+        return f"{100 * value:.5g} %"
+    return f"{number_text(value)} {field.unit}".strip()
+
+
+def number_text(value: float) -> str:
+    """A finite number: an integer in full, else four digits, as `0.01235` or `1.887 × 10⁻⁸`."""
+    mantissa, _, exponent = (str(value) if isinstance(value, int) else f"{value:.4g}").partition("e")
+    power = f" × 10{str(int(exponent)).translate(_SUPERSCRIPTS)}" if exponent else ""
+    return mantissa.replace("-", "−") + power

@@ -1,0 +1,62 @@
+"""What a run came to, in numbers: the content of `summary.json`."""
+
+from typing import Any
+
+import numpy as np
+
+from skyherd.history import History
+
+
+def held_to_the_end(history: History) -> bool:
+    """Whether the shape error stayed under the goal's threshold for its hold time, up to the last step."""
+    goal, times = history.mission.scenario.goal, history.times_s
+    if times[-1] - times[0] < goal.hold_s:
+        return False
+    last = times >= times[-1] - goal.hold_s - 1e-9
+    return bool((history.shape_error[last] < goal.shape_error).all())
+
+
+def summarize(history: History, wall_s: float | None) -> dict[str, Any]:
+    """Summary of a run; `wall_s` is None for one that was cut short.
+
+    Keys carry their units; `shape_error` is the RMS distance to the best-fitting similarity of the template
+    over the formation's RMS radius, `scale` is in metres a template unit, both from truth.
+    """
+    scenario, times = history.mission.scenario, history.times_s
+    steps, simulated_s = int(times.size), float(times[-1])
+    violated_s = (~history.conditions[:-1]).sum(axis=0) * scenario.step_s
+    switches = (history.controlled[1:] != history.controlled[:-1]).any(axis=(1, 2))
+    travelled = np.linalg.norm(np.diff(history.positions_m, axis=0), axis=2).sum()
+
+    def per_wall(amount: float) -> float | None:
+        return None if not wall_s else amount / wall_s
+
+    return {
+        "scenario": scenario.name,
+        "seed": scenario.seed,
+        "perception": scenario.perception,
+        "converged": held_to_the_end(history),
+        "complete": wall_s is not None,
+        "simulated_s": simulated_s,
+        "real_time_factor": per_wall(simulated_s),
+        "wall_s": wall_s,
+        "steps": steps,
+        "loop_steps_per_s": per_wall(steps),
+        "frames": history.frames,
+        "frames_per_s": per_wall(history.frames),
+        "shape_error": float(history.shape_error[-1]),
+        "scale": float(history.shape_scale[-1]),
+        "rotation_rad": float(history.shape_rotation_rad[-1]),
+        "V_start": float(history.V[0]),
+        "V_end": float(history.V[-1]),
+        "detection_recall": history.found / history.whole if history.whole else None,
+        "false_detections": history.false_detections,
+        "topology_switches": int(switches.sum()),
+        **{f"tc{number}_violation_s": float(violated_s[number - 1]) for number in range(1, 6)},
+        "min_separation_m": float(history.min_separation_m.min()),
+        "path_length_m": float(travelled),
+        "final_positions_m": {
+            str(robot): position.tolist()
+            for robot, position in zip(history.ids.tolist(), history.positions_m[-1], strict=True)
+        },
+    }

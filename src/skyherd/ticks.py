@@ -1,0 +1,86 @@
+"""Axis ranges of the video's plots: round tick values, linear or by decades."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from skyherd.geometry import Array
+
+_SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+def tick_values(low: float, high: float, count: int) -> Array:
+    """Multiples of 1, 2 or 5 times a power of ten in [low, high], about `count` of them."""
+    rough = (high - low) / count
+    steps = np.array([1.0, 2.0, 5.0, 10.0]) * 10.0 ** np.floor(np.log10(rough))
+    step = steps[np.abs(np.log(steps / rough)).argmin()]
+    return np.asarray(np.arange(np.ceil(low / step - 1e-9), np.floor(high / step + 1e-9) + 1) * step + 0.0)
+
+
+@dataclass(frozen=True)
+class LinearRange:
+    """Values from `low` to `high`."""
+
+    low: float
+    high: float
+
+    @classmethod
+    def around(cls, values: Array) -> "LinearRange":
+        """A range with room about the finite ones of `values`."""
+        finite = values[np.isfinite(values)]
+        if not finite.size:
+            return cls(0.0, 1.0)
+        low, high = float(finite.min()), float(finite.max())
+        room = max(0.25 * (high - low), 0.1 * abs(high), 1e-9)
+        return cls(low - room, high + room)
+
+    def place(self, values: Array) -> Array:
+        """Fractions of the axis, 0 at its low end."""
+        return np.asarray((values - self.low) / (self.high - self.low))
+
+    def widened(self, values: Array) -> "LinearRange":
+        """A range that holds `values` as well; itself if it does already."""
+        finite = values[np.isfinite(values)]
+        if not finite.size or (finite.min() >= self.low and finite.max() <= self.high):
+            return self
+        return LinearRange.around(np.append(finite, [self.low, self.high]))
+
+    def ticks(self) -> dict[float, str]:
+        """Values to mark and how to write them."""
+        return {float(value): f"{value:g}" for value in tick_values(self.low, self.high, 5).round(12)}
+
+
+@dataclass(frozen=True)
+class LogRange:
+    """Values from `10**low` to `10**high`; smaller ones stay at the bottom."""
+
+    low: int
+    high: int
+    most: int = 12
+
+    @classmethod
+    def around(cls, values: Array) -> "LogRange":
+        """Four decades down from the largest of `values`."""
+        top = float(np.nanmax(values, initial=0.0))
+        high = int(np.ceil(np.log10(top))) if top > 0 else 0
+        return cls(high - 4, high)
+
+    def place(self, values: Array) -> Array:
+        """Fractions of the axis, 0 at its low end."""
+        exponents = np.log10(np.maximum(values, 10.0**self.low))
+        return np.asarray((exponents - self.low) / (self.high - self.low))
+
+    def widened(self, values: Array) -> "LogRange":
+        """A range that holds `values` as well, up to `most` decades; itself if it does already."""
+        positive = values[np.isfinite(values) & (values > 0)]
+        if not positive.size:
+            return self
+        high = max(self.high, int(np.ceil(np.log10(positive.max()))))
+        low = max(min(self.low, int(np.floor(np.log10(positive.min())))), high - self.most)
+        return self if (low, high) == (self.low, self.high) else LogRange(low, high, self.most)
+
+    def ticks(self) -> dict[float, str]:
+        """Values to mark and how to write them."""
+        step = 1 if self.high - self.low <= 6 else 2
+        exponents = range(self.high, self.low - 1, -step)
+        return {10.0**power: "10" + str(power).translate(_SUPERSCRIPTS) for power in exponents}

@@ -1,0 +1,171 @@
+"""Video files that play in a browser, and a sink that cannot lie about what it wrote."""
+
+import os
+from collections.abc import Iterator
+from contextlib import suppress
+from fractions import Fraction
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import av
+import numpy as np
+import numpy.typing as npt
+
+from skyherd.errors import OutputError
+
+Image = npt.NDArray[np.uint8]
+
+QUALITY = {"crf": "23", "preset": "veryfast"}
+"""Settings of libx264: constant quality, and fast enough to keep up with the loop."""
+
+THREADS = 2
+BT709 = 1
+"""Colour space, primaries and transfer of HD video in FFmpeg's numbering; players assume them."""
+
+STUDIO_RANGE = 1
+MAX_DENOMINATOR = 10_000
+
+
+class VideoSink:
+    """H.264 video of RGB frames: `with VideoSink(path, (1600, 1000), 10) as sink: sink.write(frame)`.
+
+    Frames go to `<path>.part`, which takes the place of `path` only when it is whole: closed, read
+    again, and found to hold as many frames as were written. If the body raises, nothing is left behind.
+
+    Args:
+        path: the file to make, an MP4.
+        size_px: width and height of every frame, both even.
+        rate_hz: frames a second; fractions such as `Fraction(30000, 1001)` are kept exactly.
+
+    Raises:
+        OutputError: at once, if the file cannot be made there; or later, if a frame is not as promised
+            or the file does not become whole.
+    """
+
+    def __init__(
+        self, path: str | os.PathLike[str], size_px: tuple[int, int], rate_hz: Fraction | float
+    ) -> None:
+        self.path, self.size_px = Path(path), size_px
+        self.rate_hz = _checked_rate(self.path, rate_hz)
+        self.frames = 0
+        self.part = self.path.with_name(self.path.name + ".part")
+        self._claim_target()
+        self._container = av.open(str(self.part), "w", format="mp4", options={"movflags": "+faststart"})
+        self._stream = self._add_stream()
+        self._open = True
+
+    def write(self, frame: Image) -> None:
+        """Append one frame, (height, width, 3) uint8 RGB; it is not kept."""
+        width, height = self.size_px
+        if not self._open:
+            raise OutputError(f"{self.path}: already closed; frames are written before")
+        if frame.shape != (height, width, 3) or frame.dtype != np.uint8:
+            raise OutputError(
+                f"{self.path}: frame {self.frames} is {frame.shape} {frame.dtype}, "
+                f"expected {(height, width, 3)} uint8"
+            )
+        rgb = av.VideoFrame.from_ndarray(np.ascontiguousarray(frame), format="rgb24")
+        picture = rgb.reformat(format="yuv420p", dst_colorspace=BT709, dst_color_range=STUDIO_RANGE)
+        picture.pts, picture.time_base = self.frames, 1 / self.rate_hz
+        self._mux(picture)
+        self.frames += 1
+
+    def close(self) -> None:
+        """Finish the file, check it and put it in place; closing twice does nothing."""
+        if not self._open:
+            return
+        try:
+            if not self.frames:
+                raise OutputError(f"{self.path}: no frames were written; a video needs at least one")
+            self._mux(None)
+            self._container.close()
+            found = count_frames(self.part)
+            if found != self.frames:
+                raise OutputError(f"{self.path}: holds {found} frames, but {self.frames} were written")
+            os.replace(self.part, self.path)
+        except (OSError, av.FFmpegError) as error:
+            self.abort()
+            if isinstance(error, OutputError):
+                raise
+            raise OutputError(f"{self.path}: cannot be written: {error.strerror}") from None
+        self._open = False
+
+    def abort(self) -> None:
+        """Close and remove what was written so far; the target stays as it was."""
+        self._open = False
+        with suppress(OSError, av.FFmpegError):
+            self._container.close()
+        self.part.unlink(missing_ok=True)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if error is None:
+            self.close()
+        else:
+            self.abort()
+
+    def _claim_target(self) -> None:
+        """Make the temporary file, so that a place that cannot be written to is refused at once."""
+        if any(side < 2 or side % 2 for side in self.size_px):
+            raise OutputError(f"{self.path}: size {self.size_px} px, but both sides of a video must be even")
+        if not self.path.parent.is_dir():
+            raise OutputError(f"{self.path}: no folder {self.path.parent}; make it first")
+        try:
+            self.part.write_bytes(b"")
+            is_folder = self.path.is_dir()
+        except OSError as error:
+            raise OutputError(f"{self.path}: cannot be written: {error.strerror}") from None
+        if is_folder:
+            self.part.unlink()
+            raise OutputError(f"{self.path}: is a folder; name a file in it")
+
+    def _add_stream(self) -> av.VideoStream:
+        stream = self._container.add_stream("libx264", rate=self.rate_hz, options=QUALITY)
+        stream.width, stream.height = self.size_px
+        stream.pix_fmt = "yuv420p"
+        context = stream.codec_context
+        context.thread_count = THREADS
+        context.colorspace = context.color_primaries = context.color_trc = BT709
+        context.color_range = STUDIO_RANGE
+        return stream
+
+    def _mux(self, picture: av.VideoFrame | None) -> None:
+        try:
+            self._container.mux(self._stream.encode(picture))
+        except av.FFmpegError as error:
+            raise OutputError(f"{self.path}: cannot be written: {error.strerror}") from None
+
+
+def _checked_rate(path: Path, rate_hz: Fraction | float) -> Fraction:
+    try:
+        rate = Fraction(rate_hz).limit_denominator(MAX_DENOMINATOR)
+    except (ValueError, OverflowError):
+        rate = Fraction(0)
+    if rate <= 0:
+        raise OutputError(f"{path}: {rate_hz} frames a second; must be positive and finite")
+    return rate
+
+
+def count_frames(path: str | os.PathLike[str]) -> int:
+    """Number of frames in a video file, counted packet by packet."""
+    with av.open(str(path)) as container:
+        return sum(1 for packet in container.demux(video=0) if packet.size)
+
+
+def read_frames(path: str | os.PathLike[str]) -> Iterator[Image]:
+    """Frames of a video file as (height, width, 3) uint8 RGB, one at a time.
+
+    Raises:
+        OutputError: the file is not a video that can be read.
+    """
+    try:
+        with av.open(str(path)) as container:
+            for frame in container.decode(video=0):
+                yield np.asarray(frame.to_ndarray(format="rgb24"), dtype=np.uint8)
+    except (OSError, av.FFmpegError, IndexError) as error:
+        raise OutputError(f"{path}: cannot be read as a video: {error}") from None

@@ -1,0 +1,121 @@
+"""Helpers common to several test files, as fixtures (session-scoped: hypothesis may use them too)."""
+
+import tomllib
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from skyherd.datasets import scenario_text
+from skyherd.markers import corners_of_pose
+from skyherd.messages import Detections, MotionGoals, UnitReport
+
+
+@pytest.fixture(scope="session")
+def scenario_tree() -> Callable[[str], dict[str, Any]]:
+    """A fresh tree of a built-in scenario, to be changed at will."""
+
+    def make(name: str) -> dict[str, Any]:
+        return tomllib.loads(scenario_text(name))
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def reference_fit() -> Callable[[np.ndarray, np.ndarray], tuple[complex, complex]]:
+    """The least-squares similarity `z -> a z + b` without complex algebra: a real system in 4 unknowns."""
+
+    def fit(template: np.ndarray, current: np.ndarray) -> tuple[complex, complex]:
+        x, y = template.real, template.imag
+        one, zero = np.ones_like(x), np.zeros_like(x)
+        rows = np.vstack([np.column_stack([x, -y, one, zero]), np.column_stack([y, x, zero, one])])
+        s_cos, s_sin, t_x, t_y = np.linalg.lstsq(
+            rows, np.concatenate([current.real, current.imag]), rcond=None
+        )[0]
+        return complex(s_cos, s_sin), complex(t_x, t_y)
+
+    return fit
+
+
+@pytest.fixture(scope="session")
+def make_detections() -> Callable[..., Detections]:
+    """Detections at image points `u + iv`, with plain values for all that a test does not care about."""
+
+    def make(
+        ids: Any,
+        points: Any,
+        *,
+        headings: Any = None,
+        sides: Any = None,
+        size=(800, 800),
+        unit_id=0,
+        time_s=0.0,
+    ) -> Detections:
+        points = np.asarray(points, dtype=complex)
+        headings = np.zeros(points.size) if headings is None else np.asarray(headings, dtype=float)
+        sides = np.full(points.size, 20.0) if sides is None else np.asarray(sides, dtype=float)
+        centers = np.column_stack([points.real, points.imag])
+        return Detections(
+            unit_id=unit_id,
+            time_s=time_s,
+            image_size_px=np.array(size),
+            ids=np.asarray(ids),
+            centers_px=centers,
+            headings_rad=headings,
+            sides_px=sides,
+            corners_px=corners_of_pose(centers, headings, sides),
+            covariances=np.zeros((points.size, 3, 3)),
+        )
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def make_report() -> Callable[..., UnitReport]:
+    """A unit's report, from the robots it sees at image points `u + iv`."""
+
+    def make(
+        unit_id: int, ids: Any, points: Any, controlled: Any, secure: Any = (), size=(800, 800)
+    ) -> UnitReport:
+        points = np.asarray(points, dtype=complex)
+        return UnitReport(
+            unit_id=unit_id,
+            time_s=0.0,
+            image_size_px=np.array(size),
+            ids=np.asarray(ids),
+            points_px=np.column_stack([points.real, points.imag]),
+            controlled_ids=np.asarray(controlled),
+            secure_ids=np.asarray(secure, dtype=np.int64),
+        )
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def make_goals() -> Callable[..., MotionGoals]:
+    """Goals from vectors in the robots' frames, `rho e^{i bearing}`, and {neighbour: distance} by robot."""
+
+    def make(
+        unit_id: int, ids: Any, rho: Any, *, sides: Any = None, neighbors: Any = None, time_s: float = 0.0
+    ) -> MotionGoals:
+        rho = np.asarray(rho, dtype=complex)
+        near = neighbors or [{} for _ in rho]
+        width = max(len(row) for row in near)
+        told = np.full((rho.size, width), -1)
+        distances = np.zeros((rho.size, width))
+        for row, pairs in enumerate(near):
+            told[row, : len(pairs)] = list(pairs)
+            distances[row, : len(pairs)] = list(pairs.values())
+        return MotionGoals(
+            unit_id=unit_id,
+            time_s=time_s,
+            ids=np.asarray(ids),
+            rho_px=np.abs(rho),
+            bearings_rad=np.angle(rho),
+            sides_px=np.full(rho.size, 20.0) if sides is None else np.asarray(sides, dtype=float),
+            neighbor_ids=told,
+            neighbor_distances_px=distances,
+        )
+
+    return make

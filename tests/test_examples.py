@@ -1,0 +1,46 @@
+"""The examples do what they say."""
+
+import importlib.util
+from pathlib import Path
+
+import numpy as np
+
+from skyherd.datasets import load_mission
+from skyherd.loop import run_steps
+from skyherd.video import VideoSink
+
+EXAMPLES = Path(__file__).parent.parent / "examples"
+
+
+def load(name):
+    spec = importlib.util.spec_from_file_location(name, EXAMPLES / f"{name}.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_bring_your_own_world_ends_in_a_square_and_is_short():
+    corners = load("bring_your_own_world").main()
+    sides = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1)
+    diagonals = np.linalg.norm(corners[2:] - corners[:2], axis=1)
+    # Positions come from markers of 32 px seen at 80 px a metre: an error of 0.5 px is 6 mm on sides of 4 m.
+    np.testing.assert_allclose(sides, sides.mean(), rtol=0.005)
+    np.testing.assert_allclose(diagonals, np.sqrt(2) * sides.mean(), rtol=0.005)
+    assert len((EXAMPLES / "bring_your_own_world.py").read_text().splitlines()) < 60
+
+
+def test_recorded_video_gives_the_goals_that_the_run_sent(tmp_path):
+    mission = load_mission(
+        "circle",
+        ["duration_s=0.5", "selection.radius=1.2", "units.0.height_m=18", "units.0.flight.kind=hover"],
+    )
+    steps = list(run_steps(mission))
+    with VideoSink(tmp_path / "camera.mp4", (800, 800), 10) as sink:
+        for step in steps:
+            sink.write(np.repeat(step.frames[0].sight.image[..., None], 3, axis=2))
+    found, decision = next(iter(load("recorded_video").decisions(str(tmp_path / "camera.mp4"), "circle", 12)))
+    sent = steps[0].frames[0]
+    assert found == len(sent.sight.detections)
+    assert decision.goals.ids.tolist() == sent.decision.goals.ids.tolist()
+    # The codec moves an edge by some tenths of a pixel.
+    np.testing.assert_allclose(decision.goals.rho_px, sent.decision.goals.rho_px, atol=1.0)

@@ -1,0 +1,130 @@
+"""A recording gives back what was written, as far as it goes."""
+
+import io
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap.records import Message
+from mcap.stream_reader import StreamReader
+
+from skyherd.datasets import load_mission
+from skyherd.errors import InputError
+from skyherd.history import make_history
+from skyherd.loop import run_steps
+from skyherd.recording import Recorder, read_messages, read_recording
+from skyherd.summary import held_to_the_end, summarize
+
+
+@pytest.fixture(scope="module")
+def mission():
+    return load_mission("star", ["duration_s=4.0", "network.frame_loss=0.1", "network.message_loss=0.1"])
+
+
+@pytest.fixture(scope="module")
+def steps(mission):
+    return list(run_steps(mission))
+
+
+def record(path, mission, steps, *, images=False):
+    with Recorder(path, mission, images=images) as recorder:
+        for step in steps:
+            recorder.write(step)
+        recorder.finish(steps[-1].time_s, 1.5)
+    return path
+
+
+def test_reading_back_gives_the_same_history(tmp_path, mission, steps):
+    recording = read_recording(record(tmp_path / "run.mcap", mission, steps))
+    live, read = make_history(mission, steps), make_history(recording.mission, recording.steps)
+    for name in (
+        "positions_m",
+        "omega_radps",
+        "V",
+        "V_units",
+        "scales",
+        "controlled",
+        "conditions",
+        "heights_m",
+    ):
+        np.testing.assert_array_equal(getattr(live, name), getattr(read, name), err_msg=name)
+    for mine, theirs in zip(live.traces, read.traces, strict=True):
+        np.testing.assert_array_equal(mine.points_px, theirs.points_px)
+    assert summarize(live, 1.5) == summarize(read, recording.wall_s)
+
+
+def test_goals_and_detections_come_back_to_the_last_bit(tmp_path, mission, steps):
+    recording = read_recording(record(tmp_path / "run.mcap", mission, steps))
+    for live, read in zip(steps, recording.steps, strict=True):
+        for unit, frame in live.frames.items():
+            theirs = read.frames[unit]
+            np.testing.assert_array_equal(
+                frame.sight.detections.corners_px, theirs.sight.detections.corners_px
+            )
+            np.testing.assert_array_equal(frame.decision.goals.rho_px, theirs.decision.goals.rho_px)
+
+
+def test_images_come_back_as_jpeg_does(tmp_path, mission, steps):
+    recording = read_recording(record(tmp_path / "run.mcap", mission, steps[:2], images=True))
+    assert recording.has_images
+    unit = next(iter(steps[0].frames))
+    live, read = steps[0].frames[unit].sight.image, recording.steps[0].frames[unit].sight.image
+    # JPEG at quality 90 quantises the finest DCT terms to about 20 levels; noise of 2 grey levels passes.
+    assert np.abs(live.astype(int) - read.astype(int)).mean() < 2.5
+
+
+@pytest.mark.parametrize("fraction", [0.35, 0.6, 0.95])
+def test_a_torn_file_reads_up_to_its_last_whole_chunk(tmp_path, mission, steps, fraction):
+    whole = record(tmp_path / "run.mcap", mission, steps).read_bytes()
+    torn = tmp_path / "torn.mcap"
+    torn.write_bytes(whole[: int(len(whole) * fraction)])
+    recording = read_recording(torn)
+    assert recording.wall_s is None
+    assert 0 < len(recording.steps) < len(steps)
+    np.testing.assert_array_equal(
+        recording.steps[-1].positions_m, steps[len(recording.steps) - 1].positions_m
+    )
+    # No more than one chunk of messages is lost: chunks hold 64 KiB before compression.
+    assert len(recording.steps) >= int(len(steps) * fraction) - 12
+
+
+def test_a_whole_file_is_whole_for_an_indexed_reader(tmp_path, mission, steps):
+    with record(tmp_path / "run.mcap", mission, steps).open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    topics = {channel.topic for channel in summary.channels.values()}
+    assert {"/mission", "/unit/0/detections", "/unit/2/goals", "/robots/command", "/world", "/end"} <= topics
+    assert summary.statistics.message_count == sum(1 for _ in read_messages(tmp_path / "run.mcap"))
+
+
+def test_what_is_no_recording_is_refused(tmp_path):
+    text = tmp_path / "run.mcap"
+    text.write_text("not a recording")
+    with pytest.raises(InputError, match="not a recording"):
+        read_recording(text)
+    with pytest.raises(InputError, match="No such file"):
+        read_recording(tmp_path / "absent.mcap")
+
+
+def messages_of(path):
+    records = StreamReader(io.BytesIO(path.read_bytes())).records
+    return [(r.channel_id, r.log_time, r.data) for r in records if isinstance(r, Message)]
+
+
+def test_the_same_seed_gives_the_same_messages_byte_for_byte(tmp_path, mission, steps):
+    first = messages_of(record(tmp_path / "first.mcap", mission, steps))
+    again = messages_of(record(tmp_path / "again.mcap", mission, list(run_steps(mission))))
+    other_mission = load_mission("star", ["duration_s=4.0"], seed=2)
+    other = messages_of(record(tmp_path / "other.mcap", other_mission, list(run_steps(other_mission))))
+    assert len(first) > 40 * 10
+    assert first == again
+    assert first != other
+
+
+def test_converged_means_held_to_the_end():
+    mission = load_mission("triangle", ["perception=ideal", "duration_s=80.0", "goal.hold_s=5"])
+    assert held_to_the_end(make_history(mission, run_steps(mission)))
+    short = load_mission("triangle", ["perception=ideal", "duration_s=20.0", "goal.hold_s=5"])
+    assert not held_to_the_end(make_history(short, run_steps(short)))
+    # Reached the threshold, but only just now: not held.
+    late = load_mission("triangle", ["perception=ideal", "duration_s=80.0", "goal.hold_s=60"])
+    assert not held_to_the_end(make_history(late, run_steps(late)))

@@ -1,0 +1,146 @@
+"""Algorithm 1's similarity: exact, equivariant, equal to an independent least-squares solution."""
+
+import numpy as np
+import pytest
+import scipy.linalg
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from skyherd.control import Similarity, desired_points, fit_similarity
+from skyherd.errors import DegenerateSetError
+
+TIGHT = 1e-10
+"""Relative to the points' size: the fit divides by the template's spread, which the strategies keep above a
+hundredth of its size squared, so that 1e-16 of rounding grows to 1e-12 at most for 12 points."""
+
+coordinate = st.floats(-10, 10, allow_subnormal=False)
+point = st.builds(complex, coordinate, coordinate)
+
+
+def spread(points: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(np.abs(points - points.mean()) ** 2)))
+
+
+@st.composite
+def point_sets(draw: st.DrawFn, count: int | None = None) -> np.ndarray:
+    size = count or draw(st.integers(2, 12))
+    points = np.array(draw(st.lists(point, min_size=size, max_size=size)))
+    assume(spread(points) > 0.1)
+    return points
+
+
+@st.composite
+def two_sets(draw: st.DrawFn) -> tuple[np.ndarray, np.ndarray]:
+    template = draw(point_sets())
+    return template, draw(point_sets(count=template.size))
+
+
+@st.composite
+def similarities(draw: st.DrawFn) -> tuple[complex, complex]:
+    """`z -> a z + b`, scales over six orders of magnitude."""
+    scale = 10.0 ** draw(st.floats(-3, 3))
+    return complex(scale * np.exp(1j * draw(st.floats(-np.pi, np.pi)))), draw(point)
+
+
+suite = settings(max_examples=200, deadline=None, derandomize=True)
+
+
+@suite
+@given(template=point_sets(), similarity=similarities())
+def test_recovers_any_exact_similarity(template, similarity) -> None:
+    a, b = similarity
+    current = a * template + b
+    # A shift by b costs |b| / |a| of the points' digits.
+    digits = TIGHT * (1 + abs(b) / abs(a))
+    fit = fit_similarity(template, current)
+    assert fit.turn == pytest.approx(a, rel=digits)
+    assert fit.scale == pytest.approx(abs(a), rel=digits)
+    assert np.exp(1j * fit.rotation_rad) == pytest.approx(a / abs(a), abs=digits)
+    np.testing.assert_allclose(fit(template), current, rtol=0, atol=digits * abs(a) * 20)
+
+
+@suite
+@given(sets=two_sets())
+def test_agrees_with_a_linear_least_squares_solver(sets) -> None:
+    """The paper's linear system (proof of Property 1) in s cos phi, s sin phi and the translation."""
+    template, current = sets
+    rows = []
+    for z in template:
+        rows += [[z.real, -z.imag, 1, 0], [z.imag, z.real, 0, 1]]
+    seen = np.column_stack([current.real, current.imag]).ravel()
+    (c, s, tx, ty), *_ = scipy.linalg.lstsq(np.array(rows), seen)
+    fit = fit_similarity(template, current)
+    assert fit.turn == pytest.approx(complex(c, s), abs=TIGHT * 100)
+    reference = complex(c, s) * template + complex(tx, ty)
+    np.testing.assert_allclose(desired_points(template, current), reference, rtol=0, atol=TIGHT * 1000)
+
+
+@suite
+@given(sets=two_sets(), similarity=similarities())
+def test_moves_with_the_current_points(sets, similarity) -> None:
+    """fit(T, G x) = G fit(T, x): the proof of Property 1."""
+    (template, current), (a, b) = sets, similarity
+    moved = desired_points(template, a * current + b)
+    digits = TIGHT * (1 + abs(b) / abs(a))
+    np.testing.assert_allclose(
+        moved, a * desired_points(template, current) + b, rtol=0, atol=digits * abs(a) * 100
+    )
+
+
+@suite
+@given(sets=two_sets(), similarity=similarities())
+def test_does_not_see_the_templates_own_frame(sets, similarity) -> None:
+    """fit(G T, x) (G T) = fit(T, x) (T): scale, turn and origin of the template image are arbitrary."""
+    (template, current), (a, b) = sets, similarity
+    same = desired_points(a * template + b, current)
+    digits = TIGHT * (1 + abs(b) / abs(a)) ** 2
+    np.testing.assert_allclose(same, desired_points(template, current), rtol=0, atol=digits * 1000)
+
+
+@suite
+@given(sets=two_sets())
+def test_is_a_projection_that_keeps_the_centroid(sets) -> None:
+    """Desired points are the best of their kind: the residual is at right angles to all similarities of T."""
+    template, current = sets
+    desired = desired_points(template, current)
+    residual = current - desired
+    assert desired.mean() == pytest.approx(current.mean(), abs=TIGHT)
+    assert abs(residual.sum()) < TIGHT * 100
+    assert abs(np.vdot(template, residual)) < TIGHT * 10_000
+    assume(spread(desired) > 1e-3)
+    np.testing.assert_allclose(desired_points(template, desired), desired, rtol=0, atol=TIGHT * 1000)
+
+
+def test_the_map_is_what_its_docstring_says() -> None:
+    similarity = Similarity(turn=2j, source=1 + 1j, target=5 + 0j)
+    assert similarity.scale == 2
+    assert similarity.rotation_rad == pytest.approx(np.pi / 2)
+    np.testing.assert_array_equal(similarity(np.array([1 + 1j, 2 + 1j])), [5, 5 + 2j])
+
+
+@pytest.mark.parametrize(
+    ("template", "current"),
+    [
+        ([1 + 1j], [3 + 2j]),
+        ([], []),
+        ([1 + 1j, 1 + 1j, 1 + 1j], [0, 1, 2j]),
+        ([0, 1, 2j], [400.3 + 7j] * 3),
+        ([0.1 + 0.7j] * 3, [0, 1, 2j]),
+        ([0, 1, 2j], [0j] * 3),
+        ([0j] * 3, [0, 1, 2j]),
+        ([0, 1], [0, 1, 2j]),
+    ],
+    ids=[
+        "one point",
+        "no point",
+        "coincident template",
+        "coincident current",
+        "coincident up to rounding of the mean",
+        "coincident at the origin",
+        "template at the origin",
+        "unequal numbers",
+    ],
+)
+def test_degenerate_sets_are_refused(template, current) -> None:
+    with pytest.raises(DegenerateSetError):
+        fit_similarity(np.array(template, dtype=complex), np.array(current, dtype=complex))

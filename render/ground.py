@@ -1,10 +1,10 @@
 """The ground: a periodic concrete-like texture, band-limited at every scale it is seen at."""
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
 from skyherd.geometry import Array, apply_homography
+from skyherd.render.resample import warp
 
 
 class Ground:
@@ -51,22 +51,7 @@ class Ground:
         near = np.eye(3)
         near[:2, 2] = -period * np.floor(view.min(axis=0) / period)
         sample_image = near @ sample_image
-        return _warp(laid, sample_image / sample_image[2, 2], size_px)
-
-
-def _warp(
-    tile: npt.NDArray[np.uint8], sample_image: Array, size_px: tuple[int, int]
-) -> npt.NDArray[np.uint8]:
-    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    if np.allclose(sample_image[2, :2], 0.0, atol=1e-12):
-        return np.asarray(
-            cv2.warpAffine(tile, sample_image[:2], size_px, flags=flags, borderMode=cv2.BORDER_WRAP),
-            dtype=np.uint8,
-        )
-    return np.asarray(
-        cv2.warpPerspective(tile, sample_image, size_px, flags=flags, borderMode=cv2.BORDER_WRAP),
-        dtype=np.uint8,
-    )
+        return warp(laid, sample_image, size_px, wrap=True)
 
 
 def _local_scale(homography: Array, at_m: Array) -> float:

@@ -1,6 +1,5 @@
 """World to pixels: marker cards on textured ground, through a camera, onto a noisy sensor."""
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -8,6 +7,7 @@ from skyherd.geometry import Array, IntArray, apply_homography
 from skyherd.markers import card_side
 from skyherd.render.camera import Camera, CameraPose, homography_image_ground, square_m
 from skyherd.render.ground import Ground
+from skyherd.render.resample import warp
 from skyherd.render.sensor import Sensor
 from skyherd.render.sprites import MARGIN_SIGMAS, marker_sprite, size_bucket
 
@@ -55,40 +55,54 @@ class Renderer:
         """Grey image (height, width) of robots `ids` (N,) at positions (N, 2) with headings (N,)."""
         homography = homography_image_ground(camera, pose)
         image = self.ground.draw(homography, camera.size_px)
-        for marker_id, position_m, heading_rad in zip(ids, positions_m, headings_rad, strict=True):
-            self._draw_marker(image, homography, int(marker_id), position_m, float(heading_rad))
+        cards_m = square_m(positions_m, headings_rad, self.side_m * card_side(self.dictionary))
+        cards_px = apply_homography(homography, cards_m)
+        sides_px = _mean_edges(cards_px) / card_side(self.dictionary)
+        markers_image = np.linalg.inv(homography @ _ground_markers(positions_m, headings_rad, self.side_m))
+        for marker_id, card_px, side_px, marker_image in zip(
+            ids, cards_px, sides_px, markers_image, strict=True
+        ):
+            self._draw_marker(image, int(marker_id), card_px, float(side_px), marker_image)
         return self.sensor.expose(image)
 
     def _draw_marker(
         self,
         image: npt.NDArray[np.uint8],
-        homography: Array,
         marker_id: int,
-        position_m: Array,
-        heading_rad: float,
+        card_px: Array,
+        side_px: float,
+        marker_image: Array,
     ) -> None:
         """Composite one card over `image`: F + (1 - A) background, within the card's bounding box."""
-        card_m = self.side_m * card_side(self.dictionary)
-        card_px = apply_homography(homography, square_m([position_m], [heading_rad], card_m))[0]
         box = _clip_box(card_px, MARGIN_SIGMAS * self.sigma_px, image.shape)
         if box is None:
             return
         left, top, right, bottom = box
-        edge_px = np.linalg.norm(np.roll(card_px, 1, axis=0) - card_px, axis=1).mean()
-        bucket = size_bucket(float(edge_px) / card_side(self.dictionary))
+        bucket = size_bucket(side_px)
         sprite = marker_sprite(self.dictionary, marker_id, bucket, self.sigma_px, self.black, self.white)
-        image_marker = homography @ _ground_marker(position_m, heading_rad, self.side_m)
-        sprite_image = sprite.sprite_from_marker() @ np.linalg.inv(image_marker)
-        sprite_box = sprite_image @ np.array([[1.0, 0.0, left], [0.0, 1.0, top], [0.0, 0.0, 1.0]])
-        drawn = _warp(sprite.card_and_cover, sprite_box / sprite_box[2, 2], (right - left, bottom - top))
+        sprite_box = sprite.sprite_from_marker() @ marker_image
+        sprite_box[:, 2] += sprite_box[:, :2] @ (left, top)
+        drawn = warp(sprite.card_and_cover, sprite_box, (right - left, bottom - top))
         region = image[top:bottom, left:right]
-        region[...] = np.rint(drawn[..., 0] + (1.0 - drawn[..., 1]) * region)
+        seen = (1.0 - drawn[..., 1]) * region
+        seen += drawn[..., 0]
+        region[...] = np.rint(seen, out=seen)
 
 
-def _ground_marker(position_m: Array, heading_rad: float, side_m: float) -> Array:
-    """Similarity (3, 3) from marker coordinates (forward, left, in sides) to ground metres."""
-    c, s = side_m * np.cos(heading_rad), side_m * np.sin(heading_rad)
-    return np.array([[c, -s, position_m[0]], [s, c, position_m[1]], [0.0, 0.0, 1.0]])
+def _mean_edges(cards_px: Array) -> Array:
+    """Mean edge length (N,) of quadrilaterals (N, 4, 2)."""
+    edges = np.roll(cards_px, 1, axis=1) - cards_px
+    return np.asarray(np.hypot(edges[..., 0], edges[..., 1]).mean(axis=1))
+
+
+def _ground_markers(positions_m: Array, headings_rad: Array, side_m: float) -> Array:
+    """Similarities (N, 3, 3) from marker coordinates (forward, left, in sides) to ground metres."""
+    c, s = side_m * np.cos(headings_rad), side_m * np.sin(headings_rad)
+    ground = np.zeros((len(headings_rad), 3, 3))
+    ground[:, 0, 0] = ground[:, 1, 1] = c
+    ground[:, 1, 0], ground[:, 0, 1] = s, -s
+    ground[:, :2, 2], ground[:, 2, 2] = positions_m, 1.0
+    return ground
 
 
 def _clip_box(
@@ -98,12 +112,3 @@ def _clip_box(
     low = np.maximum(np.floor(corners_px.min(axis=0) - margin_px), 0).astype(int)
     high = np.minimum(np.ceil(corners_px.max(axis=0) + margin_px) + 1, [shape[1], shape[0]]).astype(int)
     return None if (low >= high).any() else (int(low[0]), int(low[1]), int(high[0]), int(high[1]))
-
-
-def _warp(
-    sprite: npt.NDArray[np.float32], sprite_image: Array, size_px: tuple[int, int]
-) -> npt.NDArray[np.float32]:
-    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    if np.allclose(sprite_image[2, :2], 0.0, atol=1e-12):
-        return np.asarray(cv2.warpAffine(sprite, sprite_image[:2], size_px, flags=flags), dtype=np.float32)
-    return np.asarray(cv2.warpPerspective(sprite, sprite_image, size_px, flags=flags), dtype=np.float32)

@@ -1,13 +1,15 @@
 """Measure a detector's recall, biases and errors by marker size, on rendered images.
 
     python benchmarks/detector_accuracy.py            # print the table
-    python benchmarks/detector_accuracy.py --write    # and store it where the detector reads it
+    python benchmarks/detector_accuracy.py --write    # and store it where the package reads it
+    python benchmarks/detector_accuracy.py --detector photometric
 
-Markers of the dictionary 4X4_50 at random places and headings, on textured ground. The detector runs
-uncorrected, so that what is stored is what has to be taken off.
+Markers of the dictionary 4X4_50 at random places and headings, on textured ground. `aruco` runs uncorrected,
+so that what is stored is what has to be taken off; `photometric` has nothing taken off.
 """
 
 import argparse
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,13 +18,17 @@ import numpy as np
 
 from skyherd.markers import card_side, pose_of_corners
 from skyherd.render import Camera, CameraPose, Ground, Renderer, Sensor, project_markers
-from skyherd.vision import ArucoDetector
+from skyherd.vision import ArucoDetector, Detector, PhotometricDetector, create_detector
 
 DICTIONARY = "4X4_50"
 IMAGE_PX = 800
 PER_FRAME = 16
 SIDES_PX = (10, 12, 13, 14, 15, 16, 18, 20, 22, 24, 27, 30, 35, 40, 45, 50, 60, 80)
-TABLE = Path(__file__).parent.parent / "vision" / "aruco_accuracy.toml"
+UNCORRECTED: dict[str, Callable[[], Detector]] = {
+    "aruco": lambda: ArucoDetector(DICTIONARY, corrected=False),
+    "photometric": lambda: PhotometricDetector(DICTIONARY),
+}
+TABLES = Path(__file__).parent.parent / "vision"
 
 
 @dataclass(frozen=True)
@@ -41,7 +47,7 @@ class SizeResult:
 
 
 def measure(
-    side_px: float, frames: int, renderer: Renderer, detector: ArucoDetector, rng: np.random.Generator
+    side_px: float, frames: int, renderer: Renderer, detector: Detector, rng: np.random.Generator
 ) -> SizeResult:
     """Render `frames` images of markers of `side_px` and compare what is found with the truth."""
     found, errors = 0, []
@@ -87,10 +93,10 @@ def _spread(pose: CameraPose, side_px: float, rng: np.random.Generator) -> np.nd
     return np.column_stack([at.real, at.imag])
 
 
-def as_toml(results: list[SizeResult], noise: float, psf_px: float) -> str:
+def as_toml(results: list[SizeResult], detector: str, noise: float, psf_px: float) -> str:
     """The table as the detector reads it."""
     head = (
-        "# Errors of the detector `aruco`, measured by `python benchmarks/detector_accuracy.py --write`.\n"
+        f"# Errors of the detector `{detector}`, by `benchmarks/detector_accuracy.py --write`.\n"
         f"# OpenCV {cv2.__version__}; RMS over markers found. Linear between sizes.\n"
         f'dictionary = "{DICTIONARY}"\nnoise = {noise}\npsf_px = {psf_px}\n'
     )
@@ -104,18 +110,20 @@ def as_toml(results: list[SizeResult], noise: float, psf_px: float) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--detector", choices=UNCORRECTED, default="aruco")
     parser.add_argument("--frames", type=int, default=100, help=f"images a size, {PER_FRAME} markers each")
     parser.add_argument("--noise", type=float, default=2.0, help="grey levels")
     parser.add_argument("--psf", type=float, default=0.8, help="blur, px")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--corrected", action="store_true", help="measure what is left after correction")
-    parser.add_argument("--write", action="store_true", help=f"store the table in {TABLE}")
+    parser.add_argument("--write", action="store_true", help=f"store it in {TABLES}")
     options = parser.parse_args()
     cv2.setNumThreads(1)
     rng = np.random.default_rng(options.seed)
     ground = Ground(options.seed, sigma_px=float(np.hypot(options.psf, np.sqrt(1 / 12))))
     renderer = Renderer(DICTIONARY, 1.0, ground, Sensor(options.noise, rng), psf_px=options.psf)
-    detector = ArucoDetector(DICTIONARY, corrected=options.corrected)
+    name = options.detector
+    detector = create_detector(name, dictionary=DICTIONARY) if options.corrected else UNCORRECTED[name]()
     print("side_px  recall  false  side bias ± std px   position bias / RMS px   heading RMS deg")
     results = []
     for side_px in SIDES_PX:
@@ -128,8 +136,9 @@ def main() -> None:
             flush=True,
         )
     if options.write:
-        TABLE.write_text(as_toml(results, options.noise, options.psf), "utf-8")
-        print(f"written: {TABLE}")
+        table = TABLES / f"{options.detector}_accuracy.toml"
+        table.write_text(as_toml(results, options.detector, options.noise, options.psf), "utf-8")
+        print(f"written: {table}")
 
 
 if __name__ == "__main__":

@@ -85,7 +85,7 @@ def _account(
     total = sum(step_s)
     spent = {part: sum(calls) for part, calls in laps.calls_s.items()}
     frames = len(laps.calls_s["detect"])
-    megapixels = frames * images[0].size / 1e6
+    megapixels = frames * float(np.mean([image.size for image in images])) / 1e6
     plain_s = _time_plain(dictionary, images)
     detect_s = float(np.median(laps.calls_s["detect"]))
     return {

@@ -63,18 +63,21 @@ class Follow:
     lateral_gain_mps: float = 1.0
     climb_gain_mps: float = 1.0
     dead_band: float = 0.02
-    _neighbors: dict[int, bool] = field(default_factory=dict)
-    _charges: IntArray | None = None
+    _neighbors: dict[int, bool] = field(default_factory=dict, init=False)
+    _charges: IntArray = field(default_factory=lambda: NO_ROBOTS, init=False)
+    _start: dict[int, float] | None = field(default=None, init=False)
 
     def command(self, seen: Detections, controlled: IntArray, reports: Sequence[UnitReport]) -> FlightCommand:
         """Velocity towards the centroid of the robots to be kept, and the height that keeps them."""
-        if self._charges is None:
-            self._charges = controlled
+        if self._start is None:
+            self._start, self._charges = _distances(seen), controlled
         for report in reports:
             if report.unit_id not in self._neighbors:
                 shared = np.intersect1d(controlled, report.controlled_ids)
                 self._neighbors[report.unit_id] = shared.size >= 2
-                self._charges = np.setdiff1d(self._charges, _nearer_there(shared, seen, report))
+                self._charges = np.setdiff1d(
+                    self._charges, _nearer_there(shared, self._start, seen.unit_id, report)
+                )
         keep = np.isin(seen.ids, self._robots_to_keep(seen, controlled, reports))
         if not keep.any():
             return _hover(seen.unit_id)
@@ -90,7 +93,7 @@ class Follow:
     ) -> IntArray:
         """The charges, the robots nobody else holds, and two in common with each neighbour."""
         alone = np.setdiff1d(controlled, shared_ids(controlled, reports))
-        keep = [self._charges if self._charges is not None else NO_ROBOTS, alone]
+        keep = [self._charges, alone]
         distances = centre_distances(seen)
         for report in reports:
             if self._neighbors.get(report.unit_id, False):
@@ -102,14 +105,21 @@ class Follow:
         return np.unique(np.concatenate(keep))
 
 
-def _nearer_there(shared: IntArray, seen: Detections, report: UnitReport) -> IntArray:
-    """Those of `shared` that the reporting unit sees nearer to its image centre; ties go to the first."""
-    here = dict(zip(seen.ids.tolist(), centre_distances(seen).tolist(), strict=True))
-    there = dict(zip(report.ids.tolist(), centre_distances(report).tolist(), strict=True))
+def _distances(seen: Detections | UnitReport) -> dict[int, float]:
+    """Distance from the image centre of each robot seen."""
+    return dict(zip(seen.ids.tolist(), centre_distances(seen).tolist(), strict=True))
+
+
+def _nearer_there(shared: IntArray, start: dict[int, float], unit_id: int, report: UnitReport) -> IntArray:
+    """Those of `shared` that the reporting unit saw nearer to its image centre; of equals, the first unit's.
+
+    Both look at their own first image, so that each robot stays the charge of exactly one of the two.
+    """
+    there = _distances(report)
     theirs = [
         robot
         for robot in shared.tolist()
-        if (there.get(robot, np.inf), report.unit_id) < (here.get(robot, np.inf), seen.unit_id)
+        if (there.get(robot, np.inf), report.unit_id) < (start.get(robot, np.inf), unit_id)
     ]
     return np.array(theirs, dtype=np.int64)
 

@@ -5,6 +5,7 @@ The robots' receivers are kept as arrays over (unit, robot): each robot reads on
 
 import numpy as np
 
+from skyherd.errors import MessageError
 from skyherd.geometry import Array, BoolArray, ComplexArray, IntArray
 from skyherd.messages import MotionGoals
 
@@ -12,8 +13,11 @@ from skyherd.messages import MotionGoals
 class Inboxes:
     """The last goal that each robot heard from each unit, forgotten after `lifetime_s`.
 
+    Goals may tell of neighbours that have no inbox; those distances are left out.
+
     Attributes:
         ids: (N,) the robots, ascending.
+        unit_ids: (U,) the units that may send, ascending.
         rho_px: (U, N) goal vectors in each robot's frame, forward + i left, in the sender's pixels.
         sides_px: (U, N) the robot's own marker side in the sender's image.
         squares_px2: (U, N, N) squared image distances from robot to neighbour; 0 where not told.
@@ -22,6 +26,8 @@ class Inboxes:
     """
 
     def __init__(self, ids: IntArray, unit_ids: IntArray, lifetime_s: float) -> None:
+        if (np.diff(ids) <= 0).any() or (np.diff(unit_ids) <= 0).any():
+            raise MessageError("Inboxes: ids and unit_ids must ascend, each once")
         units, robots = unit_ids.size, ids.size
         self.ids, self.unit_ids, self.lifetime_s = ids, unit_ids, lifetime_s
         self.rho_px: ComplexArray = np.zeros((units, robots), dtype=np.complex128)
@@ -35,6 +41,8 @@ class Inboxes:
 
         `received` (N,) tells which of its robots heard them, all if None.
         """
+        if goals.unit_id not in self.unit_ids or not np.isin(goals.ids, self.ids).all():
+            raise MessageError(f"Inboxes: goals of unit {goals.unit_id} for robots that have no inbox here")
         heard = np.ones(len(goals), dtype=bool) if received is None else received
         unit = int(np.searchsorted(self.unit_ids, goals.unit_id))
         robots = np.searchsorted(self.ids, goals.ids[heard])
@@ -45,7 +53,7 @@ class Inboxes:
         self.imaged_s[unit, robots] = goals.time_s
         self.heard_s[unit, robots] = time_s
         self.squares_px2[unit, robots] = 0.0
-        row, column = np.nonzero(goals.neighbor_ids[rows] >= 0)
+        row, column = np.nonzero(np.isin(goals.neighbor_ids[rows], self.ids))
         neighbors = np.searchsorted(self.ids, goals.neighbor_ids[rows][row, column])
         self.squares_px2[unit, robots[row], neighbors] = goals.neighbor_distances_px[rows][row, column] ** 2
 
@@ -57,13 +65,13 @@ class Inboxes:
 def scale_ratios(inboxes: Inboxes) -> Array:
     """r_kj = r_k / r_j for each robot, (U, U, N) indexed [k, j, i].
 
-    The least-squares line through the distances d_k = r_kj d_j to all neighbours that both messages name,
-    with errors in both,
+    From the distances d_k ≈ r_kj d_j to all neighbours that both messages name: the geometric mean of the two
+    least-squares slopes, of d_k on d_j and of the inverse one of d_j on d_k,
 
         r_kj = sqrt(Σ_n d_kn² / Σ_n d_jn²),
 
-    so that r_kj r_jk = 1. Without a common neighbour the ratio of the robot's own marker sides stands in,
-    which rests on few pixels.
+    which takes both as noisy and keeps r_kj r_jk = 1. Without a common neighbour the ratio of the robot's own
+    marker sides stands in, which rests on few pixels.
     """
     squares = inboxes.squares_px2
     told = (squares > 0).astype(float)

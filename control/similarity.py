@@ -10,6 +10,9 @@ from skyherd.geometry import ComplexArray
 COINCIDENT = 1e-12
 """Points whose spread is below this fraction of their size lie on one spot."""
 
+VANISHING = 1e-9
+"""A fit that explains less than this share of the points' spread is no fit (a mirrored square, for one)."""
+
 
 @dataclass(frozen=True)
 class Similarity:
@@ -44,7 +47,8 @@ def fit_similarity(template: ComplexArray, current: ComplexArray) -> Similarity:
 
     Raises:
         DegenerateSetError: fewer than two points, or all template points (then no similarity exists) or
-            all current points (then it has scale zero) on one spot.
+            all current points (then it has scale zero) on one spot, or a fit of size zero (the singular
+            arrangements of the paper's Remark 2).
     """
     if template.size != current.size or template.size < 2:
         raise DegenerateSetError(f"{current.size} points define no similarity; at least two are needed")
@@ -55,7 +59,10 @@ def fit_similarity(template: ComplexArray, current: ComplexArray) -> Similarity:
         raise DegenerateSetError("all template points coincide; at least two must differ")
     if np.abs(current_c).max() <= COINCIDENT * np.abs(current).max():
         raise DegenerateSetError("all current points coincide; at least two must differ")
-    return Similarity(complex(np.vdot(template_c, current_c) / spread), complex(source), complex(target))
+    turn = complex(np.vdot(template_c, current_c) / spread)
+    if abs(turn) ** 2 * spread <= VANISHING**2 * np.vdot(current_c, current_c).real:
+        raise DegenerateSetError("the best-fitting similarity has size zero, so no rotation fits best")
+    return Similarity(turn, complex(source), complex(target))
 
 
 def desired_points(template: ComplexArray, current: ComplexArray) -> ComplexArray:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from skyherd.control.similarity import COINCIDENT
 from skyherd.errors import DegenerateSetError, InputError
 from skyherd.geometry import ComplexArray, IntArray, to_complex
 
@@ -27,7 +28,7 @@ class Template:
             raise InputError("template", f"{ids.size} robots", "at least two, since fewer make no shape")
         if np.unique(ids).size != ids.size:
             raise InputError("template", f"repeated ids in {ids.tolist()}", "each robot once")
-        if np.ptp(points.real) == 0 and np.ptp(points.imag) == 0:
+        if np.abs(points - points.mean()).max() <= COINCIDENT * np.abs(points).max():
             raise DegenerateSetError(
                 "template: all points coincide; a shape needs at least two distinct points"
             )

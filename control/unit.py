@@ -28,17 +28,26 @@ class AerialController:
         selection: which robots it controls.
         flight: how it flies.
         nearest: neighbours whose distances it tells each robot.
+        report_lifetime_s: a report older than this counts no more: its sender may be gone.
     """
 
     def __init__(
-        self, template: Template, selection: SafetyRadius, flight: Flight, *, nearest: int = 3
+        self,
+        template: Template,
+        selection: SafetyRadius,
+        flight: Flight,
+        *,
+        nearest: int = 3,
+        report_lifetime_s: float = 2.0,
     ) -> None:
         self.template, self.flight, self.nearest = template, flight, nearest
+        self.report_lifetime_s = report_lifetime_s
         self.control_set = ControlSet(selection)
 
     def step(self, detections: Detections, reports: Sequence[UnitReport] = ()) -> Decision:
         """Decide on one image, given the last report heard from each other unit."""
         seen = detections.select(self.template.ids)
+        reports = [r for r in reports if r.time_s >= detections.time_s - self.report_lifetime_s]
         controlled = self.control_set.update(seen, reports)
         try:
             goals = motion_goals(

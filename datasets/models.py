@@ -1,13 +1,15 @@
 """The scenario file, key by key: what each means, its unit, and what is allowed."""
 
+from collections.abc import Iterator
 from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, model_validator
 
-Positive = Annotated[FiniteFloat, Field(gt=0)]
-NotNegative = Annotated[FiniteFloat, Field(ge=0)]
+Positive = Annotated[FiniteFloat, Field(gt=0, le=1e6)]
+NotNegative = Annotated[FiniteFloat, Field(ge=0, le=1e6)]
 Fraction = Annotated[FiniteFloat, Field(ge=0, lt=1)]
-Point = tuple[FiniteFloat, FiniteFloat]
+Coordinate = Annotated[FiniteFloat, Field(ge=-1e6, le=1e6)]
+Point = tuple[Coordinate, Coordinate]
 
 
 class Model(BaseModel):
@@ -48,11 +50,18 @@ class RobotsModel(Model):
         None, description="counter-clockwise from +x; random if left out"
     )
     scatter: ScatterModel | None = Field(None, description="a random start in place of positions_m")
-    count: Annotated[int, Field(ge=2)] | None = Field(None, description="robots, where nothing else tells")
-    ids: list[Annotated[int, Field(ge=0)]] | None = Field(None, description="marker ids; 0, 1, … if left out")
+    count: Annotated[int, Field(ge=2, le=10_000)] | None = Field(
+        None, description="robots, where nothing else tells"
+    )
+    ids: list[Annotated[int, Field(ge=0, lt=2**31)]] | None = Field(
+        None, description="marker ids; 0, 1, … if left out"
+    )
     max_speed_mps: Positive = Field(1.0, description="limit of |v|")
     max_turn_radps: Positive = Field(3.0, description="limit of |omega|")
-    timeout_s: Positive = Field(0.5, description="a goal is forgotten this long after it was heard")
+    timeout_s: Positive = Field(
+        0.5,
+        description="a goal is forgotten after this; keep it above the time between two images",
+    )
 
 
 class MarkerModel(Model):
@@ -69,7 +78,7 @@ class ControlModel(Model):
     k: Positive = Field(0.1, description="marker gains: speed a metre of goal, 1/s")
     k_v: Positive = Field(0.001, description="pixel gains: speed a pixel of goal, m/s/px")
     k_omega: Positive = Field(0.4, description="turn rate a radian, 1/s")
-    b_th: NotNegative = Field(0.0, description="robots stop nearer to the goal: marker sides, or px")
+    b_th: NotNegative = Field(0.01, description="robots stop nearer to the goal: marker sides, or px")
     neighbors: Annotated[int, Field(ge=1)] = Field(3, description="nearest robots whose distances are sent")
 
 
@@ -136,7 +145,9 @@ class UnitModel(Model):
     )
     flight: FlightModel = FlightModel()
     frame_rate_hz: Positive = 10.0
-    latency_s: NotNegative = Field(0.0, description="from an image to its goals' arrival")
+    latency_s: NotNegative = Field(
+        0.0, description="from an image to the arrival of its goals and report; not of its own flight command"
+    )
 
     @model_validator(mode="after")
     def _zoom_in_order(self) -> Self:
@@ -173,7 +184,9 @@ class SensorModel(Model):
     """What the cameras' images suffer."""
 
     noise: NotNegative = Field(2.0, description="standard deviation, grey levels")
-    psf_px: NotNegative = Field(0.8, description="standard deviation of the blur")
+    psf_px: Annotated[FiniteFloat, Field(ge=0, le=10)] = Field(
+        0.8, description="standard deviation of the blur"
+    )
 
 
 class GroundModel(Model):
@@ -195,13 +208,13 @@ class GoalModel(Model):
 class Scenario(Model):
     """A whole run: shape, robots, units, cameras, world."""
 
-    name: str = Field(min_length=1)
+    name: str = Field(pattern=r"^\w[\w .-]*$", description="also the name of its output folder")
     description: str = ""
     seed: Annotated[int, Field(ge=0)] = 1
     duration_s: Annotated[FiniteFloat, Field(gt=0, le=86400)] = Field(description="simulated time")
     step_s: Annotated[FiniteFloat, Field(gt=0, le=1)] = Field(0.1, description="time step of the world")
     perception: Literal["rendered", "ideal", "noisy"] = "rendered"
-    detector: str = Field("aruco", description="marker detector")
+    detector: str = Field("photometric", description="marker detector: photometric, or plain aruco")
     template: TemplateModel
     robots: RobotsModel
     marker: MarkerModel
@@ -213,3 +226,18 @@ class Scenario(Model):
     sensor: SensorModel = SensorModel()
     ground: GroundModel = GroundModel()
     goal: GoalModel = GoalModel()
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        for number, unit in enumerate(self.units):
+            for complaint in self._complaints(unit):
+                raise ValueError(f"unit {number}: {complaint}")
+        return self
+
+    def _complaints(self, unit: UnitModel) -> Iterator[str]:
+        low, high = self.autopilot.min_height_m, self.autopilot.max_height_m
+        rate = unit.frame_rate_hz
+        if not low <= unit.height_m <= high:
+            yield f"height_m {unit.height_m:g} is outside the autopilot's {low:g} to {high:g} m"
+        if rate * self.step_s > 1 + 1e-9:
+            yield f"frame_rate_hz {rate:g} is more than one image a step_s of {self.step_s:g}"

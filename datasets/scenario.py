@@ -67,7 +67,7 @@ def load_mission(name_or_file: str, settings: Iterable[str] = (), *, seed: int |
         InputError: in one line, the file, the key, the value, and what is allowed.
     """
     path = Path(name_or_file)
-    is_file = path.suffix == ".toml" or path.exists()
+    is_file = path.suffix == ".toml" or path.is_file()
     where = str(path) if is_file else f"scenario {name_or_file}"
     tree = _parse(_read(path) if is_file else scenario_text(name_or_file), where)
     for setting in settings:
@@ -130,7 +130,7 @@ def _apply_setting(tree: dict[str, Any], setting: str) -> None:
 
 
 def _item(node: Any, index: str, setting: str) -> Any:
-    if not isinstance(node, list) or not index.isdigit() or int(index) >= len(node):
+    if not isinstance(node, list) or not (index.isascii() and index.isdecimal()) or int(index) >= len(node):
         allowed = f"0 to {len(node) - 1}" if isinstance(node, list) else "see `skyherd scenario schema`"
         raise InputError(f"--set {setting}", f"nothing there called {index!r}", allowed)
     return node[int(index)]
@@ -184,6 +184,11 @@ def _template(model: TemplateModel, robots: RobotsModel, dictionary: str, folder
         points = np.array(model.points, dtype=float).reshape(-1, 2)
     elif count is None:
         raise InputError("robots", "nothing tells how many there are", "positions_m, ids or count")
+    elif not 2 <= count <= dictionary_size(dictionary):
+        allowed = f"from 2 to the {dictionary_size(dictionary)} markers of {dictionary}"
+        raise InputError(
+            "robots", f"{count} robots; {dictionary} has {dictionary_size(dictionary)} markers", allowed
+        )
     else:
         points = shape_points(model.shape or "", count)
     ids = np.arange(len(points)) if robots.ids is None else np.array(robots.ids)
@@ -196,7 +201,12 @@ def _template(model: TemplateModel, robots: RobotsModel, dictionary: str, folder
 
 def _robot_ids(robots: RobotsModel, template: Template) -> IntArray:
     count = len(robots.positions_m) if robots.positions_m is not None else robots.count or template.ids.size
-    ids = np.arange(count) if robots.ids is None else np.array(robots.ids, dtype=np.int64)
+    named = template.ids if template.ids.size == count else np.arange(count)
+    ids = named if robots.ids is None else np.array(robots.ids, dtype=np.int64)
+    if robots.count not in (None, count):
+        raise InputError(
+            "robots.count", f"{robots.count}, but {count} positions", "the number of positions_m, or none"
+        )
     if ids.size < 2:
         raise InputError("robots", f"{ids.size} robot(s)", "at least two, since fewer make no shape")
     if np.unique(ids).size != ids.size:
@@ -216,6 +226,19 @@ def _check_template(ids: IntArray, template: Template) -> None:
             else f"points for {extra.tolist()}, who are no robots"
         )
         raise InputError("template", what, "one point for each robot")
+    points = np.column_stack([template.points_px.real, template.points_px.imag])
+    if (pair := _coincident(points, 1e-9 * float(np.ptp(points)))) is not None:
+        first, second = template.ids[pair[0]], template.ids[pair[1]]
+        raise InputError(
+            "template", f"robots {first} and {second} have one point", "each robot its own place"
+        )
+
+
+def _coincident(points: Array, distance: float) -> tuple[int, int] | None:
+    """Indices of two points (N, 2) within a distance of each other, or None."""
+    distances = np.linalg.norm(points[:, None] - points[None], axis=2)
+    first, second = np.nonzero(np.triu(distances <= distance, 1))
+    return (int(first[0]), int(second[0])) if first.size else None
 
 
 def _positions(robots: RobotsModel, ids: IntArray, template: Template, rng: np.random.Generator) -> Array:
@@ -224,12 +247,10 @@ def _positions(robots: RobotsModel, ids: IntArray, template: Template, rng: np.r
     if robots.scatter is not None:
         return _scatter(robots.scatter, template.points_of(ids).conj(), rng)
     positions = np.array(robots.positions_m, dtype=float)
-    distances = np.linalg.norm(positions[:, None] - positions[None], axis=2)
-    first, second = np.nonzero(np.triu(distances <= 1e-9, 1))
-    if first.size:
+    if (pair := _coincident(positions, 1e-9)) is not None:
         raise InputError(
             "robots.positions_m",
-            f"robots {ids[first[0]]} and {ids[second[0]]} are on one spot, {positions[first[0]].tolist()}",
+            f"robots {ids[pair[0]]} and {ids[pair[1]]} are on one spot, {positions[pair[0]].tolist()}",
             "each robot its own place",
         )
     return positions

@@ -25,7 +25,7 @@ def read_template_image(path: Path, dictionary: str) -> Template:
         raise InputError(str(path), f"not a readable image ({error})", "a PNG with markers") from None
     detector = create_detector("aruco", dictionary=dictionary)
     found = detector.detect(grey)
-    why = explain_mirrored(detector, grey)
+    why = explain_mirrored(grey, dictionary)
     if why is None and len(found) < 2:
         why = f"{len(found)} marker(s) of {dictionary} found"
     if why is not None:

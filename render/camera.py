@@ -139,8 +139,10 @@ def project_markers(
     homography = homography_image_ground(camera, pose)
     cards = apply_homography(homography, square_m(positions_m, headings_rad, card_side_m))
     limit = np.array(camera.size_px) - 0.5
+    # The scale H[2, 2] = 1 leaves w positive on the nadir's side of the horizon, which the camera is on.
+    ahead = np.asarray(positions_m, dtype=float) @ homography[2, :2] + homography[2, 2] > 0
     return MarkerProjection(
         centers_px=apply_homography(homography, positions_m),
         corners_px=apply_homography(homography, square_m(positions_m, headings_rad, side_m)),
-        whole=np.asarray(((cards >= -0.5) & (cards <= limit)).all(axis=(1, 2))),
+        whole=np.asarray(((cards >= -0.5) & (cards <= limit)).all(axis=(1, 2)) & ahead),
     )

@@ -5,14 +5,12 @@ import numpy.typing as npt
 
 from skyherd.geometry import Array, IntArray, apply_homography
 from skyherd.markers import card_side
+from skyherd.optics import total_sigma_px
 from skyherd.render.camera import Camera, CameraPose, homography_image_ground, square_m
 from skyherd.render.ground import Ground
 from skyherd.render.resample import warp
 from skyherd.render.sensor import Sensor
 from skyherd.render.sprites import MARGIN_SIGMAS, marker_sprite, size_bucket
-
-PIXEL_VARIANCE = 1.0 / 12.0
-"""Variance of a box one pixel wide: the pixel's own aperture, taken as a Gaussian beside the lens's."""
 
 
 class Renderer:
@@ -41,7 +39,7 @@ class Renderer:
     ) -> None:
         self.dictionary, self.side_m = dictionary, side_m
         self.ground, self.sensor = ground, sensor
-        self.sigma_px = float(np.sqrt(psf_px**2 + PIXEL_VARIANCE))
+        self.sigma_px = total_sigma_px(psf_px)
         self.black, self.white = black, white
 
     def render(

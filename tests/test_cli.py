@@ -111,11 +111,14 @@ def test_report_films_again_from_recorded_images(tmp_path, capsys):
 def test_an_existing_folder_is_refused_and_left_alone_without_force(tmp_path, capsys):
     out = tmp_path / "run"
     out.mkdir()
-    (out / "mine.txt").write_text("precious")
     assert_refused(call(capsys, "run", "star", "--out", out, *SHORT), str(out), "--force")
-    assert [entry.name for entry in out.iterdir()] == ["mine.txt"]
+    (out / "mine.txt").write_text("precious")
+    (out / "figures").mkdir()
+    (out / "figures" / "thesis.txt").write_text("precious")
+    assert_refused(call(capsys, "run", "star", "--out", out, *SHORT), str(out), "--force")
+    assert {entry.name for entry in out.iterdir()} == {"mine.txt", "figures"}
     call(capsys, "run", "star", "--out", out, "--force", *SHORT)
-    assert (out / "mine.txt").read_text() == "precious"
+    assert (out / "mine.txt").read_text() == (out / "figures" / "thesis.txt").read_text() == "precious"
     assert (out / "report.html").exists()
 
 
@@ -167,11 +170,20 @@ def test_bad_arguments_are_one_line(tmp_path, capsys, monkeypatch, arguments, wo
     assert not list(tmp_path.iterdir())
 
 
-def test_a_mirrored_stream_is_named(tmp_path, capsys):
-    result = call(
-        capsys, "run", "triangle", "--out", tmp_path / "run", "--set", "units.0.camera.mirrored=true"
-    )
-    assert_refused(result, "unit 0", "mirrored", "flip")
+def test_a_mirrored_stream_is_named_and_touches_nothing(tmp_path, capsys):
+    out, mirrored = tmp_path / "run", ["--set", "units.0.camera.mirrored=true"]
+    assert_refused(call(capsys, "run", "triangle", "--out", out, *mirrored), "unit 0", "mirrored", "flip")
+    assert not out.exists()
+    call(capsys, "run", "triangle", "--out", out, *SHORT)
+    before = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
+    assert_refused(call(capsys, "run", "triangle", "--force", "--out", out, *mirrored), "mirrored")
+    assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == before
+
+
+def test_a_mirrored_stream_whose_first_frame_is_lost_is_named_at_the_next(tmp_path, capsys):
+    settings = ["units.0.camera.mirrored=true", "network.frame_loss=0.7", "duration_s=3.0"]
+    flags = [part for setting in settings for part in ("--set", setting)]
+    assert_refused(call(capsys, "run", "triangle", "--out", tmp_path / "run", *flags), "mirrored")
 
 
 def test_a_camera_that_sees_no_robot_is_warned_about_and_not_refused(tmp_path, capsys):
@@ -180,6 +192,14 @@ def test_a_camera_that_sees_no_robot_is_warned_about_and_not_refused(tmp_path, c
     )
     assert code == 1
     assert "warning: unit 2 sees no robot" in err
+
+
+def test_goals_forgotten_between_two_images_are_warned_about(tmp_path, capsys):
+    slow = ["--set", "units.1.frame_rate_hz=1"]
+    assert (
+        "warning: unit 1 takes an image less often"
+        in call(capsys, "run", "star", "--out", tmp_path / "run", *SHORT, *slow)[2]
+    )
 
 
 def test_scenario_verbs(capsys):

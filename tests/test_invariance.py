@@ -274,7 +274,6 @@ def test_rendered_goals_agree_within_the_measured_noise(mission_with, camera_fre
     12 sigma that none may pass have a chance of 480 K/12^4 < 0.24 at most, and are 5 mm.
     """
     rng = np.random.default_rng(7)
-    accuracy = load_accuracy("aruco")
     normalised = []
     rendered = None
     for _ in range(40):
@@ -282,6 +281,7 @@ def test_rendered_goals_agree_within_the_measured_noise(mission_with, camera_fre
         mission = mission_with([unit])
         rendered = rendered or Rendered(mission, rng)  # knows markers, ground and sensor, not the camera
         measured = ground_goals(mission, perception=rendered)
+        accuracy = load_accuracy(mission.scenario.detector)
         t = mission.template.points_px - mission.template.points_px.mean()
         projection = 1 / t.size + np.abs(t) ** 2 / np.sum(np.abs(t) ** 2)
         scale = pixels_per_metre(unit)
@@ -423,7 +423,9 @@ def test_with_the_images_held_fixed_scrambling_the_truth_changes_no_command(scen
         }
         unit["camera"] = {"half_angle_deg": 12.0, "size_px": [640, 480], "aspect": 1.3}
         unit["zoom"] = [[0.0, 3.0]]
-    replayed = list(run_steps(make_mission(scrambled), Replay(perception.detector, images)))
+    replayed = list(
+        run_steps(make_mission(scrambled), Replay(make_perception(mission, rng).detector, images))
+    )
 
     assert len(recorded) == len(replayed) == 6
     assert all(np.abs(step.command.v_mps).min() > 0 for step in recorded), "every robot is commanded"

@@ -12,7 +12,7 @@ from skyherd.datasets import load_mission
 from skyherd.errors import InputError
 from skyherd.history import make_history
 from skyherd.loop import run_steps
-from skyherd.recording import Recorder, read_messages, read_recording
+from skyherd.recording import Recorder, read_messages, read_recording, read_steps
 from skyherd.summary import held_to_the_end, summarize
 
 
@@ -26,11 +26,11 @@ def steps(mission):
     return list(run_steps(mission))
 
 
-def record(path, mission, steps, *, images=False):
+def record(path, mission, steps, *, images=False, wall_s=1.5):
     with Recorder(path, mission, images=images) as recorder:
         for step in steps:
             recorder.write(step)
-        recorder.finish(steps[-1].time_s, 1.5)
+        recorder.finish(steps[-1].time_s, wall_s)
     return path
 
 
@@ -65,10 +65,10 @@ def test_goals_and_detections_come_back_to_the_last_bit(tmp_path, mission, steps
 
 
 def test_images_come_back_as_jpeg_does(tmp_path, mission, steps):
-    recording = read_recording(record(tmp_path / "run.mcap", mission, steps[:2], images=True))
-    assert recording.has_images
+    path = record(tmp_path / "run.mcap", mission, steps[:2], images=True)
+    assert read_recording(path).has_images
     unit = next(iter(steps[0].frames))
-    live, read = steps[0].frames[unit].sight.image, recording.steps[0].frames[unit].sight.image
+    live, read = steps[0].frames[unit].sight.image, next(iter(read_steps(path))).frames[unit].sight.image
     # JPEG at quality 90 quantises the finest DCT terms to about 20 levels; noise of 2 grey levels passes.
     assert np.abs(live.astype(int) - read.astype(int)).mean() < 2.5
 
@@ -93,7 +93,17 @@ def test_a_whole_file_is_whole_for_an_indexed_reader(tmp_path, mission, steps):
         summary = make_reader(stream).get_summary()
     topics = {channel.topic for channel in summary.channels.values()}
     assert {"/mission", "/unit/0/detections", "/unit/2/goals", "/robots/command", "/world", "/end"} <= topics
-    assert summary.statistics.message_count == sum(1 for _ in read_messages(tmp_path / "run.mcap"))
+    messages = [topic for topic, _, _ in read_messages(tmp_path / "run.mcap") if topic != "#wall"]
+    assert summary.statistics.message_count == len(messages)
+
+
+def test_a_damaged_file_is_refused(tmp_path, mission, steps):
+    path = record(tmp_path / "run.mcap", mission, steps)
+    data = bytearray(path.read_bytes())
+    data[len(data) // 3] ^= 0xFF
+    path.write_bytes(data)
+    with pytest.raises(InputError, match="damaged"):
+        read_recording(path)
 
 
 def test_what_is_no_recording_is_refused(tmp_path):
@@ -112,7 +122,7 @@ def messages_of(path):
 
 def test_the_same_seed_gives_the_same_messages_byte_for_byte(tmp_path, mission, steps):
     first = messages_of(record(tmp_path / "first.mcap", mission, steps))
-    again = messages_of(record(tmp_path / "again.mcap", mission, list(run_steps(mission))))
+    again = messages_of(record(tmp_path / "again.mcap", mission, list(run_steps(mission)), wall_s=2.5))
     other_mission = load_mission("star", ["duration_s=4.0"], seed=2)
     other = messages_of(record(tmp_path / "other.mcap", other_mission, list(run_steps(other_mission))))
     assert len(first) > 40 * 10

@@ -49,6 +49,27 @@ BAD = {
     "unknown_dictionary": ("side_m = 0.4", 'side_m = 0.4\ndictionary = "9X9"', ["9X9", "4X4_50"]),
     "unknown_detector": ("duration_s = 10.0", 'duration_s = 10.0\ndetector = "best"', ["best", "aruco"]),
     "two_focal_lengths": ("half_angle_deg = 30", "half_angle_deg = 30, focal_px = 900", ["exactly one"]),
+    "name_is_a_path": ('name = "mine"', 'name = "../mine"', ["name", "pattern"]),
+    "huge_id": (
+        "headings_deg = [0, 0, 0]",
+        "ids = [0, 1, 99999999999999999999]",
+        ["robots.ids.2", "less than"],
+    ),
+    "far_away": ("[2, 0]", "[1e200, 0]", ["robots.positions_m.1.0", "1000000"]),
+    "blur_wider_than_the_image": ("[[units]]", "[sensor]\npsf_px = 1e4\n[[units]]", ["sensor.psf_px", "10"]),
+    "no_robots": ("positions_m = [[0, 0], [2, 0], [0, 2]]", "positions_m = []", ["robots"]),
+    "two_desired_points": (
+        "[[0, 0], [1, 0], [0, 1]]",
+        "[[0, 0], [1, 0], [1, 0]]",
+        ["robots 1 and 2", "one point"],
+    ),
+    "below_the_autopilot": ("height_m = 10", "height_m = 1", ["unit 0", "height_m 1", "3 to 100"]),
+    "frames_faster_than_steps": (
+        "height_m = 10",
+        "height_m = 10\nframe_rate_hz = 60",
+        ["frame_rate_hz 60", "0.1"],
+    ),
+    "count_and_positions": ("headings_deg = [0, 0, 0]", "count = 99", ["99", "3 positions"]),
     "unordered_zoom": ("height_m = 10", "height_m = 10\nzoom = [[5, 1], [0, 2]]", ["zoom", "ascend"]),
 }
 
@@ -101,7 +122,13 @@ def test_settings_reach_into_lists_and_are_typed():
 
 @pytest.mark.parametrize(
     ("setting", "said"),
-    [("control.k", "key=value"), ("units.7.height_m=3", "0 to 2"), ("control.kk=3", "unknown key")],
+    [
+        ("units.².height_m=3", "0 to 2"),
+        ("control.k=1e308", "1000000"),
+        ("control.k", "key=value"),
+        ("units.7.height_m=3", "0 to 2"),
+        ("control.kk=3", "unknown key"),
+    ],
 )
 def test_wrong_settings_are_one_line(setting, said):
     with pytest.raises(InputError, match=said):

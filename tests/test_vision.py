@@ -230,7 +230,7 @@ def test_a_mirrored_stream_decodes_nothing_and_that_is_said(renderer) -> None:
     detector = ArucoDetector(DICTIONARY)
     image = picture(renderer, [3, 12, 21, 40], mirrored=True)
     assert len(detector.detect(image)) == 0
-    why = explain_mirrored(detector, image)
+    why = explain_mirrored(image, DICTIONARY)
     assert why is not None and "mirrored" in why and "4 in its mirror image" in why
     assert detector.detect(cv2.flip(image, 1)).ids.tolist() == [3, 12, 21, 40]
 
@@ -260,7 +260,7 @@ def test_an_empty_image_is_not_explained_away(renderer) -> None:
     detector = ArucoDetector(DICTIONARY)
     image = picture(renderer, [])
     assert len(detector.detect(image)) == 0
-    assert explain_mirrored(detector, image) is None
+    assert explain_mirrored(image, DICTIONARY) is None
 
 
 def test_an_id_that_is_seen_twice_is_left_out(renderer) -> None:

@@ -1,14 +1,15 @@
 """The one interface every marker detector has, and the detectors by name."""
 
+from collections.abc import Callable
 from typing import Protocol
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
 from skyherd.errors import InputError
 from skyherd.messages import Detections
 from skyherd.vision.aruco import ArucoDetector
+from skyherd.vision.photometric import PhotometricDetector
 
 Image = npt.NDArray[np.uint8]
 
@@ -21,7 +22,10 @@ class Detector(Protocol):
         ...
 
 
-_DETECTORS = {"aruco": ArucoDetector}
+_DETECTORS: dict[str, Callable[[str], Detector]] = {
+    "aruco": ArucoDetector,
+    "photometric": PhotometricDetector,
+}
 
 
 def detector_names() -> list[str]:
@@ -36,15 +40,15 @@ def create_detector(name: str, *, dictionary: str = "4X4_50") -> Detector:
     return _DETECTORS[name](dictionary)
 
 
-def explain_mirrored(detector: Detector, image: Image) -> str | None:
+def explain_mirrored(image: Image, dictionary: str) -> str | None:
     """What to say if an image is mirrored, None if it is not.
 
     A mirrored marker is no marker of its dictionary, but for the few that are their own mirror image (8, 9,
     17 and 47 of 4X4_50): a mirrored stream decodes next to nothing although the markers are plain to see, and
     decodes once it is flipped back. So an image is mirrored if its mirror image shows more.
     """
-    found = len(detector.detect(image))
-    flipped = len(detector.detect(np.ascontiguousarray(cv2.flip(image, 1))))
+    detector = ArucoDetector(dictionary)
+    found, flipped = (len(detector.detect(view)) for view in (image, np.ascontiguousarray(image[:, ::-1])))
     if flipped <= found:
         return None
     decoded = "no marker decodes" if found == 0 else f"only {found} symmetric marker(s) decode"

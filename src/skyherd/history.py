@@ -45,6 +45,7 @@ class History:
         min_separation_m: (T,).
         conditions: (T, 5) whether TC1-TC5 hold.
         controlled: (T, U, N) S_j^c.
+        commanded: (T, N) whether each robot follows a goal heard of late.
         traces: image traces by unit.
         frames: images taken.
         whole: markers whose card was whole in an image, over all images.
@@ -72,6 +73,7 @@ class History:
     min_separation_m: Array
     conditions: BoolArray
     controlled: BoolArray
+    commanded: BoolArray
     traces: list[ImageTrace]
     frames: int
     whole: int
@@ -117,6 +119,7 @@ def make_history(mission: Mission, steps: Iterable[Step]) -> History:
         **columns,
         conditions=np.array([[c.tc1, c.tc2, c.tc3, c.tc4, c.tc5] for c in conditions]),
         controlled=np.array([control_matrix(step.control_sets, mission.ids) for step in steps]),
+        commanded=np.array([np.isin(mission.ids, step.commanded_ids) for step in steps]),
         traces=[_trace(mission, steps, unit) for unit in range(len(mission.scenario.units))],
         frames=len(frames),
         whole=sum(frame.sight.whole_ids.size for frame in frames),

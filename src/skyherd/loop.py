@@ -28,6 +28,10 @@ from skyherd.observer import Observation, Observer
 from skyherd.perception import Perception, Sight, make_perception
 from skyherd.world import Fleet, Network, World
 
+REPORT_LIFETIME_S = 2.0
+REPORTS_MISSED = 5
+"""A unit counts as silent after this long, and not before this many of its images."""
+
 
 @dataclass(frozen=True)
 class UnitFrame:
@@ -39,7 +43,11 @@ class UnitFrame:
 
 @dataclass(frozen=True)
 class Step:
-    """All that happened at one instant, before the world moves on."""
+    """All that happened at one instant, before the world moves on.
+
+    `control_sets` are the units' S_j^c; `commanded_ids` the robots that follow a goal heard of late, the
+    others hold still.
+    """
 
     time_s: float
     positions_m: np.ndarray
@@ -47,6 +55,7 @@ class Step:
     fleet: Fleet
     frames: dict[int, UnitFrame]
     command: VelocityCommand
+    commanded_ids: IntArray
     control_sets: dict[int, IntArray]
     observation: Observation
 
@@ -75,9 +84,14 @@ def make_crew(mission: Mission) -> list[AerialController]:
     """One controller for each unit of a mission."""
     scenario = mission.scenario
     selection = SafetyRadius(**scenario.selection.model_dump())
+    slowest_s = max(unit.latency_s + REPORTS_MISSED / unit.frame_rate_hz for unit in scenario.units)
     return [
         AerialController(
-            mission.template, selection, make_flight(unit.flight), nearest=scenario.control.neighbors
+            mission.template,
+            selection,
+            make_flight(unit.flight),
+            nearest=scenario.control.neighbors,
+            report_lifetime_s=max(REPORT_LIFETIME_S, slowest_s),
         )
         for unit in scenario.units
     ]
@@ -109,16 +123,16 @@ def run_steps(mission: Mission, perception: Perception | None = None) -> Iterato
         for goals, received in network.deliver(time_s):
             inboxes.receive(goals, time_s, received)
         command = world.limit(robot_commands(inboxes, gains, time_s))
-        observation = observer.observe(world.positions_m, sets)
         yield Step(
-            time_s,
-            world.positions_m,
-            world.headings_rad,
-            world.fleet,
-            frames,
-            command,
-            dict(sets),
-            observation,
+            time_s=time_s,
+            positions_m=world.positions_m,
+            headings_rad=world.headings_rad,
+            fleet=world.fleet,
+            frames=frames,
+            command=command,
+            commanded_ids=mission.ids[inboxes.fresh(time_s).any(axis=0)],
+            control_sets=dict(sets),
+            observation=observer.observe(world.positions_m, sets),
         )
         world.advance(command, time_s, scenario.step_s)
 

@@ -190,7 +190,7 @@ class UnitReport:
         ids: (N,) robots it sees.
         points_px: (N, 2) where it sees them.
         controlled_ids: (M,) robots it controls.
-        secure_ids: (L,) those of them well inside its safety radius, which it will not give up now.
+        secure_ids: (L,) those of them that it sees inside its safety radius now.
     """
 
     unit_id: int

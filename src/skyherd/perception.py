@@ -11,6 +11,7 @@ from skyherd.errors import InputError
 from skyherd.geometry import Array, BoolArray, IntArray, to_complex
 from skyherd.markers import card_side
 from skyherd.messages import Detections
+from skyherd.optics import total_sigma_px
 from skyherd.render import Ground, Renderer, Sensor, project_markers
 from skyherd.render.camera import MarkerProjection
 from skyherd.vision import create_detector, explain_mirrored
@@ -74,8 +75,9 @@ class Rendered:
 
     def __init__(self, mission: Mission, rng: np.random.Generator) -> None:
         scenario = mission.scenario
-        sigma_px = float(np.hypot(scenario.sensor.psf_px, np.sqrt(1 / 12)))
+        sigma_px = total_sigma_px(scenario.sensor.psf_px)
         self.side_m, self.dictionary = scenario.marker.side_m, scenario.marker.dictionary
+        self._unproven = set(range(len(scenario.units)))
         self.detector = create_detector(scenario.detector, dictionary=self.dictionary)
         self.renderer = Renderer(
             self.dictionary,
@@ -95,11 +97,18 @@ class Rendered:
         )
         detections = self.detector.detect(image, time_s=time_s, unit_id=unit)
         whole_ids = world.ids[truth.whole]
-        if time_s == 0 and (why := explain_mirrored(self.detector, image)):
-            raise InputError(f"unit {unit}", why, "an image as the eye sees it")
+        if unit in self._unproven:
+            self._prove_unmirrored(unit, image, len(detections))
         right = _right(detections, world.ids, truth)
         found_ids = np.intersect1d(whole_ids, detections.ids[right])
         return Sight(detections, whole_ids, found_ids, int((~right).sum()), image)
+
+    def _prove_unmirrored(self, unit: int, image: Image, found: int) -> None:
+        """Refuse a mirrored stream; asked of each unit's images until one shows something."""
+        if why := explain_mirrored(image, self.dictionary):
+            raise InputError(f"unit {unit}", why, "an image as the eye sees it")
+        if found:
+            self._unproven.discard(unit)
 
 
 def _right(detections: Detections, ids: IntArray, truth: MarkerProjection) -> BoolArray:

@@ -20,8 +20,8 @@ from typing import Any, Self
 import cv2
 import numpy as np
 from mcap.exceptions import McapError
-from mcap.records import Channel, Message
-from mcap.stream_reader import StreamReader
+from mcap.records import Channel, Message, Metadata
+from mcap.stream_reader import CRCValidationError, StreamReader
 from mcap.writer import CompressionType, Writer
 
 from skyherd import __version__
@@ -77,13 +77,17 @@ class Recorder:
             "fleet": to_plain(step.fleet),
         }
         self._put("/world", step.time_s, to_plain(world), "skyherd.World", {"type": "object"})
-        record = to_plain(step.observation) | {"control_sets": to_plain(step.control_sets)}
+        record = to_plain(step.observation) | {
+            "control_sets": to_plain(step.control_sets),
+            "commanded_ids": to_plain(step.commanded_ids),
+        }
         self._put("/observer", step.time_s, record, "skyherd.Observation", json_schema(Observation))
         self._file.flush()  # a killed run keeps all chunks that were whole by then
 
     def finish(self, time_s: float, wall_s: float) -> None:
-        """Mark the run as complete, with the wall time it took."""
-        self._put("/end", time_s, {"wall_s": wall_s}, "skyherd.End", {"type": "object"})
+        """Mark the run as complete; its wall time is metadata, since messages repeat with the seed."""
+        self._put("/end", time_s, {}, "skyherd.End", {"type": "object"})
+        self._writer.add_metadata("wall", {"wall_s": repr(wall_s)})
 
     def _write_frame(self, topic: str, time_s: float, frame: UnitFrame) -> None:
         sight, decision = frame.sight, frame.decision
@@ -163,34 +167,37 @@ class Recording:
         versions: of skyherd and the libraries that made it.
         steps: all steps that are whole in the file.
         wall_s: wall time of the run, None if it was cut short.
+        has_images: whether camera images were recorded.
     """
 
     mission: Mission
     versions: dict[str, str]
     steps: list[Step]
     wall_s: float | None
-
-    @property
-    def has_images(self) -> bool:
-        """Whether camera images were recorded."""
-        return any(frame.sight.image is not None for step in self.steps for frame in step.frames.values())
+    has_images: bool
 
 
 def read_messages(path: Path) -> Iterator[tuple[str, float, Any]]:
     """Topic, time (s) and content of each message, up to where the file ends or breaks off.
 
+    Metadata comes as topic `#name`, at time 0.
+
     Raises:
-        InputError: there is no such file, or it is no MCAP file.
+        InputError: there is no such file, or it is damaged within.
     """
     channels: dict[int, str] = {}
     try:
         with path.open("rb") as stream:
-            records = StreamReader(stream, record_size_limit=None).records
+            records = StreamReader(stream, validate_crcs=True).records
             while (record := _next_whole(records)) is not None:
                 if isinstance(record, Channel):
                     channels[record.id] = record.topic
                 elif isinstance(record, Message):
                     yield channels[record.channel_id], record.log_time / 1e9, json.loads(record.data)
+                elif isinstance(record, Metadata):
+                    yield f"#{record.name}", 0.0, record.metadata
+    except (CRCValidationError, ValueError, KeyError) as error:
+        raise InputError(str(path), f"damaged: {error}", "a recording as it was written") from None
     except OSError as error:
         raise InputError(str(path), error.strerror or str(error), "a recording, run.mcap") from None
 
@@ -199,12 +206,14 @@ def _next_whole(records: Iterator[Any]) -> Any:
     """The next record, or None at the end or where the file breaks off in the middle of one."""
     try:
         return next(records, None)
+    except CRCValidationError:
+        raise
     except (McapError, struct.error):
         return None
 
 
 def read_recording(path: Path) -> Recording:
-    """Read a run back, whole or cut short.
+    """Read a run back, whole or cut short, without its images: `read_steps` has them, one step at a time.
 
     Raises:
         InputError: the file holds no mission, or not one whole step.
@@ -222,16 +231,29 @@ def read_recording(path: Path) -> Recording:
     steps: list[Step] = []
     wall_s: float | None = None
     pending: dict[str, Any] = {}
+    has_images = False
     for topic, time_s, record in messages:
-        pending[topic] = record
+        has_images |= topic.endswith("/image")
+        if not topic.endswith("/image"):
+            pending[topic] = record
         if topic == "/observer":
             steps.append(_read_step(time_s, pending))
             pending = {}
-        elif topic == "/end":
+        elif topic == "#wall":
             wall_s = float(record["wall_s"])
     if not steps:
         raise InputError(str(path), "no whole step in it", "a run that went on for at least one chunk")
-    return Recording(mission, versions, steps, wall_s)
+    return Recording(mission, versions, steps, wall_s, has_images)
+
+
+def read_steps(path: Path) -> Iterator[Step]:
+    """The steps of a recording with their images, one at a time."""
+    pending: dict[str, Any] = {}
+    for topic, time_s, record in read_messages(path):
+        pending[topic] = record
+        if topic == "/observer":
+            yield _read_step(time_s, pending)
+            pending = {}
 
 
 def _read_mission(record: dict[str, Any]) -> Mission:
@@ -254,6 +276,7 @@ def _read_step(time_s: float, records: dict[str, Any]) -> Step:
         fleet=from_plain(Fleet, world["fleet"]),
         frames={unit: _read_frame(f"/unit/{unit}", records) for unit in units},
         command=from_plain(VelocityCommand, records["/robots/command"]),
+        commanded_ids=np.array(observer["commanded_ids"], dtype=np.int64),
         control_sets={
             int(unit): np.array(ids, dtype=np.int64) for unit, ids in observer["control_sets"].items()
         },

@@ -57,6 +57,12 @@ GROUPS: Mapping[str, tuple[Field, ...]] = {
     ),
     "Robots": (
         Field("min_separation_m", "Closest two robots", "m", "Between centres, over the whole run."),
+        Field(
+            "uncommanded_robot_s",
+            "Robots without a goal",
+            "s",
+            "Times of all robots added up; they hold still.",
+        ),
         Field("path_length_m", "Distance travelled", "m", "All robots together."),
     ),
     "Vision": (

@@ -7,6 +7,7 @@ import json
 import shutil
 from collections.abc import Callable
 from contextlib import ExitStack
+from itertools import chain
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -14,32 +15,40 @@ from typing import Any
 from skyherd.composer import Composer
 from skyherd.datasets import Mission
 from skyherd.errors import InputError
-from skyherd.figures import write_figures
+from skyherd.figures import PANELS, write_figures
 from skyherd.files import write_text
 from skyherd.history import make_history
 from skyherd.loop import Step, run_steps
-from skyherd.recording import Recorder, Recording, read_recording
-from skyherd.report import write_page
+from skyherd.recording import Recorder, read_recording, read_steps
+from skyherd.report import PAGE, VIDEO, write_page
 from skyherd.summary import summarize
 from skyherd.video import VideoSink
 
-RECORDING, VIDEO, SUMMARY, PAGE, FIGURES = "run.mcap", "video.mp4", "summary.json", "report.html", "figures"
+RECORDING, SUMMARY, FIGURES = "run.mcap", "summary.json", "figures"
 FREE_BYTES = 100 * 2**20
 VIDEO_FPS = 20
 VIDEO_SPEED = 4
 """Simulated seconds a second of video."""
 
 
-def prepare_folder(folder: Path, *, force: bool) -> None:
-    """Make an empty output folder; with `force`, clear what an earlier run left in it.
+def refuse_existing(folder: Path, *, force: bool) -> None:
+    """Refuse an output folder that exists, unless `force`; nothing is touched.
 
     Raises:
-        InputError: it exists, cannot be written to, or the disk is nearly full.
+        InputError: it exists.
     """
     if folder.exists() and not folder.is_dir():
         raise InputError(str(folder), "is a file", "a folder to make; choose another --out")
-    if folder.exists() and any(folder.iterdir()) and not force:
-        raise InputError(str(folder), "exists and is not empty", "another --out, or --force to write it anew")
+    if folder.exists() and not force:
+        raise InputError(str(folder), "exists", "another --out, or --force to write it anew")
+
+
+def prepare_folder(folder: Path) -> None:
+    """Make an output folder and clear what an earlier run left in it; other files are left alone.
+
+    Raises:
+        InputError: it cannot be written to, or the disk is nearly full.
+    """
     try:
         folder.mkdir(parents=True, exist_ok=True)
         probe = folder / ".skyherd-probe"
@@ -52,25 +61,36 @@ def prepare_folder(folder: Path, *, force: bool) -> None:
     free = shutil.disk_usage(folder).free
     if free < FREE_BYTES:
         raise InputError(str(folder), f"{free // 2**20} MiB free", f"at least {FREE_BYTES // 2**20} MiB")
-    for name in (RECORDING, VIDEO, SUMMARY, PAGE):
-        (folder / name).unlink(missing_ok=True)
-    shutil.rmtree(folder / FIGURES, ignore_errors=True)
+    figures = [folder / FIGURES / f"{panel.name}{kind}" for panel in PANELS for kind in (".png", ".svg")]
+    for path in (*(folder / name for name in (RECORDING, VIDEO, SUMMARY, PAGE)), *figures):
+        path.unlink(missing_ok=True)
 
 
 def run_mission(
     mission: Mission,
     folder: Path,
     *,
+    force: bool = False,
     video: bool = True,
     record_images: bool = False,
     on_step: Callable[[Step], None] = lambda step: None,
 ) -> dict[str, Any]:
-    """Run a mission into a prepared folder and return its summary; `on_step` watches."""
+    """Run a mission into a folder and return its summary; `on_step` watches.
+
+    The first step is taken before the folder is touched: what it refuses leaves an earlier run whole.
+
+    Raises:
+        InputError: the folder exists without `force` or cannot be used, or the mission's images are no good.
+    """
+    refuse_existing(folder, force=force)
     started_s = perf_counter()
+    steps = run_steps(mission)
+    first = next(steps)
+    prepare_folder(folder)
     with ExitStack() as stack:
         recorder = stack.enter_context(Recorder(folder / RECORDING, mission, images=record_images))
         film = stack.enter_context(Film(mission, folder / VIDEO)) if video else None
-        for step in run_steps(mission):
+        for step in chain([first], steps):
             recorder.write(step)
             if film is not None:
                 film.show(step)
@@ -103,7 +123,7 @@ def make_report(folder: Path, *, film: bool = True) -> dict[str, Any]:
     """
     recording = read_recording(folder / RECORDING)
     if film and recording.has_images:
-        _film_again(recording, folder / VIDEO)
+        _film_again(recording.mission, folder)
     history = make_history(recording.mission, recording.steps)
     summary = summarize(history, recording.wall_s)
     (folder / FIGURES).mkdir(exist_ok=True)
@@ -114,7 +134,7 @@ def make_report(folder: Path, *, film: bool = True) -> dict[str, Any]:
     return summary
 
 
-def _film_again(recording: Recording, path: Path) -> None:
-    with Film(recording.mission, path) as film:
-        for step in recording.steps:
+def _film_again(mission: Mission, folder: Path) -> None:
+    with Film(mission, folder / VIDEO) as film:
+        for step in read_steps(folder / RECORDING):
             film.show(step)

@@ -53,6 +53,7 @@ def summarize(history: History, wall_s: float | None) -> dict[str, Any]:
         "false_detections": history.false_detections,
         "topology_switches": int(switches.sum()),
         **{f"tc{number}_violation_s": float(violated_s[number - 1]) for number in range(1, 6)},
+        "uncommanded_robot_s": float((~history.commanded[:-1]).sum() * scenario.step_s),
         "min_separation_m": float(history.min_separation_m.min()),
         "path_length_m": float(travelled),
         "final_positions_m": {

@@ -145,7 +145,7 @@ class Network:
     rng: np.random.Generator
     units: int
     reports: list[dict[int, UnitReport]] = field(init=False)
-    _waiting: list[tuple[float, MotionGoals | None, UnitReport]] = field(default_factory=list)
+    _waiting: list[tuple[float, MotionGoals | None, UnitReport]] = field(default_factory=list, init=False)
 
     def __post_init__(self) -> None:
         self.reports = [{} for _ in range(self.units)]

@@ -7,7 +7,8 @@ import typer
 
 from skyherd.cli.console import out, warn
 from skyherd.errors import InputError
-from skyherd.runner import PAGE, RECORDING, make_report
+from skyherd.report import PAGE
+from skyherd.runner import RECORDING, make_report
 
 
 def report(

@@ -9,7 +9,8 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from skyherd.cli.console import err, out, warn
 from skyherd.datasets import Mission, load_mission
 from skyherd.loop import Step
-from skyherd.runner import PAGE, VIDEO, prepare_folder, run_mission
+from skyherd.report import PAGE, VIDEO
+from skyherd.runner import run_mission
 
 
 def run(
@@ -35,10 +36,14 @@ def run(
     chosen = [*(settings or []), *([f"perception={perception}"] if perception else [])]
     mission = load_mission(scenario, chosen, seed=seed)
     folder = out_dir or Path("runs") / mission.scenario.name
-    prepare_folder(folder, force=force)
     with Watcher(mission) as watcher:
         summary = run_mission(
-            mission, folder, video=not no_video, record_images=record_images, on_step=watcher.step
+            mission,
+            folder,
+            force=force,
+            video=not no_video,
+            record_images=record_images,
+            on_step=watcher.step,
         )
     _tell(summary, folder)
     return 0 if summary["converged"] else 1
@@ -57,15 +62,19 @@ class Watcher(Progress):
             disable=not err.is_terminal,
             transient=True,
         )
+        self._started: set[int] = set()
+        for unit, model in enumerate(mission.scenario.units):
+            if mission.scenario.robots.timeout_s * model.frame_rate_hz < 1:
+                warn(f"unit {unit} takes an image less often than robots.timeout_s: its robots stop and go")
         self._duration_s = mission.scenario.duration_s
         self._bar = self.add_task(mission.scenario.name, total=self._duration_s, state="")
 
     def step(self, step: Step) -> None:
         """Show one step."""
-        if step.time_s == 0:
-            for unit, frame in step.frames.items():
-                if not frame.sight.whole_ids.size:
-                    warn(f"unit {unit} sees no robot at the start")
+        for unit, frame in step.frames.items():
+            if unit not in self._started and not frame.sight.whole_ids.size:
+                warn(f"unit {unit} sees no robot at the start")
+            self._started.add(unit)
         seen = sum(frame.sight.found_ids.size for frame in step.frames.values())
         whole = sum(frame.sight.whole_ids.size for frame in step.frames.values())
         state = (

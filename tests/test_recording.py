@@ -12,7 +12,8 @@ from skyherd.datasets import load_mission
 from skyherd.errors import InputError
 from skyherd.history import make_history
 from skyherd.loop import run_steps
-from skyherd.recording import Recorder, read_messages, read_recording, read_steps
+from skyherd.recording import Recorder
+from skyherd.replay import read_messages, read_recording, read_steps
 from skyherd.summary import held_to_the_end, summarize
 
 

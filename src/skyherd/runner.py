@@ -19,7 +19,8 @@ from skyherd.figures import PANELS, write_figures
 from skyherd.files import write_text
 from skyherd.history import make_history
 from skyherd.loop import Step, run_steps
-from skyherd.recording import Recorder, read_recording, read_steps
+from skyherd.recording import Recorder
+from skyherd.replay import read_recording, read_steps
 from skyherd.report import PAGE, VIDEO, write_page
 from skyherd.summary import summarize
 from skyherd.video import VideoSink

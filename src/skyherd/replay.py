@@ -1,0 +1,182 @@
+"""Recordings read back: a run's mission and steps, as far as its file goes."""
+
+import base64
+import json
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from mcap.exceptions import McapError
+from mcap.records import Channel, Message, Metadata
+from mcap.stream_reader import CRCValidationError, StreamReader
+
+from skyherd.control import Decision, Template
+from skyherd.control.topology import Conditions
+from skyherd.datasets import Mission, Scenario
+from skyherd.errors import InputError
+from skyherd.loop import Step, UnitFrame
+from skyherd.messages import Detections, FlightCommand, MotionGoals, UnitReport, VelocityCommand
+from skyherd.observer import Observation, ShapeFit
+from skyherd.perception import Sight
+from skyherd.plain import from_plain
+from skyherd.world import Fleet
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A run read back.
+
+    Attributes:
+        mission: what was run.
+        versions: of skyherd and the libraries that made it.
+        steps: all steps that are whole in the file.
+        wall_s: wall time of the run, None if it was cut short.
+        has_images: whether camera images were recorded.
+    """
+
+    mission: Mission
+    versions: dict[str, str]
+    steps: list[Step]
+    wall_s: float | None
+    has_images: bool
+
+
+def read_messages(path: Path) -> Iterator[tuple[str, float, Any]]:
+    """Topic, time (s) and content of each message, up to where the file ends or breaks off.
+
+    Metadata comes as topic `#name`, at time 0.
+
+    Raises:
+        InputError: there is no such file, or it is damaged within.
+    """
+    channels: dict[int, str] = {}
+    try:
+        with path.open("rb") as stream:
+            records = StreamReader(stream, validate_crcs=True).records
+            while (record := _next_whole(records)) is not None:
+                if isinstance(record, Channel):
+                    channels[record.id] = record.topic
+                elif isinstance(record, Message):
+                    yield channels[record.channel_id], record.log_time / 1e9, json.loads(record.data)
+                elif isinstance(record, Metadata):
+                    yield f"#{record.name}", 0.0, record.metadata
+    except (CRCValidationError, ValueError, KeyError) as error:
+        raise InputError(str(path), f"damaged: {error}", "a recording as it was written") from None
+    except OSError as error:
+        raise InputError(str(path), error.strerror or str(error), "a recording, run.mcap") from None
+
+
+def _next_whole(records: Iterator[Any]) -> Any:
+    """The next record, or None at the end or where the file breaks off in the middle of one."""
+    try:
+        return next(records, None)
+    except CRCValidationError:
+        raise
+    except (McapError, struct.error):
+        return None
+
+
+def read_recording(path: Path) -> Recording:
+    """Read a run back, whole or cut short, without its images: `read_steps` has them, one step at a time.
+
+    Raises:
+        InputError: the file holds no mission, or not one whole step.
+    """
+    messages = read_messages(path)
+    first = next(messages, None)
+    if first is None or first[0] != "/mission":
+        raise InputError(
+            str(path),
+            "not a recording of skyherd, or cut off at its very start",
+            "a run.mcap of `skyherd run`",
+        )
+    mission = _read_mission(first[2])
+    versions = {name: str(first[2].get(name, "?")) for name in ("version", "opencv", "numpy")}
+    steps: list[Step] = []
+    wall_s: float | None = None
+    pending: dict[str, Any] = {}
+    has_images = False
+    for topic, time_s, record in messages:
+        has_images |= topic.endswith("/image")
+        if not topic.endswith("/image"):
+            pending[topic] = record
+        if topic == "/observer":
+            steps.append(_read_step(time_s, pending))
+            pending = {}
+        elif topic == "#wall":
+            wall_s = float(record["wall_s"])
+    if not steps:
+        raise InputError(str(path), "no whole step in it", "a run that went on for at least one chunk")
+    return Recording(mission, versions, steps, wall_s, has_images)
+
+
+def read_steps(path: Path) -> Iterator[Step]:
+    """The steps of a recording with their images, one at a time."""
+    pending: dict[str, Any] = {}
+    for topic, time_s, record in read_messages(path):
+        pending[topic] = record
+        if topic == "/observer":
+            yield _read_step(time_s, pending)
+            pending = {}
+
+
+def _read_mission(record: dict[str, Any]) -> Mission:
+    return Mission(
+        scenario=Scenario.model_validate(record["scenario"]),
+        template=Template.from_image_points(record["template_ids"], record["template_px"]),
+        ids=np.array(record["ids"], dtype=np.int64),
+        positions_m=np.array(record["positions_m"], dtype=float),
+        headings_rad=np.array(record["headings_rad"], dtype=float),
+    )
+
+
+def _read_step(time_s: float, records: dict[str, Any]) -> Step:
+    units = sorted(int(topic.split("/")[2]) for topic in records if topic.endswith("/detections"))
+    observer, world = records["/observer"], records["/world"]
+    return Step(
+        time_s=time_s,
+        positions_m=np.array(world["positions_m"]),
+        headings_rad=np.array(world["headings_rad"]),
+        fleet=from_plain(Fleet, world["fleet"]),
+        frames={unit: _read_frame(f"/unit/{unit}", records) for unit in units},
+        command=from_plain(VelocityCommand, records["/robots/command"]),
+        commanded_ids=np.array(observer["commanded_ids"], dtype=np.int64),
+        control_sets={
+            int(unit): np.array(ids, dtype=np.int64) for unit, ids in observer["control_sets"].items()
+        },
+        observation=from_plain(
+            Observation,
+            observer,
+            conditions=Conditions(**observer["conditions"]),
+            shape=ShapeFit(**observer["shape"]),
+        ),
+    )
+
+
+def _read_frame(topic: str, records: dict[str, Any]) -> UnitFrame:
+    truth, goals, image = (
+        records[f"{topic}/truth"],
+        records.get(f"{topic}/goals"),
+        records.get(f"{topic}/image"),
+    )
+    sight = Sight(
+        detections=from_plain(Detections, records[f"{topic}/detections"]),
+        whole_ids=np.array(truth["whole_ids"], dtype=np.int64),
+        found_ids=np.array(truth["found_ids"], dtype=np.int64),
+        false_detections=truth["false_detections"],
+        image=None if image is None else _decode(image["data"]),
+    )
+    decision = Decision(
+        goals=None if goals is None else from_plain(MotionGoals, goals),
+        report=from_plain(UnitReport, records[f"{topic}/report"]),
+        flight=from_plain(FlightCommand, records[f"{topic}/flight"]),
+    )
+    return UnitFrame(sight, decision)
+
+
+def _decode(data: str) -> Any:
+    return cv2.imdecode(np.frombuffer(base64.b64decode(data), dtype=np.uint8), cv2.IMREAD_GRAYSCALE)

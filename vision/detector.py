@@ -1,6 +1,7 @@
 """The one interface every marker detector has, and the detectors by name."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import Protocol
 
 import numpy as np
@@ -9,6 +10,7 @@ import numpy.typing as npt
 from skyherd.errors import InputError
 from skyherd.messages import Detections
 from skyherd.vision.aruco import ArucoDetector
+from skyherd.vision.peers import PeerDetector, peer_names
 from skyherd.vision.photometric import PhotometricDetector
 
 Image = npt.NDArray[np.uint8]
@@ -25,6 +27,7 @@ class Detector(Protocol):
 _DETECTORS: dict[str, Callable[[str], Detector]] = {
     "aruco": ArucoDetector,
     "photometric": PhotometricDetector,
+    **{name: partial(PeerDetector, name) for name in peer_names()},
 }
 
 
@@ -33,10 +36,15 @@ def detector_names() -> list[str]:
     return sorted(_DETECTORS)
 
 
-def create_detector(name: str, *, dictionary: str = "4X4_50") -> Detector:
-    """Make a detector by name; InputError names those there are."""
+def create_detector(name: str, *, dictionary: str = "4X4_50", corrected: bool = True) -> Detector:
+    """Make a detector by name; InputError names those there are.
+
+    With `corrected=False` the peers (`skyherd.vision.peers`) keep their constant biases and corner order.
+    """
     if name not in _DETECTORS:
         raise InputError("detector", f"no detector {name!r}", f"one of {', '.join(detector_names())}")
+    if not corrected and name in peer_names():
+        return PeerDetector(name, dictionary, corrected=False)
     return _DETECTORS[name](dictionary)
 
 

@@ -131,8 +131,12 @@ def write_figures(history: History, folder: Path) -> list[FigureFile]:
 
 
 def _write_panel(panel: Panel, history: History, folder: Path) -> FigureFile:
-    figure = panel.draw(history)
-    png, svg = folder / f"{panel.name}.png", folder / f"{panel.name}.svg"
+    return save_figure(panel.draw(history), folder, panel.name, panel.title, panel.caption)
+
+
+def save_figure(figure: Figure, folder: Path, name: str, title: str, caption: str) -> FigureFile:
+    """Write a figure as PNG and SVG; OutputError if a file could not be written."""
+    png, svg = folder / f"{name}.png", folder / f"{name}.svg"
     write_whole(png, lambda part: figure.savefig(part, format="png", dpi=DPI))
     write_whole(svg, lambda part: figure.savefig(part, format="svg", metadata={"Date": None}))
-    return FigureFile(panel.name, panel.title, panel.caption, png, svg)
+    return FigureFile(name, title, caption, png, svg)

@@ -48,19 +48,24 @@ def write_page(
     status_class, status = _status(summary, scenario.duration_s)
     page = _resource("report.html").substitute(
         title=escape(f"{scenario.name} - skyherd"),
-        style=_resource("report.css").template,
+        style=page_style(),
         name=escape(scenario.name),
         description=escape(scenario.description),
         status_class=status_class,
         status=escape(status),
         video=_video(folder / VIDEO),
         tiles="\n".join(_tile(field, summary) for key in TILES for field in _fields() if field.key == key),
-        figures="\n".join(_figure(figure) for figure in figures),
+        figures="\n".join(figure_card(figure) for figure in figures),
         tables=_tables(summary),
         scenario=escape(scenario_text),
         versions=" · ".join(escape(f"{name} {version}") for name, version in versions.items()),
     )
     return write_text(folder / PAGE, page)
+
+
+def page_style() -> str:
+    """The style sheet of all pages."""
+    return _resource("report.css").template
 
 
 def _resource(name: str) -> Template:
@@ -101,7 +106,8 @@ def _tile(field: Field, summary: Mapping[str, object]) -> str:
     return f'<div class="tile"><b>{value}</b><span>{escape(field.label)}</span></div>'
 
 
-def _figure(figure: FigureFile) -> str:
+def figure_card(figure: FigureFile) -> str:
+    """A figure as HTML, its picture inside, that opens in full width."""
     with Image.open(figure.png) as image:
         width, height = image.size
     shape = "wide" if width > WIDE_PX else "tall" if height > TALL * width else "plain"

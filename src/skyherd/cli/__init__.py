@@ -9,6 +9,7 @@ from typing import Any, cast
 import typer
 
 from skyherd import __version__
+from skyherd.cli.bench import bench_app
 from skyherd.cli.console import complain
 from skyherd.cli.report import report
 from skyherd.cli.run import run
@@ -27,6 +28,7 @@ app = typer.Typer(
 app.command()(run)
 app.command()(report)
 app.add_typer(scenario_app, name="scenario")
+app.add_typer(bench_app, name="bench")
 
 
 def _version(show: bool) -> None:

@@ -1,0 +1,288 @@
+"""The result as figures: PNG and SVG."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
+
+from skyherd.bench.design import SWEEPS
+from skyherd.bench.entrants import is_ours
+from skyherd.bench.result import Result, Row
+from skyherd.figure_canvas import drawing_style, legend_above, new_figure
+from skyherd.figures import FigureFile, save_figure
+from skyherd.palette import INK, MUTED, UNIT_COLORS
+
+OUR_COLORS = (UNIT_COLORS[0], UNIT_COLORS[1], INK, UNIT_COLORS[2])
+OTHER_COLORS = (UNIT_COLORS[7], UNIT_COLORS[4], UNIT_COLORS[5], UNIT_COLORS[3], UNIT_COLORS[2], MUTED)
+MARKS = "osD^vPX<>*"
+AIM = 1.2
+HONEST = (0.8, 1.25)
+SIDE_TICKS = (8, 12, 16, 20, 30, 40, 60, 100)
+
+
+@dataclass(frozen=True)
+class Plot:
+    """A figure of a result; `draw` returns None where there is nothing to show."""
+
+    name: str
+    title: str
+    caption: str
+    draw: Callable[[Result], Figure | None]
+
+
+def write_plots(result: Result, folder: Path) -> list[FigureFile]:
+    """Draw all figures that the result has rows for.
+
+    Raises:
+        OutputError: a file could not be written.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    files = []
+    with drawing_style():
+        for plot in PLOTS:
+            figure = plot.draw(result)
+            if figure is not None:
+                files.append(save_figure(figure, folder, plot.name, plot.title, plot.caption))
+    return files
+
+
+def detector_style(result: Result, name: str) -> dict[str, Any]:
+    """Colour, line and mark of a detector, the same in all figures: ours solid, the others' dashed."""
+    same = [other for other in result.detectors if is_ours(other) == is_ours(name)]
+    index, ours = same.index(name), is_ours(name)
+    colors = OUR_COLORS if ours else OTHER_COLORS
+    return {
+        "color": colors[index % len(colors)],
+        "linestyle": "-" if ours else "--",
+        "linewidth": 1.9 if ours else 1.2,
+        "marker": MARKS[(index if ours else index + 4) % len(MARKS)],
+        "markersize": 4.5,
+    }
+
+
+def _legend(figure: Figure, result: Result, names: Iterable[str]) -> None:
+    handles = [Line2D([], [], label=name, **detector_style(result, name)) for name in names]
+    legend_above(figure, handles, columns=4)
+
+
+def _side_axis(axes: Axes, sides_px: Iterable[float]) -> None:
+    sides = sorted(set(sides_px))
+    axes.set_xscale("log")
+    ticks = [side for side in SIDE_TICKS if sides[0] <= side <= sides[-1]]
+    axes.xaxis.set_major_locator(FixedLocator(ticks))
+    axes.xaxis.set_minor_locator(NullLocator())
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda side, _: f"{side:g}"))
+
+
+def _ratio_axis(axes: Axes) -> None:
+    """A log axis of ratios, with the bound and the aim."""
+    axes.set_yscale("log")
+    low, high = axes.get_ylim()
+    low, high = min(low, 0.8), max(high, 3.0)
+    axes.set_ylim(low, high)
+    axes.yaxis.set_major_locator(
+        FixedLocator([t for t in (1, 2, 5, 10, 20, 50, 100, 200, 500) if low <= t <= high])
+    )
+    axes.yaxis.set_minor_locator(NullLocator())
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda ratio, _: f"{ratio:g}"))
+    axes.axhline(1.0, color=INK, lw=1.0, zorder=1)
+    axes.axhline(AIM, color=MUTED, lw=0.9, ls=":", zorder=1)
+
+
+def _share_axis(axes: Axes) -> None:
+    axes.set_ylim(-0.03, 1.03)
+
+
+def _line(axes: Axes, points: list[tuple[float, float | None]], style: dict[str, Any]) -> None:
+    known = np.array([(x, np.nan if y is None else y) for x, y in points], dtype=float).reshape(-1, 2)
+    axes.plot(known[:, 0], known[:, 1], **style)
+
+
+def _grid_figure(
+    result: Result, keys: tuple[tuple[str, str], ...], height_in: float
+) -> tuple[Figure, Any] | None:
+    """A panel for each key and noise level, with a line over the side for each detector."""
+    noises = result.noises()
+    if not noises:
+        return None
+    figure = new_figure(height_in, 3.2 * len(noises) + 1.0 if len(noises) > 1 else 7.2)
+    panels = figure.subplots(len(keys), len(noises), sharex=True, sharey="row", squeeze=False)
+    for (key, label), row in zip(keys, panels, strict=True):
+        for noise, axes in zip(noises, row, strict=True):
+            for name in result.detectors:
+                points = [(r["side_px"], r[key]) for r in result.by_side(name, noise)]
+                _line(axes, points, detector_style(result, name))
+        row[0].set_ylabel(label)
+    for noise, top, bottom in zip(noises, panels[0], panels[-1], strict=True):
+        top.set_title(f"noise {noise:g} grey levels")
+        bottom.set_xlabel("marker side (px)")
+        _side_axis(
+            bottom, (r["side_px"] for r in result.cells if r["noise"] == noise and r["sweep"] != "base")
+        )
+    _legend(figure, result, result.detectors)
+    return figure, panels
+
+
+def draw_accuracy(result: Result) -> Figure | None:
+    """RMSE over bound by side."""
+    made = _grid_figure(
+        result, (("ratio_px", "position: RMSE / bound"), ("ratio_deg", "heading: RMSE / bound")), 6.6
+    )
+    if made is None:
+        return None
+    figure, panels = made
+    for axes in panels.ravel():
+        _ratio_axis(axes)
+    return figure
+
+
+def draw_recall(result: Result) -> Figure | None:
+    """Recall by side."""
+    made = _grid_figure(result, (("recall", "recall"),), 3.9)
+    if made is None:
+        return None
+    figure, panels = made
+    for axes in panels.ravel():
+        _share_axis(axes)
+    return figure
+
+
+def _sweep_figure(result: Result, key: str, label: str, finish: Callable[[Axes], None]) -> Figure | None:
+    shown = [s for s in SWEEPS if any(row["sweep"] == s.name for row in result.cells)]
+    if not shown:
+        return None
+    columns = 4
+    rows = -(-len(shown) // columns)
+    figure = new_figure(2.9 * rows + 0.8, 11.0)
+    panels = figure.subplots(rows, columns, sharey=True, squeeze=False)
+    for axes in panels.ravel()[len(shown) :]:
+        axes.set_visible(False)
+    for sweep, axes in zip(shown, panels.ravel(), strict=False):
+        for name in result.detectors:
+            points = [(value, row[key]) for value, row in result.along(sweep, name)]
+            _line(axes, points, detector_style(result, name))
+        axes.set_xlabel(sweep.label)
+        finish(axes)
+    for row in panels:
+        row[0].set_ylabel(label)
+    _legend(figure, result, result.detectors)
+    return figure
+
+
+def draw_factors(result: Result) -> Figure | None:
+    """Position's RMSE over bound along each sweep."""
+    return _sweep_figure(result, "ratio_px", "position: RMSE / bound", _ratio_axis)
+
+
+def draw_factor_recall(result: Result) -> Figure | None:
+    """Recall along each sweep."""
+    return _sweep_figure(result, "recall", "recall", _share_axis)
+
+
+def draw_honesty(result: Result) -> Figure | None:
+    """NEES by side of detectors that report a covariance."""
+    noises = result.noises()
+    telling = [
+        name
+        for name in result.detectors
+        if any(row["nees"] is not None for noise in noises for row in result.by_side(name, noise))
+    ]
+    if not telling:
+        return None
+    figure = new_figure(3.7, 10.0)
+    panels = figure.subplots(1, 3, sharey=True)
+    noise = min(noises, key=lambda level: abs(level - 5.0))
+    for axis, title, axes in zip(("u", "v", "heading"), ("u", "v", "heading"), panels, strict=True):
+        for name in telling:
+            rows: list[Row] = result.by_side(name, noise)
+            _line(axes, [(row["side_px"], row[f"nees_{axis}"]) for row in rows], detector_style(result, name))
+        axes.axhspan(*HONEST, color=MUTED, alpha=0.18, lw=0)
+        axes.axhline(1.0, color=INK, lw=1.0)
+        axes.set(title=title, xlabel="marker side (px)", yscale="log")
+        _side_axis(axes, (row["side_px"] for name in telling for row in result.by_side(name, noise)))
+        axes.yaxis.set_major_locator(FixedLocator([0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 1000]))
+        axes.yaxis.set_minor_locator(NullLocator())
+        axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    panels[0].set_ylabel("error² / variance reported")
+    low, high = panels[0].get_ylim()
+    panels[0].set_ylim(min(low, 0.5), max(high, 2.0))
+    _legend(figure, result, telling)
+    return figure
+
+
+def draw_times(result: Result) -> Figure | None:
+    """Median time by resolution, with a whisker to the 99th percentile."""
+    noises = sorted({row["noise"] for row in result.timing})
+    if not noises:
+        return None
+    figure = new_figure(4.4, 4.6 * len(noises) + 0.6)
+    panels = figure.subplots(1, len(noises), sharey=True, squeeze=False)[0]
+    sizes = sorted({(row["width_px"], row["height_px"]) for row in result.timing})
+    for noise, axes in zip(noises, panels, strict=True):
+        for index, name in enumerate(result.detectors):
+            rows = {
+                (r["width_px"], r["height_px"]): r
+                for r in result.timing
+                if (r["noise"], r["detector"]) == (noise, name)
+            }
+            at = [k for k, size in enumerate(sizes) if size in rows]
+            if not at:
+                continue
+            median = np.array([rows[sizes[k]]["ms_median"] for k in at])
+            above = np.array([rows[sizes[k]]["ms_p99"] for k in at]) - median
+            x = np.array(at) + 0.045 * (index - (len(result.detectors) - 1) / 2)
+            above = np.stack([np.zeros_like(above), np.maximum(above, 0)])
+            axes.errorbar(x, median, yerr=above, elinewidth=0.9, **detector_style(result, name))
+        axes.set_yscale("log")
+        axes.yaxis.set_major_formatter(FuncFormatter(lambda ms, _: f"{ms:g}"))
+        axes.set_xticks(range(len(sizes)), [f"{width}x{height}" for width, height in sizes])
+        axes.set_title("clean" if noise == 0 else f"noise {noise:g} grey levels")
+        axes.set_xlabel("image (px)")
+    panels[0].set_ylabel("time per frame (ms)")
+    _legend(figure, result, result.detectors)
+    return figure
+
+
+PLOTS = (
+    Plot(
+        "accuracy",
+        "Accuracy",
+        "RMSE of the markers found over the Cramér–Rao bound, by marker side; the line at 1 is the bound, "
+        f"the dotted one {AIM:g}. Blur from 0.5 to 1.5 px, told to no detector.",
+        draw_accuracy,
+    ),
+    Plot(
+        "recall",
+        "Recall",
+        "Share of the whole markers in view that were found, in the same images.",
+        draw_recall,
+    ),
+    Plot(
+        "factors",
+        "One factor at a time",
+        "RMSE of the position over its bound as one factor leaves the base cell: 30 px, noise 5, full "
+        "contrast, seen from straight above.",
+        draw_factors,
+    ),
+    Plot("factor_recall", "Recall, one factor at a time", "Recall in the same cells.", draw_factor_recall),
+    Plot(
+        "honesty",
+        "Honesty of the covariance",
+        "Mean of error² over the variance that the detector reports; 1 is honest, the band is 0.8 to 1.25, "
+        "more is too sure. Detectors that report none are left out.",
+        draw_honesty,
+    ),
+    Plot(
+        "times",
+        "Time per frame",
+        "Median, with a whisker to the 99th percentile; one thread, sixteen markers of 30 px that move, all "
+        "detectors on the same frames in turn.",
+        draw_times,
+    ),
+)

@@ -1,0 +1,143 @@
+"""The measurement: every detector on the same frames, cell by cell, on all cores."""
+
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field
+from multiprocessing import get_context
+from time import perf_counter
+from typing import Any
+
+import cv2
+import numpy as np
+
+from skyherd.bench.design import Cell
+from skyherd.bench.entrants import EntrantError, dictionary_for, make_entrant
+from skyherd.bench.frames import Frame, FrameSource, rendered_frames
+from skyherd.bench.scorer import Scorer
+from skyherd.errors import SkyherdError
+from skyherd.messages import Detections
+from skyherd.vision import Detector
+
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Who is measured, on what.
+
+    Attributes:
+        detectors: names, or `module:factory`.
+        dictionary: of the markers, where a detector knows it.
+        seed: of all frames.
+        corrected: whether constant biases of the peers are taken off.
+        source: makes the frames.
+    """
+
+    detectors: tuple[str, ...]
+    dictionary: str
+    seed: int
+    corrected: bool = True
+    source: FrameSource = field(default=rendered_frames)
+
+
+def measure_cells(
+    plan: Plan, cells: Sequence[Cell], *, jobs: int = 1, on_cell: Callable[[Cell], None] = lambda cell: None
+) -> list[Row]:
+    """Rows of all cells, in their order: one for each detector and cell; `jobs` cells at a time.
+
+    Raises:
+        InputError: a detector cannot be made.
+        EntrantError: a detector broke down.
+    """
+    for name in plan.detectors:
+        make_entrant(name, dictionary_for(name, plan.dictionary), corrected=plan.corrected)
+    rows: dict[int, list[Row]] = {}
+    if jobs == 1:
+        for index, cell in enumerate(cells):
+            rows[index] = measure_cell(plan, cell, index)
+            on_cell(cell)
+    else:
+        with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+            futures = {
+                pool.submit(measure_cell, plan, cell, index): index for index, cell in enumerate(cells)
+            }
+            try:
+                for future in as_completed(futures):
+                    rows[futures[future]] = future.result()
+                    on_cell(cells[futures[future]])
+            except BaseException:
+                pool.shutdown(cancel_futures=True)
+                raise
+    return [row for index in range(len(cells)) for row in rows[index]]
+
+
+def measure_cell(plan: Plan, cell: Cell, index: int) -> list[Row]:
+    """A cell's rows; frames of the same seed for each dictionary, so that only the markers' bits differ."""
+    dictionaries = {name: dictionary_for(name, plan.dictionary) for name in plan.detectors}
+    rows: dict[str, Row] = {}
+    with one_thread():
+        for dictionary in dict.fromkeys(dictionaries.values()):
+            entrants = {
+                name: Entrant(name, dictionary, plan.corrected)
+                for name in plan.detectors
+                if dictionaries[name] == dictionary
+            }
+            blurs_px = []
+            for frame in plan.source(cell, dictionary, plan.seed + 1000 * index):
+                blurs_px.append(frame.blur_px)
+                for entrant in entrants.values():
+                    entrant.take(frame)
+            for name, entrant in entrants.items():
+                about = {"blur_px": float(np.mean(blurs_px)), "blur_given": cell.blur_px is not None}
+                rows[name] = {
+                    "detector": name, "dictionary": dictionary, **cell.factors(), **about, **entrant.row()
+                }  # fmt: skip
+    return [rows[name] for name in plan.detectors]
+
+
+class Entrant:
+    """One detector with its score and its times."""
+
+    def __init__(self, name: str, dictionary: str, corrected: bool = True) -> None:
+        self.name = name
+        self.detector: Detector = make_entrant(name, dictionary, corrected=corrected)
+        self.scorer = Scorer()
+        self.times_ms: list[float] = []
+
+    def take(self, frame: Frame) -> None:
+        """Detect in one frame, timed and scored."""
+        start = perf_counter()
+        detections = self._detect(frame)
+        self.times_ms.append(1e3 * (perf_counter() - start))
+        self.scorer.add(frame, detections)
+
+    def row(self) -> Row:
+        """Score and times so far."""
+        return {**asdict(self.scorer.score()), **time_row(self.times_ms)}
+
+    def _detect(self, frame: Frame) -> Detections:
+        try:
+            return self.detector.detect(frame.image, time_s=frame.time_s, unit_id=frame.unit_id)
+        except SkyherdError as error:
+            raise EntrantError(f"detector {self.name}: {error}") from None
+        except Exception as error:
+            raise EntrantError(f"detector {self.name}: {type(error).__name__}: {error}") from error
+
+
+def time_row(times_ms: Sequence[float]) -> Row:
+    """Median and 99th percentile."""
+    if not times_ms:
+        return {"ms_median": None, "ms_p99": None}
+    return {"ms_median": float(np.median(times_ms)), "ms_p99": float(np.percentile(times_ms, 99))}
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """OpenCV on one thread while this lasts."""
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        yield
+    finally:
+        cv2.setNumThreads(before)

@@ -1,0 +1,147 @@
+"""What a detector's answers are worth: recall, false positives, bias, RMSE against the bound, and NEES.
+
+A detection is right if its id is in the image and its centre within half a side of that marker's; each
+marker counts once. All else is a false positive, but for markers that are not whole: they are not asked for.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from skyherd.bench.frames import Frame
+from skyherd.geometry import Array, IntArray, wrap_angle
+from skyherd.messages import Detections
+
+
+@dataclass(frozen=True)
+class Score:
+    """A detector's figures over some frames; None where nothing was there to be measured.
+
+    Attributes:
+        images: frames seen.
+        markers: whole markers in them.
+        found: of which found.
+        recall: found over markers.
+        false_positives_per_image: detections of what is not there.
+        bias_px: length of the mean error of (u, v).
+        bias_deg: mean error of the heading.
+        rmse_px: root of the mean square of the errors of u and v, per axis, bias included.
+        rmse_deg: the same of the heading.
+        crb_px, crb_deg: what the Cramér–Rao bound gives for the same markers.
+        ratio_px, ratio_deg: RMSE over bound.
+        nees_u, nees_v, nees_heading: mean of error² over the variance reported; 1 if that is honest. None if
+            the detector reports none.
+        nees: mean of the three.
+    """
+
+    images: int
+    markers: int
+    found: int
+    recall: float | None
+    false_positives_per_image: float | None
+    bias_px: float | None
+    bias_deg: float | None
+    rmse_px: float | None
+    rmse_deg: float | None
+    crb_px: float | None
+    crb_deg: float | None
+    ratio_px: float | None
+    ratio_deg: float | None
+    nees_u: float | None
+    nees_v: float | None
+    nees_heading: float | None
+    nees: float | None
+
+
+class Scorer:
+    """Gathers a detector's answers frame by frame."""
+
+    def __init__(self) -> None:
+        self._images, self._markers, self._false = 0, 0, 0
+        self._errors: list[Array] = []
+        self._bounds: list[Array] = []
+        self._variances: list[Array] = []
+        self._missed: list[Array] = []
+
+    def add(self, frame: Frame, detections: Detections) -> None:
+        """Compare one frame's detections with its truth."""
+        answers, rows = match(frame, detections)
+        wanted = frame.whole[rows]
+        self._images += 1
+        self._markers += int(frame.whole.sum())
+        self._false += len(detections.ids) - len(rows)
+        answers, rows = answers[wanted], rows[wanted]
+        shift = detections.centers_px[answers] - frame.centers_px[rows]
+        turn = wrap_angle(detections.headings_rad[answers] - frame.headings_rad[rows])
+        self._errors.append(np.column_stack([shift, turn]))
+        self._bounds.append(_variances(frame.bounds[rows]))
+        self._variances.append(_variances(detections.covariances[answers]))
+        self._missed.append(_variances(np.delete(frame.bounds, rows, axis=0)))
+
+    def score(self) -> Score:
+        """The figures so far."""
+        errors = np.concatenate([np.zeros((0, 3)), *self._errors])
+        found = len(errors)
+        bounds = np.concatenate([np.zeros((0, 3)), *(self._bounds if found else self._missed)])
+        crb_px, crb_rad = _rms_of_variances(bounds)
+        rmse_px, rmse_rad = _rms_of_variances(errors**2)
+        mean = errors.mean(axis=0) if found else None
+        nees = _nees(errors, np.concatenate([np.zeros((0, 3)), *self._variances]))
+        return Score(
+            images=self._images,
+            markers=self._markers,
+            found=found,
+            recall=found / self._markers if self._markers else None,
+            false_positives_per_image=self._false / self._images if self._images else None,
+            bias_px=None if mean is None else float(np.hypot(mean[0], mean[1])),
+            bias_deg=None if mean is None else float(np.degrees(mean[2])),
+            rmse_px=rmse_px,
+            rmse_deg=None if rmse_rad is None else float(np.degrees(rmse_rad)),
+            crb_px=crb_px,
+            crb_deg=None if crb_rad is None else float(np.degrees(crb_rad)),
+            ratio_px=_ratio(rmse_px, crb_px),
+            ratio_deg=_ratio(rmse_rad, crb_rad),
+            nees_u=None if nees is None else float(nees[0]),
+            nees_v=None if nees is None else float(nees[1]),
+            nees_heading=None if nees is None else float(nees[2]),
+            nees=None if nees is None else float(nees.mean()),
+        )
+
+
+def match(frame: Frame, detections: Detections) -> tuple[IntArray, IntArray]:
+    """Rows of the detections that are right, and of the markers that they are of, (K,) each.
+
+    Of several that could be of one marker the nearest is right, and the others are not.
+    """
+    if not len(frame.ids) or not len(detections.ids):
+        return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
+    order = np.argsort(frame.ids)
+    rows = order[np.searchsorted(frame.ids, detections.ids, sorter=order).clip(max=len(order) - 1)]
+    away = np.linalg.norm(detections.centers_px - frame.centers_px[rows], axis=1)
+    near = np.flatnonzero((frame.ids[rows] == detections.ids) & (away < frame.sides_px[rows] / 2))
+    near = near[np.argsort(away[near], kind="stable")]
+    _, first = np.unique(rows[near], return_index=True)
+    return near[first], rows[near[first]]
+
+
+def _variances(covariances: Array) -> Array:
+    """Diagonals (N, 3) of covariances (N, 3, 3)."""
+    return np.asarray(np.einsum("nii->ni", covariances.reshape(-1, 3, 3)))
+
+
+def _rms_of_variances(variances: Array) -> tuple[float | None, float | None]:
+    """Root of the mean variance, per axis of the position and of the heading, of (N, 3)."""
+    if not len(variances):
+        return None, None
+    return float(np.sqrt(variances[:, :2].mean())), float(np.sqrt(variances[:, 2].mean()))
+
+
+def _ratio(value: float | None, bound: float | None) -> float | None:
+    return None if value is None or not bound else value / bound
+
+
+def _nees(errors: Array, variances: Array) -> Array | None:
+    """Mean of error² / variance for each axis (3,), None if not every detection has a variance."""
+    if not len(errors) or not (variances > 0).all():
+        return None
+    return np.asarray((errors**2 / variances).mean(axis=0))

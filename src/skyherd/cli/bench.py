@@ -1,0 +1,104 @@
+"""`skyherd bench`: measure marker detectors against the Cramér–Rao bound, and against each other."""
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from skyherd.bench.design import Cell, full_design, quick_design
+from skyherd.bench.entrants import DEFAULT_DICTIONARY, default_entrants
+from skyherd.bench.page import write_outputs
+from skyherd.bench.result import Result, environment
+from skyherd.bench.runner import Plan, measure_cells
+from skyherd.bench.timing import measure_times, timing_cells
+from skyherd.cli.console import err, out, warn
+from skyherd.errors import InputError
+
+bench_app = typer.Typer(help="Measure parts of skyherd, and their peers.", rich_markup_mode=None)
+
+FULL_FRAMES, FULL_BUDGET_S = 300, 5.0
+QUICK_FRAMES, QUICK_BUDGET_S = 25, 0.7
+QUICK_SIZES_PX = ((640, 480), (1280, 960))
+
+
+@bench_app.callback()
+def _bench() -> None:
+    """Measure parts of skyherd, and their peers."""
+
+
+@bench_app.command()
+def detectors(
+    quick: Annotated[bool, typer.Option("--quick", help="Few cells and frames: about a minute.")] = False,
+    out_dir: Annotated[Path, typer.Option("--out", help="Folder for results.")] = Path("runs/bench"),
+    names: Annotated[
+        str | None,
+        typer.Option("--detectors", help="Names, or module:factory, with commas between; all if left out."),
+    ] = None,
+    dictionary: Annotated[
+        str, typer.Option(help="Of the markers; apriltag3 keeps to its own if it does not know it.")
+    ] = DEFAULT_DICTIONARY,
+    seed: Annotated[int, typer.Option(help="Seed of every frame.")] = 1,
+    jobs: Annotated[
+        int | None, typer.Option(help="Cells measured at a time; one a core if left out.")
+    ] = None,
+    clutter_images: Annotated[
+        int | None, typer.Option(help="Images of clutter without a marker, to look for false positives.")
+    ] = None,
+    uncorrected: Annotated[
+        bool, typer.Option("--uncorrected", help="Leave in the peers' constant biases and corner order.")
+    ] = False,
+) -> int:
+    """Measure marker detectors on the same frames; leaves bench.json, bench.html, bench.md and figures."""
+    chosen = [name.strip() for name in (names or "").split(",") if name.strip()] or default_entrants()
+    _check(chosen, jobs, clutter_images)
+    if names is None and "apriltag3" not in chosen:
+        warn("apriltag3 is left out: pip install skyherd[peers]")
+    images = {} if clutter_images is None else {"clutter_images": clutter_images}
+    cells = quick_design(**images) if quick else full_design(**images)
+    timed = timing_cells(QUICK_FRAMES, QUICK_SIZES_PX) if quick else timing_cells(FULL_FRAMES)
+    plan = Plan(tuple(chosen), dictionary, seed, corrected=not uncorrected)
+    out_dir.mkdir(parents=True, exist_ok=True)
+    with _Watcher(len(cells), len(timed)) as watcher:
+        rows = measure_cells(plan, cells, jobs=jobs or os.cpu_count() or 1, on_cell=watcher.accuracy)
+        times = measure_times(plan, timed, QUICK_BUDGET_S if quick else FULL_BUDGET_S, on_cell=watcher.timing)
+    result = Result(
+        environment(quick=quick, dictionary=dictionary, seed=seed, corrected=not uncorrected), rows, times
+    )
+    result.write(out_dir)
+    page = write_outputs(result, out_dir)
+    out.print(f"see {page}", markup=False)
+    return 0
+
+
+def _check(chosen: list[str], jobs: int | None, clutter_images: int | None) -> None:
+    """What the rest relies on."""
+    if repeated := sorted({name for name in chosen if chosen.count(name) > 1}):
+        raise InputError("--detectors", f"{', '.join(repeated)} named twice", "each detector once")
+    if jobs is not None and jobs < 1:
+        raise InputError("--jobs", str(jobs), "1 or more")
+    if clutter_images is not None and clutter_images < 0:
+        raise InputError("--clutter-images", str(clutter_images), "0 or more")
+
+
+class _Watcher(Progress):
+    """Progress bars of the two parts; nothing where stderr is no terminal."""
+
+    def __init__(self, cells: int, timed: int) -> None:
+        super().__init__(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeRemainingColumn(),
+            console=err,
+            disable=not err.is_terminal,
+            transient=True,
+        )
+        self.accuracy: Callable[[Cell], None] = self._bar("accuracy", cells)
+        self.timing: Callable[[Cell], None] = self._bar("time per frame", timed)
+
+    def _bar(self, name: str, total: int) -> Callable[[Cell], None]:
+        task = self.add_task(name, total=total)
+        return lambda cell: self.advance(task)

@@ -1,7 +1,9 @@
 """Helpers common to several test files, as fixtures (session-scoped: hypothesis may use them too)."""
 
+import os
+import shutil
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -119,3 +121,57 @@ def make_goals() -> Callable[..., MotionGoals]:
         )
 
     return make
+
+
+BROWSER_ARGS = [
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+]
+
+OVERFLOWING = """() => {
+  const scrolls = e => e && (['auto', 'scroll', 'hidden'].includes(getComputedStyle(e).overflowX)
+                             || scrolls(e.parentElement));
+  return [...document.body.querySelectorAll('*')]
+    .filter(e => e.getBoundingClientRect().right > innerWidth + 0.5 && !scrolls(e.parentElement))
+    .map(e => e.outerHTML.slice(0, 80));
+}"""
+
+
+def missing(what: str) -> None:
+    """Skip for want of a browser, or fail where one is required."""
+    reason = f"{what} is not installed"
+    if os.environ.get("SKYHERD_REQUIRE_BROWSER") == "1":
+        pytest.fail(f"{reason}, and SKYHERD_REQUIRE_BROWSER=1 asks for it")
+    pytest.skip(reason)
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[Any]:
+    """Headless Chromium; the test is skipped where there is none."""
+    try:
+        from playwright.sync_api import sync_playwright
+    except ImportError:
+        missing("playwright")
+    program = shutil.which("chromium") or shutil.which("google-chrome")
+    if program is None:
+        missing("chromium (or google-chrome)")
+    with sync_playwright() as playwright:
+        chromium = playwright.chromium.launch(executable_path=program, args=BROWSER_ARGS)
+        yield chromium
+        chromium.close()
+
+
+@pytest.fixture(scope="session")
+def assert_nothing_overflows() -> Callable[[Any], None]:
+    """Asserts that neither a page nor anything in it is wider than its window, unless it scrolls."""
+
+    def check(window: Any) -> None:
+        assert window.evaluate("document.documentElement.scrollWidth <= innerWidth")
+        assert window.evaluate(OVERFLOWING) == []
+
+    return check

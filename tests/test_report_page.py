@@ -1,8 +1,6 @@
 """The report's page, as text and as a browser shows it."""
 
-import os
-import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -23,15 +21,6 @@ from skyherd.summary import summarize
 from skyherd.video import VideoSink
 
 WIDTHS = {"desktop": (1280, 900), "phone": (390, 844)}
-ARGS = [
-    "--no-sandbox",
-    "--disable-gpu",
-    "--disable-quic",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-]
 VERSIONS = MappingProxyType({"skyherd": "0.1.0", "numpy": np.__version__})
 
 
@@ -172,29 +161,6 @@ def test_a_page_that_cannot_be_written_is_named(history: History, tmp_path: Path
     assert [path.name for path in tmp_path.iterdir()] == ["report.html"]
 
 
-def missing(what: str) -> None:
-    """Skip for want of a browser, or fail where one is required."""
-    reason = f"{what} is not installed"
-    if os.environ.get("SKYHERD_REQUIRE_BROWSER") == "1":
-        pytest.fail(f"{reason}, and SKYHERD_REQUIRE_BROWSER=1 asks for it")
-    pytest.skip(reason)
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    try:
-        from playwright.sync_api import sync_playwright
-    except ImportError:
-        missing("playwright")
-    program = shutil.which("chromium") or shutil.which("google-chrome")
-    if program is None:
-        missing("chromium (or google-chrome)")
-    with sync_playwright() as playwright:
-        chromium = playwright.chromium.launch(executable_path=program, args=ARGS)
-        yield chromium
-        chromium.close()
-
-
 @pytest.fixture(params=[(w, scheme) for w in WIDTHS for scheme in ("light", "dark")], ids="-".join)
 def shown(browser: Any, page: Path, request: pytest.FixtureRequest) -> Iterator[Any]:
     """The page in a window; checks at the end that it asked for nothing and complained of nothing."""
@@ -214,15 +180,6 @@ def shown(browser: Any, page: Path, request: pytest.FixtureRequest) -> Iterator[
     assert [url[:80] for url in requests if not url.startswith(("file:", "data:"))] == []
 
 
-OVERFLOWING = """() => {
-  const scrolls = e => e && (['auto', 'scroll', 'hidden'].includes(getComputedStyle(e).overflowX)
-                             || scrolls(e.parentElement));
-  return [...document.body.querySelectorAll('*')]
-    .filter(e => e.getBoundingClientRect().right > innerWidth + 0.5 && !scrolls(e.parentElement))
-    .map(e => e.outerHTML.slice(0, 80));
-}"""
-
-
 COLORS = """place => {
   const element = document.querySelector(place);
   let ground = element;
@@ -232,12 +189,7 @@ COLORS = """place => {
 }"""
 
 
-def assert_nothing_overflows(window: Any) -> None:
-    assert window.evaluate("document.documentElement.scrollWidth <= innerWidth")
-    assert window.evaluate(OVERFLOWING) == []
-
-
-def test_everything_fits_the_window(shown: Any) -> None:
+def test_everything_fits_the_window(shown: Any, assert_nothing_overflows: Callable[[Any], None]) -> None:
     assert_nothing_overflows(shown)
     shown.evaluate("document.querySelectorAll('details').forEach(e => { e.open = true })")
     assert_nothing_overflows(shown)

@@ -132,7 +132,7 @@ def full_design(clutter_images: int = 200) -> list[Cell]:
 
 def quick_design(clutter_images: int = 12) -> list[Cell]:
     """Few cells of few frames: to see that all works, and roughly how well."""
-    return _design(Cell(cameras=2, frames=4), QUICK_SIDES_PX, (5.0,), QUICK_SWEEPS, clutter_images)
+    return _design(Cell(cameras=2, frames=3), QUICK_SIDES_PX, (5.0,), QUICK_SWEEPS, clutter_images)
 
 
 def _design(

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
+from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullLocator
 
 from skyherd.bench.design import SWEEPS
 from skyherd.bench.entrants import is_ours
@@ -80,11 +80,17 @@ def _side_axis(axes: Axes, sides_px: Iterable[float]) -> None:
     axes.xaxis.set_major_formatter(FuncFormatter(lambda side, _: f"{side:g}"))
 
 
+def _span(axes: Axes, low: float, high: float) -> tuple[float, float]:
+    """Limits of a log axis that show all lines, and `low` and `high` at least."""
+    drawn = np.concatenate([[low, high], *(np.asarray(line.get_ydata(), float) for line in axes.lines)])
+    shown = drawn[np.isfinite(drawn) & (drawn > 0)]
+    return float(shown.min() / 1.15), float(shown.max() * 1.15)
+
+
 def _ratio_axis(axes: Axes) -> None:
     """A log axis of ratios, with the bound and the aim."""
     axes.set_yscale("log")
-    low, high = axes.get_ylim()
-    low, high = min(low, 0.8), max(high, 3.0)
+    low, high = _span(axes, 0.9, 3.0)
     axes.set_ylim(low, high)
     axes.yaxis.set_major_locator(
         FixedLocator([t for t in (1, 2, 5, 10, 20, 50, 100, 200, 500) if low <= t <= high])
@@ -204,14 +210,12 @@ def draw_honesty(result: Result) -> Figure | None:
             _line(axes, [(row["side_px"], row[f"nees_{axis}"]) for row in rows], detector_style(result, name))
         axes.axhspan(*HONEST, color=MUTED, alpha=0.18, lw=0)
         axes.axhline(1.0, color=INK, lw=1.0)
-        axes.set(title=title, xlabel="marker side (px)", yscale="log")
+        axes.set(title=title, xlabel="marker side (px)", yscale="log", ylim=_span(axes, 0.5, 2.0))
         _side_axis(axes, (row["side_px"] for name in telling for row in result.by_side(name, noise)))
         axes.yaxis.set_major_locator(FixedLocator([0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 1000]))
         axes.yaxis.set_minor_locator(NullLocator())
         axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     panels[0].set_ylabel("error² / variance reported")
-    low, high = panels[0].get_ylim()
-    panels[0].set_ylim(min(low, 0.5), max(high, 2.0))
     _legend(figure, result, telling)
     return figure
 
@@ -240,6 +244,8 @@ def draw_times(result: Result) -> Figure | None:
             above = np.stack([np.zeros_like(above), np.maximum(above, 0)])
             axes.errorbar(x, median, yerr=above, elinewidth=0.9, **detector_style(result, name))
         axes.set_yscale("log")
+        axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axes.yaxis.set_minor_locator(NullLocator())
         axes.yaxis.set_major_formatter(FuncFormatter(lambda ms, _: f"{ms:g}"))
         axes.set_xticks(range(len(sizes)), [f"{width}x{height}" for width, height in sizes])
         axes.set_title("clean" if noise == 0 else f"noise {noise:g} grey levels")

@@ -170,7 +170,7 @@ def _times(result: Result, noise: float) -> Table:
     return Table(
         f"Time per frame, {'clean' if noise == 0 else f'noise {noise:g}'}",
         "Median (99th percentile) in ms, one thread, sixteen markers of 30 px that move; how many times as "
-        "fast as `opencv` on the same frames; recall.",
+        "fast as opencv on the same frames; recall.",
         ("detector", *(f"{width}x{height}" for width, height in sizes)),
         body,
     )

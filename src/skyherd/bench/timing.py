@@ -17,7 +17,7 @@ from skyherd.bench.runner import Entrant, Plan, Row, one_thread, time_row
 WARM_UP = 3
 """First frames that are not counted: there patterns are made, memory is claimed, and trackers acquire."""
 
-FEWEST = 10
+FEWEST = 6
 SIZES_PX = ((640, 480), (1280, 960), (1920, 1080), (3840, 2160))
 NOISES = (0.0, 5.0)
 SIDE_PX = 30.0

@@ -20,7 +20,7 @@ from skyherd.errors import InputError
 bench_app = typer.Typer(help="Measure parts of skyherd, and their peers.", rich_markup_mode=None)
 
 FULL_FRAMES, FULL_BUDGET_S = 300, 5.0
-QUICK_FRAMES, QUICK_BUDGET_S = 25, 0.7
+QUICK_FRAMES, QUICK_BUDGET_S = 20, 0.4
 QUICK_SIZES_PX = ((640, 480), (1280, 960))
 
 

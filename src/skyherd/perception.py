@@ -12,8 +12,7 @@ from skyherd.geometry import Array, BoolArray, IntArray, to_complex
 from skyherd.markers import card_side
 from skyherd.messages import Detections
 from skyherd.optics import total_sigma_px
-from skyherd.render import Ground, Renderer, Sensor, project_markers
-from skyherd.render.camera import MarkerProjection
+from skyherd.render import FrameTruth, Ground, Renderer, Sensor, project_markers
 from skyherd.vision import create_detector, explain_mirrored
 from skyherd.vision.accuracy import DetectorAccuracy, load_accuracy
 from skyherd.world import World
@@ -59,7 +58,7 @@ def make_perception(mission: Mission, rng: np.random.Generator) -> Perception:
     return Rendered(mission, rng)
 
 
-def _project(world: World, unit: int, side_m: float, dictionary: str) -> MarkerProjection:
+def _project(world: World, unit: int, side_m: float, dictionary: str) -> FrameTruth:
     return project_markers(
         world.cameras[unit],
         world.camera_pose(unit),
@@ -111,7 +110,7 @@ class Rendered:
             self._unproven.discard(unit)
 
 
-def _right(detections: Detections, ids: IntArray, truth: MarkerProjection) -> BoolArray:
+def _right(detections: Detections, ids: IntArray, truth: FrameTruth) -> BoolArray:
     """Which detections (N,) are of a robot of the team and within half a side of it."""
     row = np.searchsorted(ids, detections.ids).clip(max=ids.size - 1)
     error = np.linalg.norm(truth.centers_px[row] - detections.centers_px, axis=1)

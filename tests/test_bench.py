@@ -11,10 +11,11 @@ import pytest
 
 from skyherd.bench.design import EMPTY, GRID, SWEEPS, Cell, full_design, quick_design
 from skyherd.bench.entrants import EntrantError, default_entrants, dictionary_for, make_entrant
-from skyherd.bench.frames import SPEED_PX, TURN_RAD, rendered_frames
+from skyherd.bench.frames import rendered_frames
 from skyherd.bench.page import MARKDOWN, PAGE, write_outputs
 from skyherd.bench.result import RESULT, Result, environment, read_result
 from skyherd.bench.runner import Plan, measure_cells
+from skyherd.bench.scene import SPEED_PX, TURN_RAD
 from skyherd.bench.tables import make_tables, share, short
 from skyherd.bench.timing import WARM_UP, measure_times, timing_cells
 from skyherd.cli import main

@@ -1,6 +1,6 @@
 """The result as figures: PNG and SVG."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -80,17 +80,23 @@ def _side_axis(axes: Axes, sides_px: Iterable[float]) -> None:
     axes.xaxis.set_major_formatter(FuncFormatter(lambda side, _: f"{side:g}"))
 
 
-def _span(axes: Axes, low: float, high: float) -> tuple[float, float]:
-    """Limits of a log axis that show all lines, and `low` and `high` at least."""
-    drawn = np.concatenate([[low, high], *(np.asarray(line.get_ydata(), float) for line in axes.lines)])
+def _span(panels: Sequence[Axes], low: float, high: float) -> tuple[float, float]:
+    """Limits of log axes that show all lines, and `low` and `high` at least."""
+    lines = [line for axes in panels for line in axes.lines]
+    drawn = np.concatenate([[low, high], *(np.asarray(line.get_ydata(), float) for line in lines)])
     shown = drawn[np.isfinite(drawn) & (drawn > 0)]
     return float(shown.min() / 1.15), float(shown.max() * 1.15)
 
 
-def _ratio_axis(axes: Axes) -> None:
-    """A log axis of ratios, with the bound and the aim."""
+def _ratio_axes(panels: Sequence[Axes]) -> None:
+    """Log axes of ratios, all alike, with the bound and the aim."""
+    low, high = _span(panels, 0.9, 3.0)
+    for axes in panels:
+        _ratio_axis(axes, low, high)
+
+
+def _ratio_axis(axes: Axes, low: float, high: float) -> None:
     axes.set_yscale("log")
-    low, high = _span(axes, 0.9, 3.0)
     axes.set_ylim(low, high)
     axes.yaxis.set_major_locator(
         FixedLocator([t for t in (1, 2, 5, 10, 20, 50, 100, 200, 500) if low <= t <= high])
@@ -101,8 +107,9 @@ def _ratio_axis(axes: Axes) -> None:
     axes.axhline(AIM, color=MUTED, lw=0.9, ls=":", zorder=1)
 
 
-def _share_axis(axes: Axes) -> None:
-    axes.set_ylim(-0.03, 1.03)
+def _share_axes(panels: Sequence[Axes]) -> None:
+    for axes in panels:
+        axes.set_ylim(-0.03, 1.03)
 
 
 def _line(axes: Axes, points: list[tuple[float, float | None]], style: dict[str, Any]) -> None:
@@ -143,8 +150,8 @@ def draw_accuracy(result: Result) -> Figure | None:
     if made is None:
         return None
     figure, panels = made
-    for axes in panels.ravel():
-        _ratio_axis(axes)
+    for row in panels:
+        _ratio_axes(row)
     return figure
 
 
@@ -154,12 +161,13 @@ def draw_recall(result: Result) -> Figure | None:
     if made is None:
         return None
     figure, panels = made
-    for axes in panels.ravel():
-        _share_axis(axes)
+    _share_axes(panels.ravel())
     return figure
 
 
-def _sweep_figure(result: Result, key: str, label: str, finish: Callable[[Axes], None]) -> Figure | None:
+def _sweep_figure(
+    result: Result, key: str, label: str, finish: Callable[[Sequence[Axes]], None]
+) -> Figure | None:
     shown = [s for s in SWEEPS if any(row["sweep"] == s.name for row in result.cells)]
     if not shown:
         return None
@@ -174,7 +182,7 @@ def _sweep_figure(result: Result, key: str, label: str, finish: Callable[[Axes],
             points = [(value, row[key]) for value, row in result.along(sweep, name)]
             _line(axes, points, detector_style(result, name))
         axes.set_xlabel(sweep.label)
-        finish(axes)
+    finish(list(panels.ravel()[: len(shown)]))
     for row in panels:
         row[0].set_ylabel(label)
     _legend(figure, result, result.detectors)
@@ -183,12 +191,12 @@ def _sweep_figure(result: Result, key: str, label: str, finish: Callable[[Axes],
 
 def draw_factors(result: Result) -> Figure | None:
     """Position's RMSE over bound along each sweep."""
-    return _sweep_figure(result, "ratio_px", "position: RMSE / bound", _ratio_axis)
+    return _sweep_figure(result, "ratio_px", "position: RMSE / bound", _ratio_axes)
 
 
 def draw_factor_recall(result: Result) -> Figure | None:
     """Recall along each sweep."""
-    return _sweep_figure(result, "recall", "recall", _share_axis)
+    return _sweep_figure(result, "recall", "recall", _share_axes)
 
 
 def draw_honesty(result: Result) -> Figure | None:
@@ -210,11 +218,12 @@ def draw_honesty(result: Result) -> Figure | None:
             _line(axes, [(row["side_px"], row[f"nees_{axis}"]) for row in rows], detector_style(result, name))
         axes.axhspan(*HONEST, color=MUTED, alpha=0.18, lw=0)
         axes.axhline(1.0, color=INK, lw=1.0)
-        axes.set(title=title, xlabel="marker side (px)", yscale="log", ylim=_span(axes, 0.5, 2.0))
+        axes.set(title=title, xlabel="marker side (px)", yscale="log")
         _side_axis(axes, (row["side_px"] for name in telling for row in result.by_side(name, noise)))
         axes.yaxis.set_major_locator(FixedLocator([0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 1000]))
         axes.yaxis.set_minor_locator(NullLocator())
         axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    panels[0].set_ylim(_span(panels, 0.5, 2.0))
     panels[0].set_ylabel("error² / variance reported")
     _legend(figure, result, telling)
     return figure

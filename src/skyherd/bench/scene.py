@@ -1,0 +1,123 @@
+"""Where a cell's cameras and markers are: teams on smooth paths, slow enough for trackers to track."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from skyherd.bench.design import Cell
+from skyherd.geometry import Array, IntArray, apply_homography
+from skyherd.markers import card_side, dictionary_size
+from skyherd.render import Camera, CameraPose, homography_image_ground
+
+FRAME_RATE_HZ = 30.0
+SPEED_PX, TURN_RAD = 3.0, 0.07
+"""Most that a marker moves and turns from one image to the next: 90 px/s and 2 rad/s."""
+
+FOCAL_SHARE = 1.0
+"""Focal length in image widths: a field of view of 53 deg."""
+
+MOST_IDS = 50
+"""Markers are the first so many of any dictionary, so that the same are there in all."""
+
+
+@dataclass(frozen=True)
+class Team:
+    """Markers on smooth paths about the points of a grid in the image, by index of the frame.
+
+    Attributes:
+        ids: (N,) ascending.
+        homes_px: (N, 2) points of the grid.
+        room_px: amplitude of the paths.
+        phases_rad: (N, 2) where on their path they begin.
+        headings_rad: (N,) at the beginning, on the ground.
+        turns_rad: (N,) turn from one frame to the next.
+    """
+
+    ids: IntArray
+    homes_px: Array
+    room_px: float
+    phases_rad: Array
+    headings_rad: Array
+    turns_rad: Array
+
+    def at(self, index: int) -> tuple[Array, Array]:
+        """Image points (N, 2) to stand at in a frame, and headings (N,) on the ground."""
+        pace = np.array([1.0, 1.31]) * SPEED_PX / (2.0 * max(self.room_px, SPEED_PX))
+        swing = np.sin(self.phases_rad + pace * index)
+        return self.homes_px + self.room_px * swing, self.headings_rad + self.turns_rad * index
+
+
+def make_team(cell: Cell, dictionary: str, rng: np.random.Generator) -> Team:
+    """As many markers as fit the image without ever touching, up to `cell.markers`."""
+    width, height = cell.size_px
+    # Under tilt the near half of the image shows larger markers.
+    largest = cell.side_px * (1.0 + 2.0 * np.tan(np.radians(cell.tilt_deg)) * 0.5)
+    reach = largest * card_side(dictionary) * np.sqrt(2.0) + 4.0
+    columns, rows = (max(1, min(4, int(length // reach))) for length in (width, height))
+    spacing = np.array([width / columns, height / rows])
+    column, row = np.meshgrid(np.arange(columns) + 0.5, np.arange(rows) + 0.5)
+    homes = np.column_stack([column.ravel(), row.ravel()]) * spacing - 0.5
+    count = min(cell.markers, len(homes), dictionary_size(dictionary))
+    return Team(
+        ids=np.sort(rng.permutation(min(dictionary_size(dictionary), MOST_IDS))[:count]),
+        homes_px=homes[np.sort(rng.permutation(len(homes))[:count])],
+        room_px=float(max(min(spacing) - reach, 1.0) / 2),
+        phases_rad=rng.uniform(-np.pi, np.pi, (count, 2)),
+        headings_rad=rng.uniform(-np.pi, np.pi, count),
+        turns_rad=rng.uniform(-TURN_RAD, TURN_RAD, count),
+    )
+
+
+def make_view(cell: Cell, rng: np.random.Generator) -> tuple[Camera, CameraPose]:
+    """A camera that sees a marker of side 1 m at the image's centre with `cell.side_px`."""
+    camera = Camera(cell.size_px, focal_px=FOCAL_SHARE * cell.size_px[0])
+    tilt, toward = np.radians(cell.tilt_deg), rng.uniform(-np.pi, np.pi)
+    # At the centre a tilted view shrinks by cos for the distance and by sqrt cos for the slant.
+    height_m = camera.focal_px / cell.side_px * np.cos(tilt) ** 1.5
+    about = (float(tilt * np.cos(toward)), float(tilt * np.sin(toward)))
+    position = (float(rng.uniform(-20, 20)), float(rng.uniform(-20, 20)))
+    return camera, CameraPose(position, float(height_m), float(rng.uniform(-np.pi, np.pi)), about)
+
+
+@dataclass(frozen=True)
+class Shot:
+    """What one image is of; markers have sides of 1 m.
+
+    Attributes:
+        unit_id: the camera.
+        time_s: when it is taken.
+        camera, pose: its geometry.
+        blur_px: standard deviation of its lens's blur.
+        ids: (N,) markers.
+        positions_m: (N, 2) where they lie.
+        headings_rad: (N,) their headings on the ground.
+    """
+
+    unit_id: int
+    time_s: float
+    camera: Camera
+    pose: CameraPose
+    blur_px: float
+    ids: IntArray
+    positions_m: Array
+    headings_rad: Array
+
+
+def camera_shots(cell: Cell, dictionary: str, unit: int, rng: np.random.Generator) -> Iterator[Shot]:
+    """All shots of one camera of a cell, in the order of time; the camera stands still."""
+    camera, pose = make_view(cell, rng)
+    team = make_team(cell, dictionary, rng)
+    ground_image: Array = np.asarray(np.linalg.inv(homography_image_ground(camera, pose)), dtype=np.float64)
+    for index in range(cell.frames):
+        points_px, headings = team.at(index)
+        yield Shot(
+            unit_id=unit,
+            time_s=index / FRAME_RATE_HZ,
+            camera=camera,
+            pose=pose,
+            blur_px=cell.blur_of(unit),
+            ids=team.ids,
+            positions_m=apply_homography(ground_image, points_px),
+            headings_rad=headings,
+        )

@@ -124,8 +124,11 @@ GRID, EMPTY = "side x noise", "empty clutter"
 QUADS = 150
 """Dark quadrilaterals in each image of the search for false positives."""
 
+PER_CLUTTER = 4
+"""Images of one clutter: they differ in their noise alone."""
 
-def full_design(clutter_images: int = 200) -> list[Cell]:
+
+def full_design(clutter_images: int = 240) -> list[Cell]:
     """All cells; `clutter_images` images of clutter without a marker look for false positives."""
     return _design(Cell(), SIDES_PX, NOISES, SWEEPS, clutter_images)
 
@@ -146,8 +149,12 @@ def _design(
         replace(base, sweep=GRID, side_px=float(side), noise=noise) for noise in noises for side in sides_px
     ]
     factors = [replace(base, sweep=s.name, **{s.key: value}) for s in sweeps for value in s.values]  # type: ignore[arg-type]
-    cameras = min(4, max(clutter_images, 1))
     empty = replace(
-        base, sweep=EMPTY, clutter=QUADS, markers=0, cameras=cameras, frames=-(-clutter_images // cameras)
+        base,
+        sweep=EMPTY,
+        clutter=QUADS,
+        markers=0,
+        cameras=-(-clutter_images // PER_CLUTTER),
+        frames=PER_CLUTTER,
     )
     return [base, *grid, *factors, *([empty] if clutter_images else [])]

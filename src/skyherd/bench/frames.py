@@ -37,7 +37,7 @@ EXPOSURE_S = 0.01
 COVER_LEVEL = 40.0
 """Grey level of the discs that cover markers."""
 
-QUAD_SIDES = (0.5, 2.0)
+QUAD_SIDES = (0.4, 1.2)
 """Least and greatest side of clutter, in marker sides."""
 
 
@@ -151,7 +151,7 @@ def make_frame(shot: Shot, image: npt.NDArray[np.uint8], truth: FrameTruth, boun
 
 
 def marker_bounds(cell: Cell, dictionary: str, blur_px: float, truth: FrameTruth) -> Array:
-    """Bound (N, 3, 3) at a cell's noise and levels; a streak of length L as a round blur of variance L² / 24."""
+    """Bound (N, 3, 3) at a cell's noise and levels; a streak of length L adds L² / 24 to the blur's variance."""
     noise = float(np.hypot(cell.noise, ROUNDING_VARIANCE**0.5))
     return pose_covariances(
         dictionary,

@@ -121,6 +121,58 @@ def test_markers_move_slowly_enough_to_be_tracked():
         assert after.time_s > before.time_s and after.unit_id == before.unit_id
 
 
+def frame_of(**factors):
+    """The first frame of a cell that differs by these factors, and of one that does not; without noise."""
+    cell = Cell(noise=0.01, blur_px=0.8, cameras=1, frames=1)
+    return [next(rendered_frames(c, "4X4_50", 3)) for c in (replace(cell, **factors), cell)]
+
+
+def test_motion_blur_widens_the_bound_and_smooths_the_image():
+    """A streak of 4 px: variance 16 / 24 more in either direction beside 0.72."""
+    moved, still = frame_of(motion_px=4.0)
+    np.testing.assert_allclose(moved.centers_px, still.centers_px)
+    assert (
+        np.hypot(*np.gradient(moved.image.astype(float))).max()
+        < 0.8 * np.hypot(*np.gradient(still.image.astype(float))).max()
+    )
+    assert (np.einsum("nii->ni", moved.bounds) > 1.5 * np.einsum("nii->ni", still.bounds)).all()
+
+
+def test_uneven_light_spans_its_share_and_saturates_nothing():
+    """Light from 0.7 to 1.3 of its mean: the ground's grey follows, and bounds follow the light squared."""
+    uneven, even = frame_of(uneven=0.6)
+    assert uneven.image.max() < 250
+    ratio = uneven.image / even.image.astype(float)
+    assert np.percentile(ratio, 99.9) / np.percentile(ratio, 0.1) == pytest.approx(1.3 / 0.7, rel=0.1)
+    light = np.sqrt(even.bounds[:, 0, 0] / uneven.bounds[:, 0, 0])
+    at = np.rint(even.centers_px).astype(int)
+    around = [np.median(ratio[v - 10 : v + 10, u - 10 : u + 10]) for u, v in at]
+    np.testing.assert_allclose(light, around, rtol=0.05)
+
+
+@pytest.mark.parametrize("share", [0.02, 0.1])
+def test_occlusion_covers_its_share_of_each_marker(share):
+    """Pixels of the square that differ from the uncovered image; the disc's blurred rim adds up to 0.04."""
+    covered, bare = frame_of(occlusion=share)
+    assert covered.whole.all()
+    for (u, v), heading, side in zip(bare.centers_px, bare.headings_rad, bare.sides_px, strict=True):
+        y, x = np.mgrid[: bare.image.shape[0], : bare.image.shape[1]]
+        turned = ((x - u) + 1j * (y - v)) * np.exp(-1j * heading)
+        inside = (np.abs(turned.real) < side / 2) & (np.abs(turned.imag) < side / 2)
+        changed = covered.image[inside] != bare.image[inside]
+        assert changed.mean() == pytest.approx(share, abs=0.04)
+
+
+def test_clutter_has_as_many_quadrilaterals_as_asked_for():
+    """Dark ground: 150 of mean side 0.8 x 30 px cover, were none to overlap, 150 x 600 px of 307200."""
+    cluttered, bare = frame_of(clutter=150, markers=0)
+    assert len(cluttered.ids) == 0 and cluttered.bounds.shape == (0, 3, 3)
+    dark = (cluttered.image < 70).mean()
+    expected = 1 - np.exp(-150 * 30.0**2 * 0.7 / 307200)
+    assert (bare.image < 70).mean() < 0.06
+    assert dark == pytest.approx(expected, rel=0.35)
+
+
 def test_the_bound_grows_with_noise_and_shrinks_with_the_side():
     def bound(cell):
         return np.mean([np.trace(frame.bounds[:, :2, :2].mean(axis=0)) for frame in frames(cell)])
@@ -148,6 +200,24 @@ def test_a_strangers_detector_is_measured_beside_ours(stranger):
     assert theirs["recall"] == pytest.approx(ours["recall"] / 2, abs=0.05)
     assert theirs["detector"] == "strange_detectors:Shy"
     assert set(ours) >= ROW_KEYS
+
+
+def test_the_example_of_the_documentation_works(tmp_path, monkeypatch):
+    """The ten lines as they stand there, with a library in place of the reader's own."""
+    text = (Path(__file__).parent.parent / "docs" / "benchmark.md").read_text("utf-8")
+    (tmp_path / "mine.py").write_text(text.split("```python\n")[1].split("```")[0], "utf-8")
+    (tmp_path / "my_library.py").write_text(
+        "from skyherd.vision import create_detector\n"
+        "def find_markers(image):\n"
+        "    seen = create_detector('aruco').detect(image)\n"
+        "    return seen.ids, seen.corners_px\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    (row,) = measure_cells(Plan(("mine:make",), "4X4_50", 1), [Cell(noise=2.0, cameras=1, frames=2)])
+    for module in ("mine", "my_library"):
+        sys.modules.pop(module)
+    assert row["recall"] > 0.9 and row["nees"] is None and row["rmse_px"] < 0.2
 
 
 @pytest.mark.parametrize(

@@ -151,7 +151,7 @@ def make_frame(shot: Shot, image: npt.NDArray[np.uint8], truth: FrameTruth, boun
 
 
 def marker_bounds(cell: Cell, dictionary: str, blur_px: float, truth: FrameTruth) -> Array:
-    """Bound (N, 3, 3) at a cell's noise and levels; a streak of length L adds L² / 24 to the blur's variance."""
+    """Bound (N, 3, 3) at a cell's noise and levels; a streak L px long adds L² / 24 of variance."""
     noise = float(np.hypot(cell.noise, ROUNDING_VARIANCE**0.5))
     return pose_covariances(
         dictionary,

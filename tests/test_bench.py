@@ -128,14 +128,12 @@ def frame_of(**factors):
 
 
 def test_motion_blur_widens_the_bound_and_smooths_the_image():
-    """A streak of 4 px: variance 16 / 24 more in either direction beside 0.72."""
+    """An edge's variance grows as its blur: sqrt(1 + 16 / 24 / 0.72) = 1.39; edges along it stay sharp."""
     moved, still = frame_of(motion_px=4.0)
     np.testing.assert_allclose(moved.centers_px, still.centers_px)
-    assert (
-        np.hypot(*np.gradient(moved.image.astype(float))).max()
-        < 0.8 * np.hypot(*np.gradient(still.image.astype(float))).max()
-    )
-    assert (np.einsum("nii->ni", moved.bounds) > 1.5 * np.einsum("nii->ni", still.bounds)).all()
+    steep = [np.mean(np.square(np.gradient(frame.image.astype(float)))) for frame in (moved, still)]
+    assert steep[0] < 0.8 * steep[1]
+    assert (np.einsum("nii->ni", moved.bounds) > 1.3 * np.einsum("nii->ni", still.bounds)).all()
 
 
 def test_uneven_light_spans_its_share_and_saturates_nothing():
@@ -152,7 +150,7 @@ def test_uneven_light_spans_its_share_and_saturates_nothing():
 
 @pytest.mark.parametrize("share", [0.02, 0.1])
 def test_occlusion_covers_its_share_of_each_marker(share):
-    """Pixels of the square that differ from the uncovered image; the disc's blurred rim adds up to 0.04."""
+    """Pixels of the square that differ from the uncovered image; the disc's blurred rim adds up to 0.05."""
     covered, bare = frame_of(occlusion=share)
     assert covered.whole.all()
     for (u, v), heading, side in zip(bare.centers_px, bare.headings_rad, bare.sides_px, strict=True):
@@ -160,7 +158,7 @@ def test_occlusion_covers_its_share_of_each_marker(share):
         turned = ((x - u) + 1j * (y - v)) * np.exp(-1j * heading)
         inside = (np.abs(turned.real) < side / 2) & (np.abs(turned.imag) < side / 2)
         changed = covered.image[inside] != bare.image[inside]
-        assert changed.mean() == pytest.approx(share, abs=0.04)
+        assert changed.mean() == pytest.approx(share, abs=0.05)
 
 
 def test_clutter_has_as_many_quadrilaterals_as_asked_for():

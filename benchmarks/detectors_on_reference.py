@@ -38,9 +38,9 @@ TILTS_DEG = (5.0, 15.0)
 def reference_frames(cell: Cell, dictionary: str, seed: int) -> Iterator[Frame]:
     """Frames of a cell from the reference, over a smooth random ground."""
     for unit in range(cell.cameras):
-        rng = np.random.default_rng([seed, unit])
+        layout, rng = (np.random.default_rng([seed, unit, use]) for use in range(2))
         ground: np.ndarray | None = None
-        for shot in camera_shots(cell, dictionary, unit, rng):
+        for shot in camera_shots(cell, dictionary, unit, layout):
             if ground is None:
                 ground = gaussian_filter(rng.standard_normal(shot.camera.size_px[::-1]), 4.0)
                 ground *= 12.0 / ground.std()

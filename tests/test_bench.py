@@ -3,6 +3,7 @@
 import json
 import sys
 from dataclasses import replace
+from importlib.util import module_from_spec, spec_from_file_location
 from itertools import pairwise
 from pathlib import Path
 
@@ -169,6 +170,25 @@ def test_clutter_has_as_many_quadrilaterals_as_asked_for():
     expected = 1 - np.exp(-150 * 30.0**2 * 0.7 / 307200)
     assert (bare.image < 70).mean() < 0.06
     assert dark == pytest.approx(expected, rel=0.35)
+
+
+@pytest.mark.parametrize("cell", [Cell(noise=0.01, blur_px=0.8), Cell(noise=0.01, tilt_deg=15.0)])
+def test_frames_from_the_reference_are_of_the_same_scenes(cell, monkeypatch):
+    """Truth and bounds to the last digit; images on the markers to a grey level, for both are rounded."""
+    folder = Path(__file__).parent
+    monkeypatch.syspath_prepend(str(folder))
+    spec = spec_from_file_location("on_reference", folder.parent / "benchmarks" / "detectors_on_reference.py")
+    module = module_from_spec(spec)
+    spec.loader.exec_module(module)
+    cell = replace(cell, cameras=1, frames=1)
+    ours, theirs = (next(source(cell, "4X4_50", 3)) for source in (rendered_frames, module.reference_frames))
+    np.testing.assert_allclose(ours.centers_px, theirs.centers_px)
+    np.testing.assert_allclose(ours.bounds, theirs.bounds)
+    y, x = np.mgrid[: ours.image.shape[0], : ours.image.shape[1]]
+    for (u, v), side in zip(ours.centers_px, ours.sides_px, strict=True):
+        inside = np.hypot(x - u, y - v) < 0.4 * side
+        away = np.abs(ours.image[inside].astype(int) - theirs.image[inside])
+        assert away.max() <= 1
 
 
 def test_the_bound_grows_with_noise_and_shrinks_with_the_side():

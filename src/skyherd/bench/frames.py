@@ -81,13 +81,13 @@ class FrameSource(Protocol):
 def rendered_frames(cell: Cell, dictionary: str, seed: int) -> Iterator[Frame]:
     """Frames of a cell from `skyherd.render`."""
     for unit in range(cell.cameras):
-        rng = np.random.default_rng([seed, unit])
-        toward, noise = rng.uniform(-np.pi, np.pi), np.random.default_rng([seed, unit, 1])
+        layout, rng, noise = (np.random.default_rng([seed, unit, use]) for use in range(3))
+        toward = rng.uniform(-np.pi, np.pi)
         light = Illumination(gradient=cell.uneven, gradient_rad=toward)
         # As much light less as the brightest border has more: white stays within 8 bits.
         sensor = Sensor(cell.noise, noise, gain=1.0 / (1.0 + cell.uneven / 2.0), illumination=light)
         renderer: Renderer | None = None
-        for shot in camera_shots(cell, dictionary, unit, rng):
+        for shot in camera_shots(cell, dictionary, unit, layout):
             renderer = renderer or _renderer(cell, dictionary, shot, sensor)
             yield _expose(cell, shot, renderer, rng)
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from multiprocessing import get_context
@@ -66,6 +67,10 @@ def measure_cells(
                 for future in as_completed(futures):
                     rows[futures[future]] = future.result()
                     on_cell(cells[futures[future]])
+            except BrokenProcessPool:
+                raise EntrantError(
+                    "a detector crashed its process; measure one at a time to see which"
+                ) from None
             except BaseException:
                 pool.shutdown(cancel_futures=True)
                 raise

@@ -87,7 +87,8 @@ class Shot:
     Attributes:
         unit_id: the camera.
         time_s: when it is taken.
-        camera, pose: its geometry.
+        camera: its intrinsics.
+        pose: where it is.
         blur_px: standard deviation of its lens's blur.
         ids: (N,) markers.
         positions_m: (N, 2) where they lie.

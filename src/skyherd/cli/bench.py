@@ -16,11 +16,13 @@ from skyherd.bench.runner import Plan, measure_cells
 from skyherd.bench.timing import measure_times, timing_cells
 from skyherd.cli.console import err, out, warn
 from skyherd.errors import InputError
+from skyherd.files import write_text
 
 bench_app = typer.Typer(help="Measure parts of skyherd, and their peers.", rich_markup_mode=None)
 
 FULL_FRAMES, FULL_BUDGET_S = 300, 5.0
 QUICK_FRAMES, QUICK_BUDGET_S = 20, 0.4
+PROBE = ".writable"
 QUICK_SIZES_PX = ((640, 480), (1280, 960))
 
 
@@ -61,6 +63,7 @@ def detectors(
     timed = timing_cells(QUICK_FRAMES, QUICK_SIZES_PX) if quick else timing_cells(FULL_FRAMES)
     plan = Plan(tuple(chosen), dictionary, seed, corrected=not uncorrected)
     out_dir.mkdir(parents=True, exist_ok=True)
+    write_text(out_dir / PROBE, "").unlink()  # better now than after a quarter of an hour
     with _Watcher(len(cells), len(timed)) as watcher:
         rows = measure_cells(plan, cells, jobs=jobs or os.cpu_count() or 1, on_cell=watcher.accuracy)
         times = measure_times(plan, timed, QUICK_BUDGET_S if quick else FULL_BUDGET_S, on_cell=watcher.timing)

@@ -1,6 +1,6 @@
 """The benchmark's grid and tilts on frames from the tests' analytic reference instead of our renderer.
 
-    python benchmarks/detectors_on_reference.py                     # about five minutes on two cores
+    python benchmarks/detectors_on_reference.py                     # about six minutes on two cores
     python benchmarks/detectors_on_reference.py --out runs/reference --detectors photometric,opencv
 
 The reference (`tests/reference.py`) shares nothing with `skyherd.render`: what a detector reaches on our
@@ -75,7 +75,7 @@ def cells(frames: int) -> list[Cell]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--detectors", default=f"photometric,{REFERENCE}", help="names, with commas between")
-    parser.add_argument("--frames", type=int, default=5, help="images of each of six cameras in a cell")
+    parser.add_argument("--frames", type=int, default=2, help="images of each of six cameras in a cell")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--jobs", type=int, default=os.cpu_count())
     parser.add_argument("--out", type=Path, help="folder for bench.json, page and figures")

@@ -17,6 +17,9 @@ MIDDLE_GREY = 130.0
 
 MOST_MARKERS = 16
 
+SMALL_IMAGES_PX = 40.0
+"""Markers up to this side are shown in images of 640x480, larger ones in 1280x960."""
+
 
 @dataclass(frozen=True)
 class Cell:
@@ -65,7 +68,7 @@ class Cell:
     @property
     def size_px(self) -> tuple[int, int]:
         """Width and height of the images: small markers have small images, for the sake of time."""
-        return (640, 480) if self.side_px <= 40 else (1280, 960)
+        return (640, 480) if self.side_px <= SMALL_IMAGES_PX else (1280, 960)
 
     def blur_of(self, camera: int) -> float:
         """Blur of one camera: the cell's, or an even spread over all cameras."""
@@ -138,6 +141,11 @@ def quick_design(clutter_images: int = 12) -> list[Cell]:
     return _design(Cell(cameras=2, frames=3), QUICK_SIDES_PX, (5.0,), QUICK_SWEEPS, clutter_images)
 
 
+def _frames(base: Cell, side_px: float) -> int:
+    """Images of a camera; fewer of the large ones, which take longer and have less to show in recall."""
+    return base.frames if side_px <= SMALL_IMAGES_PX else -(-base.frames // 3)
+
+
 def _design(
     base: Cell,
     sides_px: Iterable[float],
@@ -146,7 +154,9 @@ def _design(
     clutter_images: int,
 ) -> list[Cell]:
     grid = [
-        replace(base, sweep=GRID, side_px=float(side), noise=noise) for noise in noises for side in sides_px
+        replace(base, sweep=GRID, side_px=float(side), noise=noise, frames=_frames(base, side))
+        for noise in noises
+        for side in sides_px
     ]
     factors = [replace(base, sweep=s.name, **{s.key: value}) for s in sweeps for value in s.values]  # type: ignore[arg-type]
     empty = replace(

@@ -109,7 +109,7 @@ def _renderer(cell: Cell, dictionary: str, shot: Shot, sensor: Sensor) -> Render
     )
 
 
-@lru_cache(maxsize=12)
+@lru_cache(maxsize=6)
 def _ground(seed: int, sigma_px: float, clutter: Clutter | None) -> Ground:
     """Grounds are dear to make, and the same cameras come back in every cell."""
     return Ground(seed, sigma_px=sigma_px, clutter=clutter)

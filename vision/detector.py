@@ -24,7 +24,8 @@ class Detector(Protocol):
 
 _DETECTORS: dict[str, Callable[[str], Detector]] = {
     "aruco": ArucoDetector,
-    "photometric": PhotometricDetector,
+    "photometric": lambda dictionary: PhotometricDetector(dictionary, following=False),
+    "tracking": PhotometricDetector,
 }
 
 

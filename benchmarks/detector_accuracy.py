@@ -26,7 +26,7 @@ PER_FRAME = 16
 SIDES_PX = (10, 12, 13, 14, 15, 16, 18, 20, 22, 24, 27, 30, 35, 40, 45, 50, 60, 80)
 UNCORRECTED: dict[str, Callable[[], Detector]] = {
     "aruco": lambda: ArucoDetector(DICTIONARY, corrected=False),
-    "photometric": lambda: PhotometricDetector(DICTIONARY),
+    "photometric": lambda: PhotometricDetector(DICTIONARY, following=False),
 }
 TABLES = Path(__file__).parent.parent / "vision"
 

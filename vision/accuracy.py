@@ -12,6 +12,9 @@ import numpy as np
 
 from skyherd.geometry import Array
 
+MEASURED_AS = {"tracking": "photometric"}
+"""Detectors whose errors are those of another: following markers changes time, not error."""
+
 
 @dataclass(frozen=True)
 class DetectorAccuracy:
@@ -44,7 +47,8 @@ class DetectorAccuracy:
 
 def load_accuracy(detector: str) -> DetectorAccuracy:
     """Read the table `<detector>_accuracy.toml` that is shipped with the package."""
-    table = tomllib.loads(files("skyherd.vision").joinpath(f"{detector}_accuracy.toml").read_text("utf-8"))
+    measured = MEASURED_AS.get(detector, detector)
+    table = tomllib.loads(files("skyherd.vision").joinpath(f"{measured}_accuracy.toml").read_text("utf-8"))
     rows = table["size"]
 
     def column(name: str) -> Array:

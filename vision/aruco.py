@@ -4,11 +4,11 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from skyherd.errors import InputError
 from skyherd.geometry import Array, IntArray
 from skyherd.markers import load_dictionary, pose_of_corners
 from skyherd.messages import Detections
 from skyherd.vision.accuracy import DetectorAccuracy, load_accuracy
+from skyherd.vision.grey import check_grey
 
 MIN_SIDE_PX = 8.0
 """Smaller candidates are not looked at: a 4x4 marker then has little more than a pixel a cell."""
@@ -49,9 +49,7 @@ class ArucoDetector:
         Raises:
             InputError: the image is not a grey one of 8 bits.
         """
-        if image.ndim != 2 or image.dtype != np.uint8 or min(image.shape) < 1:
-            raise InputError("image", f"shape {image.shape}, {image.dtype}", "grey, (height, width), uint8")
-        ids, corners = self._find(image)
+        ids, corners = self._find(check_grey(image))
         centers, headings, sides = pose_of_corners(corners)
         covariances = np.zeros((ids.size, 3, 3))
         if self._accuracy is not None:

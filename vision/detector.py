@@ -26,7 +26,8 @@ class Detector(Protocol):
 
 _DETECTORS: dict[str, Callable[[str], Detector]] = {
     "aruco": ArucoDetector,
-    "photometric": PhotometricDetector,
+    "photometric": lambda dictionary: PhotometricDetector(dictionary, following=False),
+    "tracking": PhotometricDetector,
     **{name: partial(PeerDetector, name) for name in peer_names()},
 }
 

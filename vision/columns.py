@@ -1,0 +1,190 @@
+"""The linear model of a marker's pixels around a pose: its columns, drawn at the image's own pixels.
+
+With a marker's pattern T (`skyherd.vision.pattern`) at marker coordinates z = z(p) = x + iy,
+
+    I(p) ≈ a + b T + b (T_z · δz + T_log σ δ log σ) + g (1 - A) + (l_x x + l_y y) (r + T),
+
+with black a, contrast b, a step of the pose δz = d + (s + iθ) z + e z̄, a blur other than the pattern's,
+ground g beyond the card, and light l that changes over the marker, with r = a / b. Nothing is resampled but
+the pattern, so that the noise stays white.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from skyherd.geometry import Array, BoolArray, ComplexArray, IntArray
+from skyherd.vision.grey import Image
+from skyherd.vision.pattern import Pattern
+from skyherd.vision.shapes import Shapes
+
+Floats = npt.NDArray[np.float32]
+
+BLACK, CONTRAST, RIGHT, DOWN, TURN, GROW, BLUR, GROUND = range(8)
+SQUEEZE, LIGHT, PIXELS = [8, 9], [10, 11], 12
+"""Rows of the model's columns, two for what has two components, and of the pixels below them."""
+
+MIDDLE_GREY = 128.0
+"""Taken off the pixels, so that sums of their squares keep their digits."""
+
+ALIKE = 1.5
+"""Markers whose sides differ by no more than this factor are treated at once."""
+
+BLOCK = 64
+"""Pixels are padded to a multiple of this: OpenCV reads a pattern at blocks of points."""
+
+SEEN_SIGMAS = 3.0
+"""Ground nearer than this to a pixel is seen by it."""
+
+
+@dataclass(frozen=True)
+class Looks:
+    """What markers look like at their size and blur: N patterns, and what of the ground each would show.
+
+    `limits` (N,) are the marker coordinates up to which pixels are read, `ratios` (N,) black over contrast.
+    """
+
+    patterns: list[Pattern]
+    grounds: list[Pattern]
+    limits: Array
+    sees_ground: BoolArray
+    ratios: Array
+
+    def take(self, rows: IntArray) -> "Looks":
+        """Some of them."""
+        return Looks(
+            [self.patterns[row] for row in rows],
+            [self.grounds[row] for row in rows],
+            self.limits[rows],
+            self.sees_ground[rows],
+            self.ratios[rows],
+        )
+
+
+class Pixels:
+    """The pixels of some of an image's markers, and the model's columns at them.
+
+    Attributes:
+        rows: (N,) which of the image's markers they are.
+        columns: (N, 13, M) the model's columns and the pixels, zero in padding.
+    """
+
+    def __init__(self, image: Image, rows: IntArray, shapes: Shapes, looks: Looks) -> None:
+        self.rows = rows
+        marker, u, v = _pixels_within(shapes, looks.limits, image.shape)
+        counts = np.bincount(marker, minlength=rows.size)
+        size = -(-max(int(counts.max()), 1) // BLOCK) * BLOCK
+        slot = np.arange(marker.size) + np.repeat(
+            np.arange(rows.size) * size - np.cumsum(counts) + counts, counts
+        )
+        self.mask = np.arange(size) < counts[:, None]
+        self.columns = np.zeros((rows.size, PIXELS + 1, size), dtype=np.float32)
+        self.columns[:, BLACK] = self.mask
+        points, grey = (
+            np.zeros((2, rows.size * size), dtype=np.float32),
+            np.zeros(rows.size * size, dtype=np.float32),
+        )
+        origins = np.rint(shapes.centers)
+        points[0, slot], points[1, slot] = u - origins.real[marker], v - origins.imag[marker]
+        grey[slot] = image[v, u] - np.float32(MIDDLE_GREY)
+        self.columns[:, PIXELS] = grey.reshape(rows.size, size)
+        self.x, self.y = _marker_coordinates(shapes, origins, points.reshape(2, rows.size, size))
+        self._fill(looks)
+
+    def _fill(self, looks: Looks) -> None:
+        """Read the patterns at the pixels and make the model's columns of them."""
+        x, y, columns = self.x, self.y, self.columns
+        drawn = np.empty((*x.shape, 4), dtype=np.float32)
+        for row, pattern in enumerate(looks.patterns):
+            _read(pattern, x[row], y[row], drawn[row])
+            if looks.sees_ground[row]:
+                _read(looks.grounds[row], x[row], y[row], columns[row, GROUND])
+        columns[:, GROUND] *= self.mask
+        drawn *= self.mask[..., None]
+        columns[:, CONTRAST], columns[:, BLUR] = drawn[..., 0], drawn[..., 3]
+        slope_x, slope_y = np.ascontiguousarray(drawn[..., 1]), np.ascontiguousarray(drawn[..., 2])
+        np.negative(slope_x, out=columns[:, RIGHT])
+        np.negative(slope_y, out=columns[:, DOWN])
+        xx, yy, xy, yx = x * slope_x, y * slope_y, x * slope_y, y * slope_x
+        np.subtract(yx, xy, out=columns[:, TURN])
+        np.add(-xx, -yy, out=columns[:, GROW])
+        np.subtract(yy, xx, out=columns[:, SQUEEZE[0]])
+        np.add(-yx, -xy, out=columns[:, SQUEEZE[1]])
+        light = columns[:, CONTRAST] + looks.ratios.astype(np.float32)[:, None] * self.mask
+        np.multiply(x, light, out=columns[:, LIGHT[0]])
+        np.multiply(y, light, out=columns[:, LIGHT[1]])
+
+    def cell_means(self, solutions: Array, n_cells: int) -> Array:
+        """(N, n, n): mean over each cell of what the model at `solutions` (N, 12) leaves, grey levels."""
+        count = self.rows.size
+        model = np.concatenate([-solutions, np.ones((count, 1))], axis=1).astype(np.float32)
+        left = (model[:, None] @ self.columns)[:, 0]
+        across, down = (np.floor((z + np.float32(0.5)) * n_cells).astype(np.int32) for z in (self.x, self.y))
+        inside = (np.minimum(across, down) >= 0) & (np.maximum(across, down) < n_cells) & self.mask
+        cell = (np.arange(count, dtype=np.int32)[:, None] * n_cells + down) * n_cells + across
+        sums, sizes = (
+            np.bincount(cell[inside], weights, minlength=count * n_cells**2)
+            for weights in (left[inside], None)
+        )
+        return (sums / np.maximum(sizes, 1)).reshape(count, n_cells, n_cells)
+
+
+def _pixels_within(
+    shapes: Shapes, limits: Array, image_shape: tuple[int, ...]
+) -> tuple[IntArray, IntArray, IntArray]:
+    """Marker, u and v of every pixel that lies in an image within `limits` (N,) of a marker's centre.
+
+    Each line of pixels meets the two strips `|x| < limit` and `|y| < limit` in intervals; their common part
+    is taken.
+    """
+    right, down = shapes.arms + shapes.squeezes, 1j * (shapes.arms - shapes.squeezes)
+    area = (right.conj() * down).imag
+    reach = limits * (np.abs(right.imag) + np.abs(down.imag))
+    first = np.ceil(shapes.centers.imag - reach)
+    lines = first[:, None] + np.arange(int(2 * reach.max()) + 1)
+    v = lines - shapes.centers.imag[:, None]
+    low, high = np.full(v.shape, -np.inf), np.full(v.shape, np.inf)
+    # x = (down_v u - down_u v) / area and y = (right_u v - right_v u) / area, from the marker's centre.
+    for per_u, per_v in ((down.imag / area, -down.real / area), (-right.imag / area, right.real / area)):
+        per_u = np.where(np.abs(per_u) < 1e-12, 1e-12, per_u)[:, None]
+        middle, half = -per_v[:, None] * v / per_u, limits[:, None] / np.abs(per_u)
+        low, high = np.maximum(low, middle - half), np.minimum(high, middle + half)
+    low = np.maximum(np.ceil(low + shapes.centers.real[:, None]), 0)
+    high = np.minimum(np.floor(high + shapes.centers.real[:, None]), image_shape[1] - 1)
+    inside = (lines >= 0) & (lines < image_shape[0])
+    counts = np.where(inside, np.maximum(high - low + 1, 0), 0).astype(np.int64).ravel()
+    line = np.repeat(np.arange(counts.size), counts)
+    u = np.arange(line.size) + np.repeat(low.ravel() - np.cumsum(counts) + counts, counts)
+    return line // lines.shape[1], u.astype(np.int64), lines.ravel()[line].astype(np.int64)
+
+
+def _marker_coordinates(shapes: Shapes, origins: ComplexArray, points: Floats) -> tuple[Floats, Floats]:
+    """x, y (N, M) of pixels (2, N, M) from `origins`."""
+    (a, b, c), (d, e, f), (g, h, i) = np.moveaxis(np.linalg.inv(shapes.matrices(origins)), 0, 2)[
+        ..., None
+    ].astype(np.float32)
+    u, v = points
+    x, y = a * u + b * v + c, d * u + e * v + f
+    if not shapes.horizons.any():
+        return x, y
+    w = g * u + h * v + i
+    return x / w, y / w
+
+
+def _read(pattern: Pattern, x: Floats, y: Floats, out: Floats) -> None:
+    """A pattern's values at marker coordinates (M,), into `out` (M,) or (M, 4)."""
+    u, v = ((z * np.float32(pattern.rate) + np.float32(pattern.center)).reshape(-1, BLOCK) for z in (x, y))
+    into = out.reshape(*u.shape, *out.shape[1:])
+    cv2.remap(pattern.values, u, v, cv2.INTER_LINEAR, dst=into, borderMode=cv2.BORDER_REPLICATE)
+
+
+def take_pixels(image: Image, rows: IntArray, shapes: Shapes, looks: Looks) -> list[Pixels]:
+    """Pixels of the markers `rows`, those whose sides differ by less than `ALIKE` together."""
+    kinds = np.floor(np.log(shapes.sides_px()[rows]) / np.log(ALIKE))
+    return [
+        Pixels(image, alike, shapes.take(alike), looks.take(alike))
+        for kind in np.unique(kinds)
+        for alike in [rows[kinds == kind]]
+    ]

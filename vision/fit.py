@@ -1,0 +1,199 @@
+"""Markers fitted to pixels: as well as the noise allows.
+
+Each step is Gauss and Newton's in all a marker's unknowns (`skyherd.vision.columns`), with the squeezes of
+all markers as of one plane (`skyherd.vision.plane`) where that explains them, and light even where it is. The
+covariance is `σ_n² (JᵀJ)⁻¹`, with the noise σ_n from what the fit leaves of the pixels.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from skyherd.geometry import Array, IntArray
+from skyherd.markers import QUIET_ZONE_CELLS, cells_per_side
+from skyherd.vision import columns
+from skyherd.vision.columns import BLACK, BLUR, CONTRAST, LIGHT, MIDDLE_GREY, PIXELS, SQUEEZE, Looks, Pixels
+from skyherd.vision.grey import Image
+from skyherd.vision.pattern import blur_bucket, make_ground, make_pattern
+from skyherd.vision.plane import Plane, fit_plane
+from skyherd.vision.regression import Solved
+from skyherd.vision.rows import Rows
+from skyherd.vision.shapes import CORNERS, Shapes
+
+INSIDE_SIGMAS, OUTSIDE_SIGMAS = 1.2, 2.5
+"""Pixels are read to the latter beyond the black square, and to the former within the card's edge."""
+
+ROUNDS = 6
+"""Most steps taken."""
+
+SETTLED_PX = 0.15
+"""A marker is settled once a step moves no corner by more than this: as `∫ T' T'' = 0` over an edge, a step s
+leaves `s³ / (12 σ²)`, here 0.0008 px at most."""
+
+STRAIGHT_PX = 0.002
+"""Nor is it settled while the horizon last found would move a corner by more than this."""
+
+USUAL_RATIO = 0.15
+"""Black over contrast, until a fit tells."""
+
+LARGEST_STEP = 0.15
+"""Steps are cut to this, in marker sides, radians and logarithms of scale."""
+
+UNEVEN = 3.0
+"""Light is taken as uneven once the markers' mean chi-squared exceeds its mean by so many deviations."""
+
+
+@dataclass(frozen=True)
+class Fits(Rows):
+    """How N markers were fitted.
+
+    Attributes:
+        ids: (N,).
+        shapes: where they lie.
+        covariances: (N, 3, 3) of (u, v, heading).
+        contrasts: (N,) grey levels from black to white.
+        noises: (N,) standard deviation of what is left of the pixels, grey levels.
+        log_blurs: (N,) by how much the blur differs from what it was taken for.
+        blurs_cells: (N,) what it was taken for, in cells.
+        pixels: (N,) pixels read.
+        cell_means: (N, n, n) mean of what is left over each cell, grey levels.
+    """
+
+    ids: IntArray
+    shapes: Shapes
+    covariances: Array
+    contrasts: Array
+    noises: Array
+    log_blurs: Array
+    blurs_cells: Array
+    pixels: Array
+    cell_means: Array
+
+
+def no_fits(dictionary: str) -> Fits:
+    """None at all."""
+    n, none, points = cells_per_side(dictionary), np.zeros(0), np.zeros(0, dtype=complex)
+    shapes = Shapes(points, points, points, points)
+    covariances, cells = np.zeros((0, 3, 3)), np.zeros((0, n, n))
+    return Fits(np.zeros(0, dtype=np.int64), shapes, covariances, none, none, none, none, none, cells)
+
+
+def fit_markers(
+    image: Image, dictionary: str, ids: IntArray, shapes: Shapes, sigma_px: float, plane: Plane
+) -> tuple[Fits, Plane]:
+    """Fit markers `ids` (N,) that lie near `shapes`, a pixel or two or a tenth of a side from the truth.
+
+    Args:
+        image: grey, (height, width).
+        dictionary: of the markers.
+        ids: (N,), at least one.
+        shapes: N of them, where to begin.
+        sigma_px: blur of lens and pixel together, as far as it is known.
+        plane: that the markers lie on, as far as it is known.
+
+    Returns:
+        The fits, and the plane that they say the markers lie on.
+    """
+    middle = complex(image.shape[1] - 1, image.shape[0] - 1) / 2
+    sides_px = shapes.sides_px()
+    looks = _looks(dictionary, ids, sigma_px / sides_px)
+    grams = np.empty((ids.size, PIXELS + 1, PIXELS + 1))
+    taken: list[Pixels] = []
+    start = shapes = replace(shapes, horizons=plane.horizons(shapes.centers - middle))
+    rows = np.arange(ids.size)
+    for _ in range(ROUNDS):
+        start = start.replaced(rows, shapes)
+        for pixels in columns.take_pixels(image, rows, start, looks):
+            grams[pixels.rows] = pixels.columns @ pixels.columns.transpose(0, 2, 1)
+            taken.append(pixels)
+        solved = Solved.of(grams)
+        if not _is_uneven(solved):
+            solved = solved.holding(LIGHT, np.zeros((ids.size, 2)))
+        plane, squeezes = _common_plane(solved, start, middle)
+        solved = solved.holding(SQUEEZE, squeezes)
+        looks = replace(looks, ratios=(solved.values[:, BLACK] + MIDDLE_GREY) / solved.contrasts())
+        shapes, moved_px = _step(solved, start)
+        shapes = replace(shapes, horizons=plane.horizons(shapes.centers - middle))
+        bent_px = np.abs(shapes.horizons - start.horizons) * sides_px**2 / 2
+        rows = np.flatnonzero((moved_px > SETTLED_PX) | (bent_px > STRAIGHT_PX))
+        if not rows.size:
+            break
+    n_cells = cells_per_side(dictionary)
+    return Fits(
+        ids=ids,
+        shapes=shapes,
+        covariances=_covariances(solved, shapes),
+        contrasts=solved.values[:, CONTRAST],
+        noises=solved.noises(),
+        log_blurs=solved.values[:, BLUR] / solved.contrasts(),
+        blurs_cells=sigma_px / sides_px * n_cells,
+        pixels=solved.pixels,
+        cell_means=_cell_means(taken, solved, n_cells),
+    ), plane
+
+
+def _looks(dictionary: str, ids: IntArray, relative_sigmas: Array) -> Looks:
+    """What markers of `ids` (N,) look like under blurs (N,), in marker sides."""
+    quiet = QUIET_ZONE_CELLS / cells_per_side(dictionary)
+    buckets = [blur_bucket(sigma) for sigma in relative_sigmas]
+    beyond = np.clip(quiet - INSIDE_SIGMAS * relative_sigmas, 0, OUTSIDE_SIGMAS * relative_sigmas)
+    return Looks(
+        patterns=[make_pattern(dictionary, int(i), bucket) for i, bucket in zip(ids, buckets, strict=True)],
+        grounds=[make_ground(dictionary, bucket) for bucket in buckets],
+        limits=0.5 + beyond,
+        sees_ground=quiet - beyond < columns.SEEN_SIGMAS * relative_sigmas,
+        ratios=np.full(ids.size, USUAL_RATIO),
+    )
+
+
+def _cell_means(taken: list[Pixels], solved: Solved, n_cells: int) -> Array:
+    """(N, n, n) what is left over each cell, in the pixels last taken of each marker."""
+    means = np.empty((solved.pixels.size, n_cells, n_cells))
+    for pixels in taken:
+        means[pixels.rows] = pixels.cell_means(solved.values[pixels.rows], n_cells)
+    return means
+
+
+def _is_uneven(solved: Solved) -> bool:
+    """Whether light changes over the markers, by the mean of their chi-squared of two degrees of freedom."""
+    chi_squared = solved.growth(LIGHT, np.zeros((solved.pixels.size, 2))) / solved.noises() ** 2 / 2
+    return bool(chi_squared.mean() > 1 + UNEVEN / np.sqrt(chi_squared.size))
+
+
+def _common_plane(solved: Solved, shapes: Shapes, middle: complex) -> tuple[Plane, Array]:
+    """The plane, and the unknowns for squeeze and shear (N, 2) that put the markers on it."""
+    contrasts = solved.contrasts()
+    found = solved.values[:, SQUEEZE] @ np.array([1, 1j]) / contrasts
+    spread = np.einsum("nii->n", solved.inverses[:, SQUEEZE][:, :, SQUEEZE]) / 2
+    points = shapes.centers - middle
+    squeezes = (shapes.squeezes + shapes.arms * found) / shapes.arms.conj()
+    plane = fit_plane(points, squeezes, spread * (solved.noises() / contrasts) ** 2)
+    if plane.shared:
+        found = (plane.squeezes(points) * shapes.arms.conj() - shapes.squeezes) / shapes.arms
+    return plane, np.stack([found.real, found.imag], axis=1) * contrasts[:, None]
+
+
+def _step(solved: Solved, shapes: Shapes) -> tuple[Shapes, Array]:
+    """The shapes moved as solved, cut to `LARGEST_STEP`, and by how much (N,) a corner moves, px."""
+    steps = solved.values / solved.contrasts()[:, None]
+    shift = steps[:, columns.RIGHT] + 1j * steps[:, columns.DOWN]
+    grow = steps[:, columns.GROW] + 1j * steps[:, columns.TURN]
+    squeeze = steps[:, SQUEEZE] @ np.array([1, 1j])
+    size = np.abs(shift) + abs(CORNERS[0]) * (np.abs(grow) + np.abs(squeeze))
+    cut = np.minimum(1.0, LARGEST_STEP / np.maximum(size, 1e-12))
+    return shapes.moved(cut * shift, cut * grow, cut * squeeze), size * shapes.sides_px()
+
+
+def _covariances(solved: Solved, shapes: Shapes) -> Array:
+    """(N, 3, 3) of (u, v, heading): the unknowns' covariance through the marker's shape.
+
+    A step moves the centre by `m d + k d̄` and turns forward by `Re((m + k) / (m - k)) (θ - e_shear)`.
+    """
+    right, down = shapes.arms + shapes.squeezes, 1j * (shapes.arms - shapes.squeezes)
+    turn = (right / (shapes.arms - shapes.squeezes)).real
+    to_pose = np.zeros((len(shapes), 3, PIXELS))
+    for column, axis in ((columns.RIGHT, right), (columns.DOWN, down)):
+        to_pose[:, 0, column], to_pose[:, 1, column] = axis.real, axis.imag
+    to_pose[:, 2, columns.TURN], to_pose[:, 2, SQUEEZE[1]] = turn, -turn
+    scale = (solved.noises() / solved.contrasts()) ** 2
+    return np.asarray(to_pose @ solved.inverses @ to_pose.transpose(0, 2, 1) * scale[:, None, None])

@@ -1,0 +1,100 @@
+"""What a marker looks like under blur, and how that changes with pose and blur: the templates of the fit.
+
+In marker coordinates z = right + i down, of unit side and with black as 0 and white as 1, a marker on endless
+white, seen under a Gaussian of standard deviation σ, separates (`skyherd.optics`):
+
+    T(y, x) = 1 - Σ_r Σ_c E_r(y) B_rc E_c(x),   B_rc = 1 where the cell is black,
+
+and so do its derivatives T_x, T_y and, by the heat equation, `T_log σ = σ² (T_xx + T_yy)`.
+"""
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from skyherd.geometry import Array
+from skyherd.markers import QUIET_ZONE_CELLS, cells_per_side, marker_cells
+from skyherd.optics import gather_with_derivatives
+
+BLUR_STEP = 1.05
+"""Patterns are kept for blurs, in sides, in this geometric progression; the fit takes up the rest."""
+
+SAMPLES_PER_SIGMA = 3.0
+"""Bilinear reading adds `f (1 - f) h² T'' / 2`, which is `h² T'' / 12` on average and is taken off
+beforehand. What is left is `h² T'' / 12 = 0.11 x 0.24 / 12` of the contrast at most: 0.45 of 200 levels."""
+
+MAX_SAMPLES = 640
+"""Patterns of large markers are sampled less finely, so that each takes 6.5 MB at most."""
+
+REACH_SIGMAS = 4.0
+
+
+@dataclass(frozen=True)
+class Pattern:
+    """T, T_x, T_y, T_log σ of one marker, (S, S, 4) float32, at samples `rate z + center`."""
+
+    values: npt.NDArray[np.float32]
+    rate: float
+
+    @property
+    def center(self) -> float:
+        """Sample at which the marker's centre lies, along either axis."""
+        return (len(self.values) - 1) / 2
+
+
+def _pattern(values: Array, rate: float) -> Pattern:
+    """A pattern of `rate` samples to a marker side, the marker's centre in its middle."""
+    kept = np.ascontiguousarray(values, dtype=np.float32)
+    kept.setflags(write=False)
+    return Pattern(kept, rate)
+
+
+def blur_bucket(relative_sigma: float) -> int:
+    """Index of the pattern nearest to a blur, in marker sides."""
+    return round(math.log(relative_sigma) / math.log(BLUR_STEP))
+
+
+def _axis(extent: float, sigma: float) -> tuple[Array, float]:
+    """Samples from -extent to extent or a little further, and how many there are to a side."""
+    half = int(np.ceil(extent * SAMPLES_PER_SIGMA / sigma))
+    rate = min(half, MAX_SAMPLES // 2) / extent
+    half = min(half, MAX_SAMPLES // 2)
+    return np.arange(-half, half + 1) / rate, rate
+
+
+@lru_cache(maxsize=256)
+def make_pattern(dictionary: str, marker_id: int, bucket: int) -> Pattern:
+    """Pattern of a marker at a blur of `BLUR_STEP ** bucket` marker sides."""
+    sigma = BLUR_STEP**bucket
+    n = cells_per_side(dictionary)
+    x, rate = _axis(0.5 + REACH_SIGMAS * sigma, sigma)
+    e = gather_with_derivatives(x, np.arange(n + 1) / n - 0.5, sigma)
+    black = (~marker_cells(dictionary, marker_id)).astype(float)
+    value, slope, curvature = e.value, e.slope, sigma**2 * e.curvature
+
+    def product(down: Array, right: Array) -> Array:
+        # OpenCV's product, not NumPy's: BLAS threads on so small a product cost more than it does.
+        return np.asarray(cv2.gemm(down @ black, right, -1.0, np.empty(0), 0.0, flags=cv2.GEMM_2_T))
+
+    bend = product(value, curvature) + product(curvature, value)
+    channels = [
+        1.0 + product(value, value) - bend / (12 * (sigma * rate) ** 2),
+        product(value, slope),
+        product(slope, value),
+        bend,
+    ]
+    return _pattern(np.stack(channels, axis=-1), rate)
+
+
+@lru_cache(maxsize=64)
+def make_ground(dictionary: str, bucket: int) -> Pattern:
+    """What of the ground beyond the card is seen, `1 - A(y) A(x)`, (S, S) float32, as `make_pattern`."""
+    sigma = BLUR_STEP**bucket
+    half_card = 0.5 + QUIET_ZONE_CELLS / cells_per_side(dictionary)
+    x, rate = _axis(half_card + REACH_SIGMAS * sigma, sigma)
+    cover = gather_with_derivatives(x, np.array([-half_card, half_card]), sigma).value[:, 0]
+    return _pattern(1.0 - np.outer(cover, cover), rate)

@@ -1,0 +1,77 @@
+"""The plane that the markers of an image share, from how each of them is squeezed.
+
+Seen by a camera whose pixels are oblong or whose axis is tilted, squares become parallelograms that shrink
+towards the horizon. With image points p = u + iv from the image's centre, the plane's map to the image is,
+but for a similarity, `p = A q / (1 + l·q)` with A squeezing by α; a marker at p is then squeezed by
+
+    ε(p) = (α (1 - p λ̄ / 2) - p λ / 2) / (1 - p̄ λ / 2 - p̄ λ̄ α / 2) ≈ α - p λ / 2,
+
+with the line λ̄·p = 1 as horizon. α and λ are all that a tilt, an aspect and a skew do to a marker, whatever
+the camera is; no focal length enters.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from skyherd.geometry import Array, ComplexArray
+
+SIGNIFICANT = 3.0
+"""Standard deviations, of the mean of a chi-squared, by which simpler planes must fail to be given up."""
+
+ROUNDS = 3
+
+
+@dataclass(frozen=True)
+class Plane:
+    """Squeeze α at the image's centre, and horizon λ, 1/px; both zero for a camera that looks straight down.
+
+    `shared` is false where markers do not lie as on one plane: each is then squeezed in its own way.
+    """
+
+    squeeze: complex = 0j
+    horizon: complex = 0j
+    shared: bool = True
+
+    def squeezes(self, points: ComplexArray) -> ComplexArray:
+        """ε (N,) of markers at image points (N,) from the image's centre."""
+        a, h = self.squeeze, self.horizon
+        top = a * (1 - points * np.conj(h) / 2) - points * h / 2
+        return np.asarray(top / (1 - points.conj() * h / 2 - points.conj() * np.conj(h) * a / 2))
+
+    def horizons(self, points: ComplexArray) -> ComplexArray:
+        """Horizons h (N,) of `Shapes` for markers at image points (N,): `λ / (1 - λ·p)`."""
+        return np.asarray(self.horizon / (1 - (np.conj(self.horizon) * points).real))
+
+
+def fit_plane(points: ComplexArray, squeezes: ComplexArray, variances: Array) -> Plane:
+    """The simplest plane that explains the squeezes (N,) seen at image points (N,).
+
+    Tried in turn: a camera that looks straight down; one squeeze for all; a tilted plane; none, each marker
+    in its own way. `variances` (N,) are those of each of the squeezes' two components. A plane explains them
+    if their chi-squared a degree of freedom is within `SIGNIFICANT` deviations of 1.
+    """
+    candidates = [Plane()]
+    if points.size >= 2:
+        candidates.append(_solve(points, squeezes, variances, tilted=False))
+    if points.size >= 3:
+        candidates.append(_solve(points, squeezes, variances, tilted=True))
+    for unknowns, plane in zip((0, 2, 4), candidates, strict=False):
+        freedom = 2 * points.size - unknowns
+        chi_squared = float(np.sum(np.abs(squeezes - plane.squeezes(points)) ** 2 / variances))
+        if chi_squared <= freedom + SIGNIFICANT * np.sqrt(2 * freedom):
+            return plane
+    return Plane(candidates[-1].squeeze, candidates[-1].horizon, shared=False)
+
+
+def _solve(points: ComplexArray, squeezes: ComplexArray, variances: Array, *, tilted: bool) -> Plane:
+    """Weighted least squares in α, and in λ if `tilted`; second-order terms are the last round's."""
+    weight = 1 / np.sqrt(variances)
+    columns = np.stack([np.ones_like(points), -points / 2], axis=1)[:, : 1 + tilted] * weight[:, None]
+    plane = Plane()
+    for _ in range(ROUNDS):
+        a, h = plane.squeeze, plane.horizon
+        second = (a * points * np.conj(h) - squeezes * points.conj() * (h + np.conj(h) * a)) / 2
+        solution = np.linalg.lstsq(columns, weight * (squeezes + second), rcond=None)[0]
+        plane = Plane(complex(solution[0]), complex(solution[1]) if tilted else 0j)
+    return plane

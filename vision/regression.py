@@ -1,0 +1,79 @@
+"""Least squares of many markers at once, from Gram matrices, with unknowns held or set free at will.
+
+All columns of a marker's model and its pixels make one matrix of inner products. Its solution x with every
+unknown free also gives that with some of them held at h, `x - C_xh C_hh⁻¹ (x_h - h)` with C the inverse
+normal matrix: hypotheses are compared without looking at the pixels again.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from skyherd.geometry import Array
+from skyherd.vision.columns import BLACK, CONTRAST, GROUND, PIXELS
+
+GROUND_RIDGE = 3e-4
+"""Added to the ground's own element of the Gram matrix, since there may be none to be seen: a deviation of
+58 σ_n about the card's white."""
+
+LEAST_CONTRAST = 4.0
+"""Grey levels between black and white under which nothing is there to be fitted."""
+
+_RIDGE = np.full(PIXELS, 1e-9)
+_RIDGE[GROUND] = GROUND_RIDGE
+
+
+@dataclass(frozen=True)
+class Solved:
+    """Solutions for N markers.
+
+    Attributes:
+        values: (N, 12) the unknowns, in the order of `skyherd.vision.columns`.
+        inverses: (N, 12, 12) inverse normal matrices C, zero for what is held.
+        squares: (N,) sum of squares left.
+        pixels: (N,) pixels read.
+        free: number of unknowns that are not held.
+    """
+
+    values: Array
+    inverses: Array
+    squares: Array
+    pixels: Array
+    free: int = PIXELS
+
+    @classmethod
+    def of(cls, grams: Array) -> "Solved":
+        """Solve for all unknowns of Gram matrices (N, 13, 13)."""
+        right = grams[:, :PIXELS, PIXELS]
+        inverses = np.linalg.inv(grams[:, :PIXELS, :PIXELS] + np.diag(_RIDGE)).astype(float)
+        values: Array = (inverses @ right[..., None])[..., 0]
+        squares: Array = np.maximum(grams[:, PIXELS, PIXELS] - (values * right).sum(axis=1), 1e-9)
+        return cls(values, inverses, squares, grams[:, BLACK, BLACK])
+
+    def growth(self, rows: list[int], at: Array) -> Array:
+        """(N,) by how much the squares grow if the unknowns `rows` are held at values (N, len(rows))."""
+        off = self.values[:, rows] - at
+        return np.asarray(np.einsum("ni,nij,nj->n", off, self._blocks(rows), off))
+
+    def holding(self, rows: list[int], at: Array) -> "Solved":
+        """The same with the unknowns `rows` held at values (N, len(rows))."""
+        gain = self.inverses[:, :, rows] @ self._blocks(rows)
+        off = self.values[:, rows] - at
+        return Solved(
+            values=self.values - (gain @ off[..., None])[..., 0],
+            inverses=self.inverses - gain @ self.inverses[:, rows],
+            squares=self.squares + self.growth(rows, at),
+            pixels=self.pixels,
+            free=self.free - len(rows),
+        )
+
+    def _blocks(self, rows: list[int]) -> Array:
+        return np.linalg.inv(self.inverses[:, rows][:, :, rows]).astype(float)
+
+    def noises(self) -> Array:
+        """(N,) standard deviation of a pixel about the model."""
+        return np.asarray(np.sqrt(self.squares / np.maximum(self.pixels - self.free, 1.0)))
+
+    def contrasts(self) -> Array:
+        """(N,) grey levels, not below `LEAST_CONTRAST`."""
+        return np.maximum(self.values[:, CONTRAST], LEAST_CONTRAST)

@@ -1,0 +1,108 @@
+"""How markers lie in an image: a local homography each.
+
+A marker's plane has coordinates z = right + i down, in marker sides from its centre. Its image is
+
+    p(z) = p_0 + (m z + k z̄) / (1 + Re(h̄ (m z + k z̄))),
+
+with the centre p_0 = u + iv, the arm m that a similarity would have, the squeeze k by which the image differs
+from one, and the horizon h, all complex. The squeeze in image axes, `ε = k / m̄`, does not depend on how the
+marker is turned.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from skyherd.geometry import Array, ComplexArray, IntArray, to_complex
+from skyherd.vision.rows import Rows
+
+CORNERS: ComplexArray = np.array([-0.5 - 0.5j, 0.5 - 0.5j, 0.5 + 0.5j, -0.5 + 0.5j])
+"""Corners 0-3 in marker coordinates: the first two ahead, left and right."""
+
+
+@dataclass(frozen=True)
+class Shapes(Rows):
+    """Images of N markers.
+
+    Attributes:
+        centers: (N,) p_0, px.
+        arms: (N,) m, px.
+        squeezes: (N,) k, px.
+        horizons: (N,) h, 1/px.
+    """
+
+    centers: ComplexArray
+    arms: ComplexArray
+    squeezes: ComplexArray
+    horizons: ComplexArray
+
+    def __len__(self) -> int:
+        return int(self.centers.size)
+
+    @classmethod
+    def of_corners(cls, corners_px: Array) -> "Shapes":
+        """Least-squares affine shapes of corners (N, 4, 2)."""
+        corners = to_complex(corners_px)
+        power = np.sum(np.abs(CORNERS) ** 2)
+        return cls(
+            centers=corners.mean(axis=1),
+            arms=corners @ CORNERS.conj() / power,
+            squeezes=corners @ CORNERS / power,
+            horizons=np.zeros(len(corners), dtype=complex),
+        )
+
+    def replaced(self, rows: IntArray, others: "Shapes") -> "Shapes":
+        """With those at `rows` as in `others`, which has as many."""
+        swap = np.zeros(len(self), dtype=bool)
+        swap[rows] = True
+        pairs = zip(
+            (self.centers, self.arms, self.squeezes, self.horizons),
+            (others.centers, others.arms, others.squeezes, others.horizons),
+            strict=True,
+        )
+        return Shapes(*(np.where(swap, new, old) for old, new in pairs))
+
+    def moved(self, shift: ComplexArray, grow: ComplexArray, squeeze: ComplexArray) -> "Shapes":
+        """After `z ↦ shift + (1 + grow) z + squeeze z̄` in marker coordinates, to first order in each."""
+        return replace(
+            self,
+            centers=self.centers + self.arms * shift + self.squeezes * shift.conj(),
+            arms=self.arms * (1 + grow) + self.squeezes * squeeze.conj(),
+            squeezes=self.squeezes * (1 + grow.conj()) + self.arms * squeeze,
+        )
+
+    def images(self, z: ComplexArray) -> ComplexArray:
+        """Images (N, M) of points (M,) of the marker's plane."""
+        away = self.arms[:, None] * z + self.squeezes[:, None] * z.conj()
+        return np.asarray(self.centers[:, None] + away / (1 + (self.horizons.conj()[:, None] * away).real))
+
+    def scaled(self, factor: float) -> "Shapes":
+        """In an image shrunk by `factor`: pixel p is at `(p - (factor - 1) / 2) / factor` of it."""
+        middle = (factor - 1) / 2 * (1 + 1j)
+        return Shapes(
+            (self.centers - middle) / factor,
+            self.arms / factor,
+            self.squeezes / factor,
+            self.horizons * factor,
+        )
+
+    def sides_px(self) -> Array:
+        """Square roots of the areas of the markers' affine images: local scale, px a side."""
+        return np.asarray(np.sqrt(np.abs(np.abs(self.arms) ** 2 - np.abs(self.squeezes) ** 2)))
+
+    def headings_rad(self) -> Array:
+        """Directions of forward, z = -i."""
+        return np.angle(-1j * (self.arms - self.squeezes))
+
+    def matrices(self, origins: ComplexArray) -> Array:
+        """Homographies (N, 3, 3) from marker coordinates (right, down, 1) to pixels from `origins`."""
+        right, down = self.arms + self.squeezes, 1j * (self.arms - self.squeezes)
+        center = self.centers - origins
+        matrices = np.zeros((len(self), 3, 3))
+        last = [(self.horizons.conj() * axis).real for axis in (right, down)]
+        for column, axis in enumerate((right, down)):
+            matrices[:, 0, column] = axis.real + last[column] * center.real
+            matrices[:, 1, column] = axis.imag + last[column] * center.imag
+            matrices[:, 2, column] = last[column]
+        matrices[:, 0, 2], matrices[:, 1, 2], matrices[:, 2, 2] = center.real, center.imag, 1.0
+        return matrices

@@ -1,0 +1,69 @@
+"""Where markers will be in the next image: each goes on as it went from the last but one to the last.
+
+A step that turns and grows as the marker does is what a robot on an arc makes, or a camera that turns or
+zooms.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from skyherd.geometry import BoolArray, ComplexArray, IntArray
+from skyherd.vision.shapes import CORNERS, Shapes
+
+
+@dataclass(frozen=True)
+class Tracks:
+    """Markers being followed.
+
+    Attributes:
+        time_s: of the image they were last seen in.
+        ids: (N,).
+        shapes: as last seen.
+        velocities: (N,) of the centres, px/s; zero for a marker seen once.
+        growths: (N,) of the arms, 1/s: real part growth, imaginary part turn.
+    """
+
+    time_s: float
+    ids: IntArray
+    shapes: Shapes
+    velocities: ComplexArray
+    growths: ComplexArray
+
+    def elapsed_s(self, time_s: float) -> float:
+        """Time since the last image; 1 for images that come without times."""
+        return time_s - self.time_s if time_s > self.time_s else 1.0
+
+    def predicted(self, time_s: float) -> Shapes:
+        """Shapes at `time_s`: arms go on turning and growing, and so do the steps of the centres."""
+        elapsed = self.elapsed_s(time_s)
+        turn = np.exp(self.growths * elapsed)
+        return Shapes(
+            self.shapes.centers + self.velocities * turn * elapsed,
+            self.shapes.arms * turn,
+            self.shapes.squeezes * turn.conj(),
+            self.shapes.horizons,
+        )
+
+    def seen(self, time_s: float, ids: IntArray, shapes: Shapes) -> "Tracks":
+        """Tracks of the markers in the next image; those followed before have a velocity."""
+        elapsed = self.elapsed_s(time_s)
+        velocities, growths = np.zeros((2, ids.size), dtype=complex)
+        _, now, before = np.intersect1d(ids, self.ids, return_indices=True)
+        velocities[now] = (shapes.centers[now] - self.shapes.centers[before]) / elapsed
+        growths[now] = np.log(shapes.arms[now] / self.shapes.arms[before]) / elapsed
+        return Tracks(time_s, ids, shapes, velocities, growths)
+
+
+def no_tracks() -> Tracks:
+    """Nothing followed yet."""
+    none = np.zeros(0, dtype=complex)
+    return Tracks(0.0, np.zeros(0, dtype=np.int64), Shapes(none, none, none, none), none, none)
+
+
+def in_view(shapes: Shapes, image_shape: tuple[int, ...]) -> BoolArray:
+    """Which markers (N,) lie in an image (height, width) with all their corners."""
+    corners = shapes.images(CORNERS)
+    inside = (corners.real > -0.5) & (corners.real < image_shape[1] - 0.5)
+    inside &= (corners.imag > -0.5) & (corners.imag < image_shape[0] - 0.5)
+    return np.asarray(inside.all(axis=1))

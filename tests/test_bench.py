@@ -324,15 +324,7 @@ def test_tables_have_a_cell_for_every_column_and_name_ours_first(result):
 
 @pytest.mark.parametrize(
     ("value", "text"),
-    [
-        (1.0834, "1.08"),
-        (10.04, "10.0"),
-        (9.96, "10.0"),
-        (111.3, "111"),
-        (99.6, "100"),
-        (0.0, "0"),
-        (None, "–"),
-    ],
+    [(1.0834, "1.08"), (0.8, "0.80"), (9.996, "10.0"), (10.04, "10.0"), (99.96, "100"), (None, "–")],
 )
 def test_numbers(value, text):
     assert short(value) == text

@@ -109,13 +109,13 @@ SWEEPS = (
     Sweep("contrast", "contrast", "contrast (grey levels)", (40.0, 80.0, 140.0)),
     Sweep("tilt", "tilt_deg", "tilt (deg)", (5.0, 15.0, 30.0)),
     Sweep("uneven", "uneven", "change of light over the image", (0.3, 0.6)),
-    Sweep("occlusion", "occlusion", "share of the marker covered", (0.02, 0.05, 0.1)),
+    Sweep("occlusion", "occlusion", "share of the marker covered", (0.005, 0.02, 0.05)),
     Sweep("clutter", "clutter", "dark quadrilaterals in view", (50, 150)),
 )
 QUICK_SWEEPS = tuple(
     replace(sweep, values=values)
     for sweep, values in zip(
-        SWEEPS, ((0.5, 1.5), (2.0,), (80.0,), (15.0,), (0.3,), (0.05,), (150,)), strict=True
+        SWEEPS, ((0.5, 1.5), (2.0,), (80.0,), (15.0,), (0.3,), (0.02,), (150,)), strict=True
     )
 )
 

@@ -212,13 +212,13 @@ def draw_honesty(result: Result) -> Figure | None:
     figure = new_figure(3.7, 10.0)
     panels = figure.subplots(1, 3, sharey=True)
     noise = min(noises, key=lambda level: abs(level - 5.0))
-    for axis, title, axes in zip(("u", "v", "heading"), ("u", "v", "heading"), panels, strict=True):
+    for axis, axes in zip(("u", "v", "heading"), panels, strict=True):
         for name in telling:
             rows: list[Row] = result.by_side(name, noise)
             _line(axes, [(row["side_px"], row[f"nees_{axis}"]) for row in rows], detector_style(result, name))
         axes.axhspan(*HONEST, color=MUTED, alpha=0.18, lw=0)
         axes.axhline(1.0, color=INK, lw=1.0)
-        axes.set(title=title, xlabel="marker side (px)", yscale="log")
+        axes.set(title=axis, xlabel="marker side (px)", yscale="log")
         _side_axis(axes, (row["side_px"] for name in telling for row in result.by_side(name, noise)))
         axes.yaxis.set_major_locator(FixedLocator([0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 1000]))
         axes.yaxis.set_minor_locator(NullLocator())

@@ -48,10 +48,10 @@ def _pair(row: Row) -> str:
 
 
 def short(value: float | None) -> str:
-    """Three digits at most, and none after the point from 100 on."""
+    """Two digits after the point below ten, one below a hundred, none above."""
     if value is None:
         return NONE
-    return f"{value:.0f}" if value >= 99.5 else f"{value:.3g}" if value < 9.95 else f"{value:.1f}"
+    return f"{value:.0f}" if value >= 99.95 else f"{value:.1f}" if value >= 9.995 else f"{value:.2f}"
 
 
 def share(value: float | None) -> str:
@@ -142,7 +142,7 @@ def _false_positives(result: Result) -> Table:
         images = sum(row["images"] for row in rows)
         told = (NONE, NONE)
         if empty is not None:
-            told = (short(empty["false_positives_per_image"]), f"{empty['images']}")
+            told = (f"{empty['false_positives_per_image']:.3g}", f"{empty['images']}")
         body.append((name, *told, f"{total}", f"{images}"))
     return Table(
         "False positives",

@@ -59,18 +59,16 @@ def measure_times(
 def _measure(plan: Plan, cell: TimingCell, index: int, budget_s: float) -> list[Row]:
     dictionaries = {name: dictionary_for(name, plan.dictionary) for name in plan.detectors}
     entrants = {name: Entrant(name, dictionaries[name], plan.corrected) for name in plan.detectors}
-    streams = [
-        plan.source(cell, dictionary, plan.seed + 7919 * (index + 1))
+    streams = {
+        dictionary: plan.source(cell, dictionary, plan.seed + 7919 * (index + 1))
         for dictionary in dict.fromkeys(dictionaries.values())
-    ]
-    order = list(dict.fromkeys(dictionaries.values()))
+    }
     with one_thread():
-        for frames in zip(*streams, strict=True):
+        for _ in range(cell.frames):
             taking = [name for name, entrant in entrants.items() if not _spent(entrant, budget_s)]
-            if not taking:
-                break
+            shown = {wanted: next(streams[wanted]) for wanted in {dictionaries[name] for name in taking}}
             for name in taking:
-                entrants[name].take(frames[order.index(dictionaries[name])])
+                entrants[name].take(shown[dictionaries[name]])
     return [_row(cell, entrant, dictionaries[name], entrants) for name, entrant in entrants.items()]
 
 

@@ -53,16 +53,19 @@ def write_plots(result: Result, folder: Path) -> list[FigureFile]:
 
 
 def detector_style(result: Result, name: str) -> dict[str, Any]:
-    """Colour, line and mark of a detector, the same in all figures: ours solid, the others' dashed."""
+    """Colour, line and mark of a detector, the same in all figures: ours solid, the others' dashed.
+
+    Where ours coincide, the wider line of the one before shows beneath the next.
+    """
     same = [other for other in result.detectors if is_ours(other) == is_ours(name)]
     index, ours = same.index(name), is_ours(name)
     colors = OUR_COLORS if ours else OTHER_COLORS
     return {
         "color": colors[index % len(colors)],
         "linestyle": "-" if ours else "--",
-        "linewidth": 1.9 if ours else 1.2,
+        "linewidth": max(3.2 - 0.9 * index, 1.2) if ours else 1.2,
         "marker": MARKS[(index if ours else index + 4) % len(MARKS)],
-        "markersize": 4.5,
+        "markersize": max(7.5 - 1.5 * index, 4.0) if ours else 4.5,
     }
 
 

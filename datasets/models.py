@@ -214,7 +214,9 @@ class Scenario(Model):
     duration_s: Annotated[FiniteFloat, Field(gt=0, le=86400)] = Field(description="simulated time")
     step_s: Annotated[FiniteFloat, Field(gt=0, le=1)] = Field(0.1, description="time step of the world")
     perception: Literal["rendered", "ideal", "noisy"] = "rendered"
-    detector: str = Field("tracking", description="marker detector, by name: `skyherd.vision.detector_names()`")
+    detector: str = Field(
+        "tracking", description="marker detector, by name: `skyherd.vision.detector_names()`"
+    )
     template: TemplateModel
     robots: RobotsModel
     marker: MarkerModel

@@ -10,7 +10,7 @@ with the line λ̄·p = 1 as horizon. α and λ are all that a tilt, an aspect a
 the camera is; no focal length enters.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -51,17 +51,17 @@ def fit_plane(points: ComplexArray, squeezes: ComplexArray, variances: Array) ->
     in its own way. `variances` (N,) are those of each of the squeezes' two components. A plane explains them
     if their chi-squared a degree of freedom is within `SIGNIFICANT` deviations of 1.
     """
-    candidates = [Plane()]
-    if points.size >= 2:
-        candidates.append(_solve(points, squeezes, variances, tilted=False))
-    if points.size >= 3:
-        candidates.append(_solve(points, squeezes, variances, tilted=True))
-    for unknowns, plane in zip((0, 2, 4), candidates, strict=False):
+    plane = Plane()
+    for unknowns in (0, 2, 4):
         freedom = 2 * points.size - unknowns
+        if unknowns and freedom <= 0:
+            break
+        if unknowns:
+            plane = _solve(points, squeezes, variances, tilted=unknowns == 4)
         chi_squared = float(np.sum(np.abs(squeezes - plane.squeezes(points)) ** 2 / variances))
         if chi_squared <= freedom + SIGNIFICANT * np.sqrt(2 * freedom):
             return plane
-    return Plane(candidates[-1].squeeze, candidates[-1].horizon, shared=False)
+    return replace(plane, shared=False)
 
 
 def _solve(points: ComplexArray, squeezes: ComplexArray, variances: Array, *, tilted: bool) -> Plane:

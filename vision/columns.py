@@ -43,11 +43,13 @@ SEEN_SIGMAS = 3.0
 class Looks:
     """What markers look like at their size and blur: N patterns, and what of the ground each would show.
 
-    `limits` (N,) are the marker coordinates up to which pixels are read, `ratios` (N,) black over contrast.
+    `limits` (N,) are the marker coordinates up to which pixels are read, `ratios` (N,) black over contrast;
+    `bends` are needed of squeezed markers only.
     """
 
     patterns: list[Pattern]
     grounds: list[Pattern]
+    bends: list[Pattern]
     limits: Array
     sees_ground: BoolArray
     ratios: Array
@@ -57,6 +59,7 @@ class Looks:
         return Looks(
             [self.patterns[row] for row in rows],
             [self.grounds[row] for row in rows],
+            [self.bends[row] for row in rows] if self.bends else [],
             self.limits[rows],
             self.sees_ground[rows],
             self.ratios[rows],
@@ -81,9 +84,9 @@ class Pixels:
         grey = image.ravel().take(lines.places, mode="clip").reshape(rows.size, size)
         np.multiply(grey - np.float32(MIDDLE_GREY), lines.padded, out=self.columns[:, PIXELS])
         self.x, self.y = _marker_coordinates(shapes, lines)
-        self._fill(looks)
+        self._fill(looks, shapes.squeezes / shapes.arms)
 
-    def _fill(self, looks: Looks) -> None:
+    def _fill(self, looks: Looks, squeezes: ComplexArray) -> None:
         """Read the patterns at the pixels and make the model's columns of them."""
         x, y, columns = self.x, self.y, self.columns
         drawn = np.empty((*x.shape, 4), dtype=np.float32)
@@ -91,6 +94,10 @@ class Pixels:
             _read(pattern, x[row], y[row], drawn[row])
             if looks.sees_ground[row]:
                 _read(looks.grounds[row], x[row], y[row], columns[row, GROUND])
+        for row, bend in enumerate(looks.bends):
+            bent = np.empty((x.shape[1], 2), dtype=np.float32)
+            _read(bend, x[row], y[row], bent)
+            drawn[row, :, 0] -= bent @ np.array([squeezes[row].real, squeezes[row].imag], dtype=np.float32)
         columns[:, GROUND] *= self.mask
         np.multiply(drawn[..., 0], self.mask, out=columns[:, CONTRAST])
         slope_x, slope_y = (np.multiply(drawn[..., axis], self.mask) for axis in (1, 2))

@@ -101,7 +101,7 @@ def read_recording(path: Path) -> Recording:
     pending: dict[str, Any] = {}
     has_images = ended = False
     for topic, time_s, record in messages:
-        # The wall time is written before the last chunk of messages: only the run's end tells that it is whole.
+        # The wall time stands before the last chunk of messages: only the run's end tells that it is whole.
         ended |= topic == "/end"
         has_images |= topic.endswith("/image")
         if not topic.endswith("/image"):

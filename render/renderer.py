@@ -159,7 +159,7 @@ class Renderer:
     ) -> list[tuple[float, float]]:
         """Instants within the exposure, s, and their weights, which sum to one."""
         half_s = self.shutter.exposure_s / 2
-        if not half_s or motion == STILL:
+        if not half_s or motion.still:
             return [(0.0, 1.0)]
         marks = []
         for at_s in (-half_s, half_s):

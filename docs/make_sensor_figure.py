@@ -95,6 +95,7 @@ def panels() -> dict[str, np.ndarray]:
 
 
 def main() -> None:
+    """Lay the panels out and write the figure."""
     pictures = panels()
     width, height = SIZE_PX
     rows = -(-len(pictures) // COLUMNS)

@@ -5,8 +5,8 @@
 
 Sixteen markers of 30 px, noise 2 and blur 0.8 px, over textured ground; one thread; medians and, for busy
 machines, best times. `fixed` is a camera that stands still over robots that move. The unit is one
-`cv2.warpPerspective` of a frame of the same size, timed between the frames, so that whatever slows the machine
-slows both.
+`cv2.warpPerspective` of a frame of the same size, timed between the frames, so that whatever slows the
+machine slows both.
 """
 
 import argparse

@@ -1,23 +1,29 @@
-"""World to pixels: cameras, markers, ground, sensor."""
+"""World to pixels: cameras, markers, ground, sensor, and the truth about each image."""
 
-from skyherd.render.camera import (
-    Camera,
-    CameraPose,
-    footprint_m,
-    homography_image_ground,
-    project,
-    project_markers,
-)
+from skyherd.render.camera import Camera, CameraPose, footprint_m, homography_image_ground, project
+from skyherd.render.clutter import Clutter
 from skyherd.render.ground import Ground
+from skyherd.render.lens import Distortion
+from skyherd.render.motion import Motion, Shutter
+from skyherd.render.occluders import Disc, Quad
 from skyherd.render.renderer import Renderer
-from skyherd.render.sensor import Sensor
+from skyherd.render.sensor import Illumination, Sensor
+from skyherd.render.truth import FrameTruth, project_markers
 
 __all__ = [
     "Camera",
     "CameraPose",
+    "Clutter",
+    "Disc",
+    "Distortion",
+    "FrameTruth",
     "Ground",
+    "Illumination",
+    "Motion",
+    "Quad",
     "Renderer",
     "Sensor",
+    "Shutter",
     "footprint_m",
     "homography_image_ground",
     "project",

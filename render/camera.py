@@ -8,13 +8,15 @@ For square pixels and no tilt, with ground points as complex numbers,
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
 
 from skyherd.errors import InputError
-from skyherd.geometry import Array, apply_homography, to_complex
-from skyherd.markers import CORNERS
+from skyherd.geometry import Array, apply_homography, inverse
+from skyherd.render.lens import NO_DISTORTION, Distortion
+from skyherd.render.pixels import LensField
 
 
 @dataclass(frozen=True)
@@ -28,6 +30,10 @@ class Camera:
         aspect: focal length along v over that along u; 1 for square pixels.
         skew: change of u with v along the sensor, as a fraction of the focal length.
         mirrored: the stream is flipped left to right, as behind a mirror.
+        distortion: of the lens.
+
+    Raises:
+        InputError: a size or focal length is not positive, or the lens folds the image over.
     """
 
     size_px: tuple[int, int]
@@ -36,6 +42,7 @@ class Camera:
     aspect: float = 1.0
     skew: float = 0.0
     mirrored: bool = False
+    distortion: Distortion = NO_DISTORTION
 
     def __post_init__(self) -> None:
         if min(self.size_px) < 1 or self.focal_px <= 0 or self.aspect <= 0:
@@ -44,6 +51,25 @@ class Camera:
                 f"size {self.size_px}, focal_px {self.focal_px}, aspect {self.aspect}",
                 "all must be positive",
             )
+        if self.distortion:
+            self._check_lens()
+
+    def _check_lens(self) -> None:
+        """Each corner of the image must see a ray before the lens's polynomial turns back."""
+        rays = self.distortion.remove(apply_homography(inverse(self.intrinsic_matrix()), self.corners_px))
+        if (rays**2).sum(axis=-1).max() >= self.distortion.turn():
+            raise InputError(
+                "camera",
+                f"{self.distortion} folds the image over",
+                "smaller k1, k2, k3, or a longer focal_px",
+            )
+
+    @property
+    def corners_px(self) -> Array:
+        """Corners (4, 2) of the image's border, half a pixel outside the outermost pixels' centres."""
+        width, height = self.size_px
+        right, bottom = width - 0.5, height - 0.5
+        return np.array([[-0.5, -0.5], [right, -0.5], [right, bottom], [-0.5, bottom]])
 
     def intrinsic_matrix(self, zoom: float = 1.0) -> Array:
         """K (3, 3), from camera rays to pixels."""
@@ -90,59 +116,53 @@ def homography_image_ground(camera: Camera, pose: CameraPose) -> Array:
     return np.asarray(matrix / matrix[2, 2])
 
 
+def distort(camera: Camera, zoom: float, points_px: Array) -> Array:
+    """Pixels (..., 2) through the lens, of pixels as they would be without it."""
+    if not camera.distortion:
+        return points_px
+    matrix = camera.intrinsic_matrix(zoom)
+    rays = apply_homography(inverse(matrix), points_px)
+    return apply_homography(matrix, camera.distortion.apply(rays))
+
+
+def undistort(camera: Camera, zoom: float, points_px: Array) -> Array:
+    """Pixels (..., 2) as they would be without the lens: the inverse of `distort`."""
+    if not camera.distortion:
+        return points_px
+    matrix = camera.intrinsic_matrix(zoom)
+    rays = apply_homography(inverse(matrix), points_px)
+    return apply_homography(matrix, camera.distortion.remove(rays))
+
+
+def lens_slopes(camera: Camera, zoom: float, points_px: Array) -> Array:
+    """Derivatives (..., 2, 2) of `distort` at pixels (..., 2) as they would be without the lens."""
+    matrix = camera.intrinsic_matrix(zoom)
+    rays = apply_homography(inverse(matrix), points_px)
+    plane = matrix[:2, :2]
+    return np.asarray(plane @ camera.distortion.jacobian(rays) @ inverse(plane))
+
+
+@lru_cache(maxsize=8)
+def lens_field(camera: Camera, zoom: float) -> LensField | None:
+    """What the lens does to each pixel; None if nothing. Kept, as it costs as much as many images."""
+    if not camera.distortion:
+        return None
+    width, height = camera.size_px
+    v, u = np.mgrid[:height, :width].astype(float)
+    pixels = np.stack([u, v], axis=-1).reshape(-1, 2)
+    straight = undistort(camera, zoom, pixels)
+    shift = (straight - pixels).astype(np.float32)
+    slopes = inverse(lens_slopes(camera, zoom, straight)).astype(np.float32).reshape(-1, 4)
+    uu, uv, vu, vv = (np.ascontiguousarray(slopes[:, i]) for i in range(4))
+    return LensField(np.ascontiguousarray(shift[:, 0]), np.ascontiguousarray(shift[:, 1]), (uu, uv, vu, vv))
+
+
 def project(camera: Camera, pose: CameraPose, points_m: npt.ArrayLike) -> Array:
-    """Pixels (..., 2) of ground points (..., 2)."""
-    return apply_homography(homography_image_ground(camera, pose), points_m)
+    """Pixels (..., 2) of ground points (..., 2), through the lens."""
+    return distort(camera, pose.zoom, apply_homography(homography_image_ground(camera, pose), points_m))
 
 
 def footprint_m(camera: Camera, pose: CameraPose) -> Array:
     """Ground points (4, 2) under the image's corners."""
-    width, height = camera.size_px
-    border: Array = np.array(
-        [[-0.5, -0.5], [width - 0.5, -0.5], [width - 0.5, height - 0.5], [-0.5, height - 0.5]]
-    )
-    ground_image = np.linalg.inv(homography_image_ground(camera, pose))
-    return apply_homography(np.asarray(ground_image, dtype=np.float64), border)
-
-
-@dataclass(frozen=True)
-class MarkerProjection:
-    """Exact image of a team's markers: the truth that a detector is judged by.
-
-    Attributes:
-        centers_px: (N, 2) images of the robots' positions.
-        corners_px: (N, 4, 2) images of the markers' corners.
-        whole: (N,) whether the marker and its whole card lie in the image.
-    """
-
-    centers_px: Array
-    corners_px: Array
-    whole: npt.NDArray[np.bool_]
-
-
-def square_m(positions_m: npt.ArrayLike, headings_rad: npt.ArrayLike, side_m: float) -> Array:
-    """Ground corners (N, 4, 2) of squares of `side_m` around robots, in the marker's corner order."""
-    forward = np.exp(1j * np.asarray(headings_rad, dtype=float))
-    corners = to_complex(positions_m)[:, None] + side_m * forward[:, None] * CORNERS.conj()
-    return np.stack([corners.real, corners.imag], axis=-1)
-
-
-def project_markers(
-    camera: Camera,
-    pose: CameraPose,
-    positions_m: npt.ArrayLike,
-    headings_rad: npt.ArrayLike,
-    side_m: float,
-    card_side_m: float,
-) -> MarkerProjection:
-    """Project markers of `side_m` on cards of `card_side_m` that lie on the ground."""
-    homography = homography_image_ground(camera, pose)
-    cards = apply_homography(homography, square_m(positions_m, headings_rad, card_side_m))
-    limit = np.array(camera.size_px) - 0.5
-    # The scale H[2, 2] = 1 leaves w positive on the nadir's side of the horizon, which the camera is on.
-    ahead = np.asarray(positions_m, dtype=float) @ homography[2, :2] + homography[2, 2] > 0
-    return MarkerProjection(
-        centers_px=apply_homography(homography, positions_m),
-        corners_px=apply_homography(homography, square_m(positions_m, headings_rad, side_m)),
-        whole=np.asarray(((cards >= -0.5) & (cards <= limit)).all(axis=(1, 2)) & ahead),
-    )
+    ground_image = inverse(homography_image_ground(camera, pose))
+    return apply_homography(ground_image, undistort(camera, pose.zoom, camera.corners_px))

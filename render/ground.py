@@ -1,57 +1,147 @@
-"""The ground: a periodic concrete-like texture, band-limited at every scale it is seen at."""
+"""The ground: a periodic texture, band-limited at every scale it is seen at, with clutter on it."""
 
+from collections import deque
+from typing import Literal
+
+import cv2
 import numpy as np
 import numpy.typing as npt
 
-from skyherd.geometry import Array, apply_homography
-from skyherd.render.resample import warp
+from skyherd.errors import InputError
+from skyherd.geometry import Array, apply_homography, inverse
+from skyherd.render.clutter import Clutter
+from skyherd.render.textures import PERIOD, SLABS, concrete, picture, tiles
+from skyherd.render.view import ShapeImages
+
+Image = npt.NDArray[np.uint8]
+
+GroundKind = Literal["plain", "concrete", "tiles", "image"]
+KINDS: tuple[GroundKind, ...] = ("plain", "concrete", "tiles", "image")
+
+FINEST, COARSEST = PERIOD, 2
+KEPT = 6
+"""Drawn grounds that are kept: those of so many cameras that stand still."""
+
+VIEW_SAMPLES = 2000
+"""Textures are laid side by side until a view of so many samples fits: wrapping costs six times as much."""
+
+AFFINE = 1e-12
+"""Last rows whose first two entries are smaller than this, relative to the third, are affine."""
 
 
 class Ground:
     """Endless textured ground, drawn by one warp per image.
 
-    A tile of noise with a spectrum that falls as 1/f is kept at several resolutions, each low-passed by
-    the image's own blur at that resolution, so that drawing it never aliases.
+    A texture is kept at several resolutions, each low-passed by the image's own blur at that resolution, so
+    that drawing it does not alias. What a camera that stands still sees is kept.
 
     Args:
         seed: of the texture.
+        kind: `plain`; `concrete`, noise with a spectrum that falls as 1/f; `tiles`; or `image`.
         mean: grey level.
-        contrast: standard deviation, grey levels.
-        tile_m: period, metres.
+        contrast: standard deviation, grey levels; for tiles, between them.
+        tile_m: period of concrete, width of an image, or side of one tile; metres.
         sigma_px: blur of lens and pixel, in image pixels.
+        image: grey picture (height, width) for the kind `image`, repeated, its upper edge to the north.
+        clutter: dark quadrilaterals that lie on it.
     """
 
     def __init__(
         self,
         seed: int,
         *,
+        kind: GroundKind = "concrete",
         mean: float = 128.0,
         contrast: float = 12.0,
         tile_m: float = 40.0,
         sigma_px: float = 0.85,
+        image: Image | None = None,
+        clutter: Clutter | None = None,
     ) -> None:
-        self.mean, self.tile_m = mean, tile_m
-        # Each tile is laid two by two: a view that starts in the first then rarely leaves them, and the
-        # wrapping border of a warp costs six times its inside.
-        self._levels = [
-            (samples, np.tile(_concrete(seed, samples, mean, contrast, sigma_px), (2, 2)))
-            for samples in (2048, 1024, 512, 256)
-        ]
+        if kind not in KINDS or (kind == "image") != (image is not None):
+            raise InputError("ground", f"kind {kind!r}", f"one of {', '.join(KINDS)}; image with an image")
+        self.mean, self.clutter = mean, clutter
+        self.kind: GroundKind = "plain" if kind == "concrete" and contrast <= 0 else kind
+        self.period_m = np.full(2, tile_m * (SLABS if kind == "tiles" else 1.0))
+        self._sigma_px, texture = sigma_px, None
+        if image is not None:
+            texture = picture(image)
+            self.mean = float(texture.mean())
+            self.period_m = tile_m * np.array([1.0, image.shape[0] / image.shape[1]])
+        elif self.kind == "concrete":
+            texture = concrete(seed, mean, contrast)
+        elif self.kind == "tiles":
+            texture = tiles(seed, mean, contrast)
+        self._spectrum = np.fft.rfft2(texture) if texture is not None else None
+        self._levels: dict[int, Image] = {}
+        self._asked: deque[bytes] = deque(maxlen=KEPT)
+        self._drawn: dict[bytes, Image] = {}
 
-    def draw(self, homography: Array, size_px: tuple[int, int]) -> npt.NDArray[np.uint8]:
+    def draw(self, homography: Array, size_px: tuple[int, int]) -> Image:
         """Ground seen through `homography` (ground metres to pixels), as an image (height, width)."""
-        center = np.linalg.inv(homography) @ [size_px[0] / 2, size_px[1] / 2, 1.0]
-        scale = _local_scale(homography, center[:2] / center[2])
-        fits = [laid for period, laid in self._levels if period / self.tile_m <= 1.2 * scale]
-        laid = fits[0] if fits else self._levels[-1][1]
-        period = laid.shape[0] // 2
-        sample_image = np.diag([period / self.tile_m, period / self.tile_m, 1.0]) @ np.linalg.inv(homography)
+        if self.kind == "plain":
+            return np.full(size_px[::-1], round(self.mean), dtype=np.uint8)
+        key = homography.tobytes() + bytes(str(size_px), "ascii")
+        if key in self._drawn:
+            return self._drawn[key].copy()
+        drawn = _warp(*self._choose(homography, size_px), size_px)
+        if key in self._asked:
+            if len(self._drawn) == KEPT:
+                del self._drawn[next(iter(self._drawn))]
+            self._drawn[key] = drawn.copy()
+        self._asked.append(key)
+        return drawn
+
+    def draw_bent(self, images: ShapeImages) -> Image:
+        """Ground as `images` have it, through lens and rolling shutter: by one look-up a pixel."""
+        width, height = size = images.camera.size_px
+        if self.kind == "plain":
+            return self.draw(np.eye(3), size)
+        middle = images.row_shapes(np.array([(height - 1) / 2]))[0]
+        laid, sample_image = self._choose(inverse(middle), size)
+        sample_ground = sample_image @ inverse(middle)
+        rows = sample_ground @ images.row_shapes(np.arange(height, dtype=float))
+        rows = (rows / (rows[:, 2] @ [width / 2, height / 2, 1.0])[:, None, None]).astype(np.float32)
+        v, u = np.mgrid[:height, :width].astype(np.float32)
+        lens = images.lens()
+        if lens is not None:
+            u += lens.shift_u.reshape(height, width)
+            v += lens.shift_v.reshape(height, width)
+        x, y, w = (rows[:, i, :1] * u + rows[:, i, 1:2] * v + rows[:, i, 2:] for i in range(3))
+        return np.asarray(
+            cv2.remap(laid, x / w, y / w, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP), dtype=np.uint8
+        )
+
+    def _choose(self, homography: Array, size_px: tuple[int, int]) -> tuple[Image, Array]:
+        """The texture fine enough for a view, and the map (3, 3) from pixels to its samples."""
         width, height = size_px
+        image_ground = inverse(homography)
+        center = image_ground @ [width / 2, height / 2, 1.0]
+        scale = _local_scale(homography, center[:2] / center[2])
+        wanted = 1.2 * scale * float(np.sqrt(self.period_m.prod()))
+        samples = COARSEST
+        while 2 * samples <= min(wanted, FINEST):
+            samples *= 2
+        if samples not in self._levels and self._spectrum is not None:
+            tile = _band_limited(self._spectrum, samples, self._sigma_px)
+            copies = int(np.ceil(VIEW_SAMPLES / samples)) + 1
+            self._levels[samples] = np.tile(tile, (copies, copies))
+        sample_image = np.diag([*(samples / self.period_m), 1.0]) @ image_ground
         view = apply_homography(sample_image, [[0, 0], [width, 0], [width, height], [0, height]])
         near = np.eye(3)
-        near[:2, 2] = -period * np.floor(view.min(axis=0) / period)
-        sample_image = near @ sample_image
-        return warp(laid, sample_image, size_px, wrap=True)
+        near[:2, 2] = -samples * np.floor(view.min(axis=0) / samples)
+        return self._levels[samples], near @ sample_image
+
+
+def _warp(laid: Image, sample_image: Array, size_px: tuple[int, int]) -> Image:
+    """Image of `size_px` whose pixel x is `laid`, repeated, at `sample_image` times x."""
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    matrix = sample_image / sample_image[2, 2]
+    if np.abs(matrix[2, :2]).max() < AFFINE:
+        drawn = cv2.warpAffine(laid, matrix[:2], size_px, flags=flags, borderMode=cv2.BORDER_WRAP)
+    else:
+        drawn = cv2.warpPerspective(laid, matrix, size_px, flags=flags, borderMode=cv2.BORDER_WRAP)
+    return np.asarray(drawn, dtype=np.uint8)
 
 
 def _local_scale(homography: Array, at_m: Array) -> float:
@@ -60,18 +150,12 @@ def _local_scale(homography: Array, at_m: Array) -> float:
     return float(np.sqrt(abs(np.linalg.det(homography)) / abs(w) ** 3))
 
 
-def _concrete(seed: int, samples: int, mean: float, contrast: float, sigma: float) -> npt.NDArray[np.uint8]:
-    """Periodic 1/f noise (samples, samples), one pattern at every resolution, blurred by sigma."""
-    rng = np.random.default_rng(seed)
-    fine = 2048
-    spectrum = np.fft.rfft2(rng.standard_normal((fine, fine)))
-    fy, fx = np.fft.fftfreq(fine)[:, None] * fine, np.fft.rfftfreq(fine)[None, :] * fine
-    radius = np.hypot(fy, fx)
-    spectrum *= radius > 6
-    spectrum /= np.maximum(radius, 1.0) ** 1.0
-    spectrum *= contrast / np.fft.irfft2(spectrum).std()
-    spectrum *= np.exp(-2 * (np.pi * radius * sigma / samples) ** 2)
+def _band_limited(spectrum: npt.NDArray[np.complex128], samples: int, sigma: float) -> Image:
+    """A texture at a resolution of `samples` a period, blurred by sigma samples."""
+    fy, fx = np.fft.fftfreq(PERIOD)[:, None] * PERIOD, np.fft.rfftfreq(PERIOD)[None, :] * PERIOD
     half = samples // 2
-    rows = np.r_[0:half, fine - half : fine]
-    image = np.fft.irfft2(spectrum[rows, : half + 1], s=(samples, samples)) * (samples / fine) ** 2
-    return np.clip(np.rint(image + mean), 0, 255).astype(np.uint8)
+    rows = np.r_[0:half, PERIOD - half : PERIOD]
+    radius = np.hypot(fy[rows], fx[:, : half + 1])
+    kept = spectrum[rows, : half + 1] * np.exp(-2 * (np.pi * radius * sigma / samples) ** 2)
+    image = np.fft.irfft2(kept, s=(samples, samples)) * (samples / PERIOD) ** 2
+    return np.clip(np.rint(image), 0, 255).astype(np.uint8)

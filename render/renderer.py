@@ -1,16 +1,29 @@
 """World to pixels: marker cards on textured ground, through a camera, onto a noisy sensor."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import numpy.typing as npt
 
-from skyherd.geometry import Array, IntArray, apply_homography
-from skyherd.markers import card_side
-from skyherd.optics import total_sigma_px
-from skyherd.render.camera import Camera, CameraPose, homography_image_ground, square_m
+from skyherd.bound import pose_covariances
+from skyherd.geometry import Array, IntArray, apply_homography, inverse
+from skyherd.markers import card_side, cells_per_side, marker_cells
+from skyherd.render.camera import Camera, CameraPose
+from skyherd.render.edge import edge_spread
 from skyherd.render.ground import Ground
-from skyherd.render.resample import warp
+from skyherd.render.lattice import Lattices
+from skyherd.render.motion import INSTANT, STILL, Motion, Shutter
+from skyherd.render.occluders import Disc, Occluder, Quad, quads_square
+from skyherd.render.paint import Canvas, paint_discs, paint_lattices
 from skyherd.render.sensor import Sensor
-from skyherd.render.sprites import MARGIN_SIGMAS, marker_sprite, size_bucket
+from skyherd.render.truth import FrameTruth, moving_markers, project_markers
+from skyherd.render.view import View
+
+Image = npt.NDArray[np.uint8]
+Light = npt.NDArray[np.float32]
+
+MOST_INSTANTS = 64
+"""Motion blur is the mean of so many sharp images at most."""
 
 
 class Renderer:
@@ -24,6 +37,7 @@ class Renderer:
         psf_px: standard deviation of the lens's Gaussian blur.
         black: grey level of the markers' black.
         white: grey level of the card.
+        shutter: exposure and row time: motion blur and rolling shutter.
     """
 
     def __init__(
@@ -36,11 +50,14 @@ class Renderer:
         psf_px: float = 0.8,
         black: float = 30.0,
         white: float = 230.0,
+        shutter: Shutter = INSTANT,
     ) -> None:
         self.dictionary, self.side_m = dictionary, side_m
-        self.ground, self.sensor = ground, sensor
-        self.sigma_px = total_sigma_px(psf_px)
-        self.black, self.white = black, white
+        self.ground, self.sensor, self.shutter = ground, sensor, shutter
+        self.psf_px, self.black, self.white = psf_px, black, white
+        self._spread = edge_spread(psf_px)
+        self._team: tuple[int, ...] = ()
+        self._cards = Lattices.of(np.zeros((0, 1, 1)))
 
     def render(
         self,
@@ -49,64 +66,168 @@ class Renderer:
         ids: IntArray,
         positions_m: Array,
         headings_rad: Array,
-    ) -> npt.NDArray[np.uint8]:
+        *,
+        motion: Motion = STILL,
+        occluders: Sequence[Occluder] = (),
+    ) -> Image:
         """Grey image (height, width) of robots `ids` (N,) at positions (N, 2) with headings (N,)."""
-        homography = homography_image_ground(camera, pose)
-        image = self.ground.draw(homography, camera.size_px)
-        cards_m = square_m(positions_m, headings_rad, self.side_m * card_side(self.dictionary))
-        cards_px = apply_homography(homography, cards_m)
-        sides_px = _mean_edges(cards_px) / card_side(self.dictionary)
-        markers_image = np.linalg.inv(homography @ _ground_markers(positions_m, headings_rad, self.side_m))
-        for marker_id, card_px, side_px, marker_image in zip(
-            ids, cards_px, sides_px, markers_image, strict=True
-        ):
-            self._draw_marker(image, int(marker_id), card_px, float(side_px), marker_image)
-        return self.sensor.expose(image)
+        team = (ids, positions_m, headings_rad)
+        if self.sensor.linear and not self.shutter.exposure_s:
+            view = View(camera, pose, motion, self.shutter)
+            return self.sensor.expose(self._draw(self._ground(view), view, *team, occluders))
+        return self.sensor.expose(self.light(camera, pose, *team, motion=motion, occluders=occluders))
 
-    def _draw_marker(
+    def light(
         self,
-        image: npt.NDArray[np.uint8],
-        marker_id: int,
-        card_px: Array,
-        side_px: float,
-        marker_image: Array,
-    ) -> None:
-        """Composite one card over `image`: F + (1 - A) background, within the card's bounding box."""
-        box = _clip_box(card_px, MARGIN_SIGMAS * self.sigma_px, image.shape)
-        if box is None:
-            return
-        left, top, right, bottom = box
-        bucket = size_bucket(side_px)
-        sprite = marker_sprite(self.dictionary, marker_id, bucket, self.sigma_px, self.black, self.white)
-        sprite_box = sprite.sprite_from_marker() @ marker_image
-        sprite_box[:, 2] += sprite_box[:, :2] @ (left, top)
-        drawn = warp(sprite.card_and_cover, sprite_box, (right - left, bottom - top))
-        region = image[top:bottom, left:right]
-        seen = (1.0 - drawn[..., 1]) * region
-        seen += drawn[..., 0]
-        region[...] = np.rint(seen, out=seen)
+        camera: Camera,
+        pose: CameraPose,
+        ids: IntArray,
+        positions_m: Array,
+        headings_rad: Array,
+        *,
+        motion: Motion = STILL,
+        occluders: Sequence[Occluder] = (),
+    ) -> Light:
+        """What falls on the sensor, grey levels (height, width): no noise, nothing rounded but the texture.
+
+        Motion blur is the mean over the exposure, by Gauss-Legendre quadrature with a sharp image for every
+        two standard deviations of blur that anything moves, and two more.
+        """
+        team = (ids, positions_m, headings_rad)
+        total: Light | None = None
+        for at_s, weight in self._instants(camera, pose, positions_m, headings_rad, motion):
+            view = View(camera, pose, motion, self.shutter, at_s)
+            if self.ground.kind == "plain":
+                canvas = np.full(camera.size_px[::-1], self.ground.mean, dtype=np.float32)
+            else:
+                canvas = self._ground(view).astype(np.float32)
+            self._draw(canvas, view, *team, occluders)
+            canvas *= np.float32(weight)
+            total = canvas if total is None else np.add(total, canvas, out=total)
+        return np.zeros(camera.size_px[::-1], dtype=np.float32) if total is None else total
+
+    def truth(
+        self,
+        camera: Camera,
+        pose: CameraPose,
+        ids: IntArray,
+        positions_m: Array,
+        headings_rad: Array,
+        *,
+        motion: Motion = STILL,
+        occluders: Sequence[Occluder] = (),
+    ) -> FrameTruth:
+        """Exact truth about the same image."""
+        return project_markers(
+            camera,
+            pose,
+            positions_m,
+            headings_rad,
+            self.side_m,
+            self.side_m * card_side(self.dictionary),
+            ids=ids,
+            motion=motion,
+            shutter=self.shutter,
+            occluders=occluders,
+        )
+
+    def covariances(self, truth: FrameTruth) -> Array:
+        """Cramér-Rao bound (N, 3, 3) on (u px, v px, heading rad) of each marker, as if wholly seen.
+
+        At the sensor's gain and its noise at mid-grey, rounding included; uneven light and motion blur are
+        left out. NaN for a marker that is not in the image. Not part of the truth since it takes its time.
+        """
+        sensor = self.sensor
+        black, white, ground = (sensor.gain * level for level in (self.black, self.white, self.ground.mean))
+        variance = sensor.noise**2 + sensor.shot * (black + white) / 2 + 1 / 12
+        seen = np.flatnonzero(truth.visible_fractions > 0)
+        covariances = np.full((len(truth.ids), 3, 3), np.nan)
+        covariances[seen] = pose_covariances(
+            self.dictionary,
+            truth.ids[seen],
+            truth.images_marker[seen],
+            psf_px=self.psf_px,
+            noise=float(np.sqrt(variance)),
+            black=black,
+            white=white,
+            ground=ground,
+        )
+        return covariances
+
+    def _instants(
+        self, camera: Camera, pose: CameraPose, positions_m: Array, headings_rad: Array, motion: Motion
+    ) -> list[tuple[float, float]]:
+        """Instants within the exposure, s, and their weights, which sum to one."""
+        half_s = self.shutter.exposure_s / 2
+        if not half_s or motion.still:
+            return [(0.0, 1.0)]
+        marks = []
+        for at_s in (-half_s, half_s):
+            view = View(camera, pose, motion, self.shutter, at_s)
+            markers = view.images(moving_markers(positions_m, headings_rad, self.side_m, motion))
+            homography = view.ground().matrices[0, 0]
+            if at_s < 0:
+                corners_m = apply_homography(inverse(homography), camera.corners_px)
+            forward = markers.project(np.array([[0.0, 0.0], [1.0, 0.0]])).reshape(-1, 2)
+            marks.append(np.concatenate([forward, apply_homography(homography, corners_m)]))
+        length_px = float(np.linalg.norm(marks[1] - marks[0], axis=1).max())
+        count = min(int(np.ceil(length_px / (2 * self._spread.sigma_px))) + 2, MOST_INSTANTS)
+        nodes, weights = np.polynomial.legendre.leggauss(count)
+        return [(float(x * half_s), float(w / 2)) for x, w in zip(nodes, weights, strict=True)]
+
+    def _ground(self, view: View) -> Image:
+        ground = view.ground()
+        if ground.bent:
+            return self.ground.draw_bent(ground)
+        return self.ground.draw(ground.matrices[0, 0], view.camera.size_px)
+
+    def _draw(
+        self,
+        canvas: Canvas,
+        view: View,
+        ids: IntArray,
+        positions_m: Array,
+        headings_rad: Array,
+        occluders: Sequence[Occluder],
+    ) -> Canvas:
+        """Clutter, markers and occluders over the ground, in this order."""
+        if self.ground.clutter is not None:
+            low, high = view.ground_box()
+            corners_m, levels = self.ground.clutter.within(low, high)
+            self._quads(canvas, view, corners_m, levels)
+        if len(ids):
+            markers = moving_markers(positions_m, headings_rad, self.side_m, view.motion)
+            marker_lattice = _marker_lattice(cells_per_side(self.dictionary))
+            images = view.images(lambda time_s: markers(time_s) @ marker_lattice)
+            paint_lattices(canvas, images, self._lattices(ids), self._spread)
+        for occluder in occluders:
+            if isinstance(occluder, Quad):
+                self._quads(canvas, view, np.array([occluder.corners_m]), np.array([occluder.level]))
+            else:
+                self._disc(canvas, view, occluder)
+        return canvas
+
+    def _quads(self, canvas: Canvas, view: View, corners_m: Array, levels: Array) -> None:
+        shapes = quads_square(corners_m)
+        lattices = Lattices.of(levels[:, None, None])
+        paint_lattices(canvas, view.images(lambda _: shapes), lattices, self._spread)
+
+    def _disc(self, canvas: Canvas, view: View, disc: Disc) -> None:
+        shape = disc.ground_shape()[None]
+        paint_discs(canvas, view.images(lambda _: shape), np.array([disc.level]), self._spread)
+
+    def _lattices(self, ids: IntArray) -> Lattices:
+        """Cards of markers: row 0 is the forward edge, column 0 the left one. The last team's are kept."""
+        asked = tuple(int(marker_id) for marker_id in ids)
+        if self._team != asked:
+            cells = np.stack([marker_cells(self.dictionary, marker_id) for marker_id in asked])
+            levels = np.where(cells, self.white, self.black)
+            around = ((0, 0), (1, 1), (1, 1))
+            self._team, self._cards = asked, Lattices.of(np.pad(levels, around, constant_values=self.white))
+        return self._cards
 
 
-def _mean_edges(cards_px: Array) -> Array:
-    """Mean edge length (N,) of quadrilaterals (N, 4, 2)."""
-    edges = np.roll(cards_px, 1, axis=1) - cards_px
-    return np.asarray(np.hypot(edges[..., 0], edges[..., 1]).mean(axis=1))
-
-
-def _ground_markers(positions_m: Array, headings_rad: Array, side_m: float) -> Array:
-    """Similarities (N, 3, 3) from marker coordinates (forward, left, in sides) to ground metres."""
-    c, s = side_m * np.cos(headings_rad), side_m * np.sin(headings_rad)
-    ground = np.zeros((len(headings_rad), 3, 3))
-    ground[:, 0, 0] = ground[:, 1, 1] = c
-    ground[:, 1, 0], ground[:, 0, 1] = s, -s
-    ground[:, :2, 2], ground[:, 2, 2] = positions_m, 1.0
-    return ground
-
-
-def _clip_box(
-    corners_px: Array, margin_px: float, shape: tuple[int, ...]
-) -> tuple[int, int, int, int] | None:
-    """Whole-pixel bounding box (left, top, right, bottom) inside the image, or None if outside it."""
-    low = np.maximum(np.floor(corners_px.min(axis=0) - margin_px), 0).astype(int)
-    high = np.minimum(np.ceil(corners_px.max(axis=0) + margin_px) + 1, [shape[1], shape[0]]).astype(int)
-    return None if (low >= high).any() else (int(low[0]), int(low[1]), int(high[0]), int(high[1]))
+def _marker_lattice(n: int) -> Array:
+    """Map (3, 3) from a card's columns and rows, quiet zone and all, to (forward, left) in sides."""
+    middle = n / 2 + 1
+    return np.array([[0.0, -1.0, middle], [-1.0, 0.0, middle], [0.0, 0.0, n]])

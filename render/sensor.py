@@ -1,41 +1,177 @@
-"""The sensor: read noise from a bank, added with saturation."""
+"""The sensor: light in, grey levels of 8 bits out.
+
+For light L (grey levels) at a pixel at p from the image's middle, in halves of the image's shorter side,
+
+    s = gain · L · (1 - vignetting |p|² / |p_corner|²)
+                 · (1 + gradient / 2 · p·n / max p·n)
+                 · (1 - shadow Φ((p·m - shadow_offset) / shadow_edge))
+    y = s + sqrt(noise² + shot s) ε,      rounded, cut to 0-255, and through a JPEG if asked,
+
+with ε normal and white, Φ the normal distribution, and n, m the directions of gradient and shadow.
+"""
+
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 import numpy.typing as npt
+from scipy.special import ndtr
+
+from skyherd.errors import InputError
+from skyherd.geometry import Array
+
+Image = npt.NDArray[np.uint8]
+Light = npt.NDArray[np.float32]
 
 BANK_EXTRA_PX = 256
 
 
+@dataclass(frozen=True)
+class Illumination:
+    """How much of the scene's light arrives where: each part is off at 0.
+
+    Attributes:
+        vignetting: share of the light that the image's corners lack.
+        gradient: share by which the light grows from one border to the other, as much below 1 as above it.
+        gradient_rad: in which direction, from +u to +v.
+        shadow: share of the light that a cast shadow takes away.
+        shadow_offset: where its edge is, from the image's middle, halves of the image's shorter side.
+        shadow_rad: on which side of the edge it lies, from +u to +v.
+        shadow_edge: standard deviation of the edge's softness, halves of the image's shorter side.
+    """
+
+    vignetting: float = 0.0
+    gradient: float = 0.0
+    gradient_rad: float = 0.0
+    shadow: float = 0.0
+    shadow_offset: float = 0.0
+    shadow_rad: float = 0.0
+    shadow_edge: float = 0.05
+
+    @property
+    def even(self) -> bool:
+        """Whether all of the light arrives everywhere."""
+        return not (self.vignetting or self.gradient or self.shadow)
+
+    def of(self, size_px: tuple[int, int]) -> Light:
+        """Factor (height, width) on the light, for an image of a size."""
+        half = min(size_px) / 2
+        u: Array
+        v: Array
+        u, v = (np.asarray((np.arange(n) - (n - 1) / 2) / half) for n in size_px)
+        far = np.array(size_px) / 2 / half
+        factor = 1 - self.vignetting * (u[None, :] ** 2 + v[:, None] ** 2) / (far**2).sum()
+        if self.gradient:
+            along = _along(u, v, self.gradient_rad)
+            reach = np.abs([np.cos(self.gradient_rad), np.sin(self.gradient_rad)]) @ far
+            factor *= 1 + self.gradient / 2 * along / reach
+        if self.shadow:
+            into = _along(u, v, self.shadow_rad) - self.shadow_offset
+            factor *= 1 - self.shadow * ndtr(into / max(self.shadow_edge, 1e-6))
+        return np.asarray(factor, dtype=np.float32)
+
+
+def _along(u: Array, v: Array, angle_rad: float) -> Array:
+    """Coordinate (height, width) along a direction."""
+    return np.asarray(u[None, :] * np.cos(angle_rad) + v[:, None] * np.sin(angle_rad))
+
+
 class Sensor:
-    """Adds white Gaussian noise of standard deviation `noise` grey levels to 8-bit images.
+    """Turns light into an image of 8 bits, as the module says.
 
     Fresh normal deviates cost more than all the rest of a frame, so that a bank is drawn once and read
     at a random offset each time.
+
+    Args:
+        noise: standard deviation that does not depend on the light, grey levels.
+        rng: what draws it.
+        shot: variance of the shot noise over the signal, grey levels: 255 over the electrons that a pixel
+            holds; 0 for none.
+        gain: grey levels out for one in.
+        illumination: how much light arrives where.
+        jpeg_quality: 1 to 100, through a JPEG and back; None for none.
+
+    Raises:
+        InputError: `jpeg_quality` is out of range.
     """
 
-    def __init__(self, noise: float, rng: np.random.Generator) -> None:
-        self.noise = noise
+    def __init__(
+        self,
+        noise: float,
+        rng: np.random.Generator,
+        *,
+        shot: float = 0.0,
+        gain: float = 1.0,
+        illumination: Illumination | None = None,
+        jpeg_quality: int | None = None,
+    ) -> None:
+        if jpeg_quality is not None and not 1 <= jpeg_quality <= 100:
+            raise InputError("jpeg_quality", str(jpeg_quality), "from 1 to 100, or none")
+        self.noise, self.shot, self.gain, self.jpeg_quality = noise, shot, gain, jpeg_quality
+        self.illumination = illumination or Illumination()
         self._rng = rng
-        self._banks: dict[tuple[int, int], tuple[npt.NDArray[np.uint8], npt.NDArray[np.uint8]]] = {}
+        self._banks: dict[tuple[int, int], tuple[Image, Image]] = {}
+        self._deviates: dict[tuple[int, int], Light] = {}
+        self._factors: dict[tuple[int, int], Light] = {}
 
-    def expose(self, image: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
-        """Add noise to `image` in place and return it."""
+    @property
+    def linear(self) -> bool:
+        """Whether light is changed by nothing but noise: 8-bit images can then be exposed as they are."""
+        return not self.shot and self.gain == 1 and self.illumination.even
+
+    def expose(self, light: Image | Light) -> Image:
+        """The image (height, width) that the sensor makes of light, which it may change in place."""
+        if light.dtype == np.uint8 and self.linear:
+            image = self._add_noise(np.asarray(light, dtype=np.uint8))
+        else:
+            image = self._convert(np.asarray(light, dtype=np.float32))
+        if self.jpeg_quality is None:
+            return image
+        _, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, self.jpeg_quality])
+        return np.asarray(cv2.imdecode(data, cv2.IMREAD_GRAYSCALE), dtype=np.uint8)
+
+    def _convert(self, light: Light) -> Image:
+        """All of the law, in floating point."""
+        height, width = light.shape
+        if not self.illumination.even:
+            if (height, width) not in self._factors:
+                self._factors[height, width] = self.illumination.of((width, height))
+            light *= self._factors[height, width]
+        if self.gain != 1:
+            light *= np.float32(self.gain)
+        if self.noise or self.shot:
+            deviates = self._window(self._deviates_of(height, width), height, width)
+            if self.shot:
+                variance = np.maximum(light, 0.0) * np.float32(self.shot)
+                variance += np.float32(self.noise**2)
+                light += np.sqrt(variance, out=variance) * deviates
+            else:
+                light += np.float32(self.noise) * deviates
+        np.rint(light, out=light)
+        return np.clip(light, 0, 255, out=light).astype(np.uint8)
+
+    def _add_noise(self, image: Image) -> Image:
+        """Rounded noise of `noise` grey levels, added with saturation, in place."""
         if self.noise <= 0:
             return image
         height, width = image.shape
-        plus, minus = self._bank(height, width)
+        if (height, width) not in self._banks:
+            drawn = np.rint(self.noise * self._deviates_of(height, width))
+            more, less = (np.clip(part, 0, 255).astype(np.uint8) for part in (drawn, -drawn))
+            self._banks[height, width] = more, less
         y, x = self._rng.integers(0, BANK_EXTRA_PX, size=2)
-        cv2.add(image, plus[y : y + height, x : x + width], dst=image)
-        cv2.subtract(image, minus[y : y + height, x : x + width], dst=image)
+        more, less = self._banks[height, width]
+        cv2.add(image, more[y : y + height, x : x + width], dst=image)
+        cv2.subtract(image, less[y : y + height, x : x + width], dst=image)
         return image
 
-    def _bank(self, height: int, width: int) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.uint8]]:
-        if (height, width) not in self._banks:
+    def _deviates_of(self, height: int, width: int) -> Light:
+        """Bank of normal deviates, a little larger than the image."""
+        if (height, width) not in self._deviates:
             shape = (height + BANK_EXTRA_PX, width + BANK_EXTRA_PX)
-            noise = np.rint(self.noise * self._rng.standard_normal(shape, dtype=np.float32))
-            self._banks[height, width] = (
-                np.clip(noise, 0, 255).astype(np.uint8),
-                np.clip(-noise, 0, 255).astype(np.uint8),
-            )
-        return self._banks[height, width]
+            self._deviates[height, width] = self._rng.standard_normal(shape, dtype=np.float32)
+        return self._deviates[height, width]
+
+    def _window(self, bank: Light, height: int, width: int) -> Light:
+        y, x = self._rng.integers(0, BANK_EXTRA_PX, size=2)
+        return bank[y : y + height, x : x + width]

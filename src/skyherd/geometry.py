@@ -35,3 +35,8 @@ def apply_homography(homography: Array, points: npt.ArrayLike) -> Array:
     points = np.asarray(points, dtype=float)
     mapped = points @ homography[:, :2].T + homography[:, 2]
     return np.asarray(mapped[..., :2] / mapped[..., 2:])
+
+
+def inverse(matrices: npt.ArrayLike) -> Array:
+    """Inverses of matrices (..., n, n), such as homographies."""
+    return np.asarray(np.linalg.inv(np.asarray(matrices, dtype=float)))

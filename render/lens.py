@@ -1,0 +1,95 @@
+"""Lens distortion after Brown and Conrady, with OpenCV's names and signs.
+
+A ray that meets the plane at unit distance at (x, y), `r² = x² + y²`, is seen as if it met it at
+
+    x' = x (1 + k1 r² + k2 r⁴ + k3 r⁶) + 2 p1 x y + p2 (r² + 2 x²)
+    y' = y (1 + k1 r² + k2 r⁴ + k3 r⁶) + p1 (r² + 2 y²) + 2 p2 x y.
+
+Far out the radial polynomial may turn back, so that rays would come into the image a second time. Such rays
+are taken on outwards instead, with the factor that it has where it turns.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from skyherd.errors import InputError
+from skyherd.geometry import Array
+
+NEWTON_STEPS = 12
+SETTLED = 1e-12
+"""Undistorting ends once no ray moves by more than this, in units of the focal length."""
+
+FAR = 8.0
+"""Radii beyond this, in focal lengths (83 deg off the axis), are not asked for a turn of the polynomial."""
+
+
+@dataclass(frozen=True)
+class Distortion:
+    """Radial k1, k2, k3 and tangential p1, p2; none of them by default."""
+
+    k1: float = 0.0
+    k2: float = 0.0
+    k3: float = 0.0
+    p1: float = 0.0
+    p2: float = 0.0
+
+    def __bool__(self) -> bool:
+        """Whether there is any."""
+        return any((self.k1, self.k2, self.k3, self.p1, self.p2))
+
+    def apply(self, rays: Array) -> Array:
+        """Rays (..., 2) as they are seen."""
+        return _distort(self, rays)[0]
+
+    def jacobian(self, rays: Array) -> Array:
+        """Derivatives (..., 2, 2) of rays as seen by rays as they are."""
+        return _distort(self, rays)[1]
+
+    def remove(self, seen: Array) -> Array:
+        """Rays (..., 2) that are seen so, by Newton's method.
+
+        Raises:
+            InputError: a ray has no origin: the lens folds the image.
+        """
+        rays = seen.copy()
+        for _ in range(NEWTON_STEPS):
+            there, slope = _distort(self, rays)
+            step = np.linalg.solve(slope, (seen - there)[..., None])[..., 0]
+            rays += np.clip(step, -0.5, 0.5)
+            if np.abs(step).max(initial=0.0) < SETTLED:
+                return rays
+        if np.abs(_distort(self, rays)[0] - seen).max(initial=0.0) < 1e-9:
+            return rays
+        raise InputError("lens", f"{self} folds the image over", "smaller k1, k2, k3, p1, p2")
+
+    def turn(self) -> float:
+        """Square of the radius where the radial polynomial turns back; infinity if it does not."""
+        return _turn(self)
+
+
+NO_DISTORTION = Distortion()
+
+
+@lru_cache(maxsize=64)
+def _turn(lens: Distortion) -> float:
+    roots = np.roots([7 * lens.k3, 5 * lens.k2, 3 * lens.k1, 1.0])
+    real = roots.real[(np.abs(roots.imag) < 1e-9) & (roots.real > 0)]
+    return float(real.min()) if real.size and real.min() < FAR**2 else float("inf")
+
+
+def _distort(lens: Distortion, rays: Array) -> tuple[Array, Array]:
+    """Rays (..., 2) as seen, and the derivatives (..., 2, 2)."""
+    x, y = rays[..., 0], rays[..., 1]
+    square = x * x + y * y
+    r2 = np.minimum(square, _turn(lens))
+    factor = 1 + r2 * (lens.k1 + r2 * (lens.k2 + r2 * lens.k3))
+    growth = np.where(square > r2, 0.0, 2 * (lens.k1 + r2 * (2 * lens.k2 + r2 * 3 * lens.k3)))
+    p1, p2 = lens.p1, lens.p2
+    u = x * factor + 2 * p1 * x * y + p2 * (square + 2 * x * x)
+    v = y * factor + p1 * (square + 2 * y * y) + 2 * p2 * x * y
+    cross = growth * x * y + 2 * p1 * x + 2 * p2 * y
+    uu = factor + growth * x * x + 2 * p1 * y + 6 * p2 * x
+    vv = factor + growth * y * y + 6 * p1 * y + 2 * p2 * x
+    return np.stack([u, v], axis=-1), np.stack([np.stack([uu, cross], -1), np.stack([cross, vv], -1)], -2)

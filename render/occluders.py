@@ -1,0 +1,90 @@
+"""Opaque shapes of one grey level, flat on the ground: they cover markers, and clutter is made of them."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from skyherd.errors import InputError
+from skyherd.geometry import Array, BoolArray, apply_homography, inverse
+
+
+@dataclass(frozen=True)
+class Disc:
+    """A disc: where it lies, ground metres, and its grey level."""
+
+    center_m: tuple[float, float]
+    radius_m: float
+    level: float
+
+    def covers(self, points_m: Array) -> BoolArray:
+        """Which ground points (..., 2) lie under it."""
+        offset = points_m - np.array(self.center_m)
+        return np.asarray((offset**2).sum(axis=-1) < self.radius_m**2)
+
+    def ground_shape(self) -> Array:
+        """Homography (3, 3) to ground metres from coordinates in which it is the unit disc."""
+        x, y = self.center_m
+        return np.array([[self.radius_m, 0.0, x], [0.0, self.radius_m, y], [0.0, 0.0, 1.0]])
+
+
+@dataclass(frozen=True, eq=False)
+class Quad:
+    """A convex quadrilateral: its corners (4, 2) in order, ground metres, and its grey level.
+
+    Raises:
+        InputError: the corners do not make a convex quadrilateral.
+    """
+
+    corners_m: npt.ArrayLike
+    level: float
+
+    def __post_init__(self) -> None:
+        corners = np.array(self.corners_m, dtype=float)
+        if corners.shape != (4, 2) or not convex(corners[None])[0]:
+            raise InputError(
+                "quad", f"corners {corners.tolist()}", "four corners, in order, of a convex shape"
+            )
+        corners.setflags(write=False)
+        object.__setattr__(self, "corners_m", corners)
+
+    def covers(self, points_m: Array) -> BoolArray:
+        """Which ground points (..., 2) lie under it."""
+        at = apply_homography(inverse(self.ground_shape()), points_m)
+        return np.asarray(((at > 0) & (at < 1)).all(axis=-1))
+
+    def ground_shape(self) -> Array:
+        """Homography (3, 3) to ground metres from coordinates in which it is the unit square."""
+        return np.asarray(quads_square(np.asarray(self.corners_m)[None])[0])
+
+
+Occluder = Disc | Quad
+
+
+def convex(corners: Array) -> BoolArray:
+    """Which quadrilaterals (N, 4, 2) turn the same way at every corner (N,)."""
+    along = np.roll(corners, -1, axis=1) - corners
+    following = np.roll(along, -1, axis=1)
+    turn = along[..., 0] * following[..., 1] - along[..., 1] * following[..., 0]
+    return np.asarray((turn > 0).all(axis=1) | (turn < 0).all(axis=1))
+
+
+def quads_square(corners: Array) -> Array:
+    """Homographies (N, 3, 3) that take the unit square's corners (0,0), (1,0), (1,1), (0,1) to (N, 4, 2).
+
+    Closed form (Heckbert 1989): with sums and differences of the corners, two projective terms g and h.
+    """
+    p0, p1, p2, p3 = np.moveaxis(corners, 1, 0)
+    d1, d2, d3 = p1 - p2, p3 - p2, p0 - p1 + p2 - p3
+
+    def cross(a: Array, b: Array) -> Array:
+        return np.asarray(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
+
+    area = cross(d1, d2)
+    g, h = cross(d3, d2) / area, cross(d1, d3) / area
+    result = np.empty((len(corners), 3, 3))
+    result[:, :2, 0] = p1 - p0 + g[:, None] * p1
+    result[:, :2, 1] = p3 - p0 + h[:, None] * p3
+    result[:, :2, 2] = p0
+    result[:, 2] = np.stack([g, h, np.ones_like(g)], axis=-1)
+    return result

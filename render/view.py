@@ -1,0 +1,172 @@
+"""Images of flat shapes on the ground, as a camera takes them: pose, motion, shutter and lens together."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from skyherd.geometry import Array, BoolArray, IntArray, apply_homography, inverse
+from skyherd.render.camera import (
+    Camera,
+    CameraPose,
+    distort,
+    homography_image_ground,
+    lens_field,
+    lens_slopes,
+    undistort,
+)
+from skyherd.render.motion import INSTANT, STILL, Motion, Shutter
+from skyherd.render.pixels import LensField
+from skyherd.render.spans import Spans
+
+ROLLING_STEPS = 5
+"""Fixed-point steps for the row that a moving point is seen in: each gains a factor of a hundred or more."""
+
+
+@dataclass(frozen=True)
+class ShapeImages:
+    """Homographies of N flat shapes to pixels without the lens, over the time that the image takes.
+
+    Attributes:
+        camera: that sees them.
+        zoom: its zoom.
+        times_s: (Q,) instants: one, or three from the first row's to the last's.
+        matrices: (Q, N, 3, 3) from shape coordinates to pixels at them.
+    """
+
+    camera: Camera
+    zoom: float
+    times_s: Array
+    matrices: Array
+
+    @property
+    def rolling(self) -> bool:
+        """Whether rows are seen at different times."""
+        return len(self.times_s) > 1
+
+    def only(self, shapes: IntArray) -> "ShapeImages":
+        """Some of the shapes."""
+        return replace(self, matrices=self.matrices[:, shapes])
+
+    def _row_times(self, v_px: Array) -> Array:
+        height = self.camera.size_px[1]
+        return np.interp(v_px, [-0.5, height - 0.5], self.times_s[[0, -1]])
+
+    def _at(self, matrices: Array, shape: IntArray, v_px: Array) -> Array:
+        """Matrices (..., 3, 3) of shapes (...) when rows v (...) are seen, by a parabola through three."""
+        if not self.rolling:
+            return np.asarray(matrices[0][shape])
+        _, middle, last = self.times_s
+        t = (self._row_times(v_px) - middle) / (last - middle)
+        parabola = (t * (t - 1) / 2, 1 - t * t, t * (t + 1) / 2)
+        return np.asarray(sum(w[..., None, None] * m[shape] for w, m in zip(parabola, matrices, strict=True)))
+
+    def project(self, points: Array) -> Array:
+        """Pixels (N, V, 2) of points (V, 2) or (N, V, 2) in shape coordinates, through shutter and lens."""
+        shape = np.broadcast_to(
+            np.arange(self.matrices.shape[1], dtype=np.int64)[:, None],
+            (self.matrices.shape[1], points.shape[-2]),
+        )
+        homogeneous = np.concatenate([points, np.ones((*points.shape[:-1], 1))], axis=-1)
+        v_px: Array = np.full(shape.shape, (self.camera.size_px[1] - 1) / 2)
+        for _ in range(ROLLING_STEPS if self.rolling else 1):
+            mapped = np.einsum(
+                "nvij,nvj->nvi",
+                self._at(self.matrices, shape, v_px),
+                np.broadcast_to(homogeneous, (*shape.shape, 3)),
+            )
+            pixels = distort(self.camera, self.zoom, mapped[..., :2] / mapped[..., 2:])
+            v_px = pixels[..., 1]
+        return pixels
+
+    def shapes_image(self, spans: Spans) -> Array:
+        """Homographies (R, 3, 3) from pixels without the lens to shape coordinates, one a run of pixels."""
+        return self._at(inverse(self.matrices), spans.shape, spans.v.astype(np.float64))
+
+    @property
+    def bent(self) -> bool:
+        """Whether straight lines are seen bent."""
+        return self.rolling or bool(self.camera.distortion)
+
+    def lens(self) -> LensField | None:
+        """What the lens does to each pixel; None if nothing."""
+        return lens_field(self.camera, self.zoom)
+
+    def before_horizon(self, points: Array) -> BoolArray:
+        """Which shapes (N,) have all points (V, 2) of theirs on the camera's side of the horizon."""
+        weights = (
+            np.einsum("qnj,vj->qnv", self.matrices[:, :, 2, :2], points) + self.matrices[:, :, 2, 2, None]
+        )
+        return np.asarray((weights > 0).all(axis=(0, 2)))
+
+    def row_shapes(self, v_px: Array) -> Array:
+        """Homographies (V, 3, 3) from pixels of rows (V,) without the lens to the first shape."""
+        return self._at(inverse(self.matrices), np.zeros(len(v_px), dtype=np.int64), v_px)
+
+    def at_origin(self) -> Array:
+        """Homographies (N, 3, 3) to pixels that are right to first order at each shape's origin.
+
+        Without lens and rolling shutter they are right everywhere. The lens adds its slope D, a row time τ
+        the motion during it: a point seen in row v moves with `dp = D H dx + p_t τ dv`, so that its slope is
+        multiplied by `(1 - τ p_t e_vᵀ)⁻¹`.
+        """
+        origin = np.zeros((1, 2))
+        centers = self.project(origin)[:, 0]
+        shape: IntArray = np.arange(len(centers))
+        matrices = self._at(self.matrices, shape, centers[:, 1])
+        if not self.camera.distortion and not self.rolling:
+            return matrices
+        straight = matrices[:, :2, 2] / matrices[:, 2:, 2]
+        slopes = lens_slopes(self.camera, self.zoom, straight)
+        if self.rolling:
+            slopes = self._shear(shape, centers[:, 1]) @ slopes
+        local = np.zeros_like(matrices)
+        local[:, :2, :2], local[:, 2, 2] = slopes, 1.0
+        local[:, :2, 2] = centers - np.einsum("nij,nj->ni", slopes, straight)
+        return np.asarray(local @ matrices)
+
+    def _shear(self, shape: IntArray, v_px: Array) -> Array:
+        """`(1 - p_v e_vᵀ)⁻¹` (N, 2, 2), p_v being by how much origins' images move from row to row."""
+        there = []
+        for v in (v_px - 0.5, v_px + 0.5):
+            moved = self._at(self.matrices, shape, v)
+            there.append(distort(self.camera, self.zoom, moved[:, :2, 2] / moved[:, 2:, 2]))
+        change = np.zeros((len(shape), 2, 2))
+        change[:, :, 1] = there[1] - there[0]
+        return inverse(np.eye(2) - change)
+
+
+@dataclass(frozen=True)
+class View:
+    """One exposure: a camera, where it is, what moves, and `at_s`, the instant within the exposure."""
+
+    camera: Camera
+    pose: CameraPose
+    motion: Motion = STILL
+    shutter: Shutter = INSTANT
+    at_s: float = 0.0
+
+    def images(self, ground_shapes: Callable[[float], Array]) -> ShapeImages:
+        """Images of shapes, from homographies (N, 3, 3) of their coordinates to the ground at an instant."""
+        half_s = self.shutter.row_time_s * self.camera.size_px[1] / 2
+        times_s = np.array([-half_s, 0.0, half_s] if half_s else [0.0])
+        matrices = []
+        for time_s in times_s + self.at_s:
+            pose = self.motion.pose_at(self.pose, float(time_s)) if time_s else self.pose
+            matrices.append(homography_image_ground(self.camera, pose) @ ground_shapes(float(time_s)))
+        return ShapeImages(self.camera, self.pose.zoom, times_s, np.array(matrices))
+
+    def ground(self) -> ShapeImages:
+        """The image of the ground itself, in metres."""
+        return self.images(lambda _: np.eye(3)[None])
+
+    def ground_box(self) -> tuple[Array, Array]:
+        """Lower and upper corner (2,) of a box around the ground in view, metres, from the image's border."""
+        corners = self.camera.corners_px
+        border = np.concatenate(
+            [corners + share * (np.roll(corners, -1, axis=0) - corners) for share in (0, 0.5)]
+        )
+        ground_image = inverse(self.ground().matrices[:, 0])
+        straight = undistort(self.camera, self.pose.zoom, border)
+        seen = np.concatenate([apply_homography(matrix, straight) for matrix in ground_image])
+        return seen.min(axis=0), seen.max(axis=0)

@@ -84,9 +84,9 @@ class Pixels:
         grey = image.ravel().take(lines.places, mode="clip").reshape(rows.size, size)
         np.multiply(grey - np.float32(MIDDLE_GREY), lines.padded, out=self.columns[:, PIXELS])
         self.x, self.y = _marker_coordinates(shapes, lines)
-        self._fill(looks, shapes.squeezes / shapes.arms)
+        self._fill(looks, shapes)
 
-    def _fill(self, looks: Looks, squeezes: ComplexArray) -> None:
+    def _fill(self, looks: Looks, shapes: Shapes) -> None:
         """Read the patterns at the pixels and make the model's columns of them."""
         x, y, columns = self.x, self.y, self.columns
         drawn = np.empty((*x.shape, 4), dtype=np.float32)
@@ -94,10 +94,8 @@ class Pixels:
             _read(pattern, x[row], y[row], drawn[row])
             if looks.sees_ground[row]:
                 _read(looks.grounds[row], x[row], y[row], columns[row, GROUND])
-        for row, bend in enumerate(looks.bends):
-            bent = np.empty((x.shape[1], 2), dtype=np.float32)
-            _read(bend, x[row], y[row], bent)
-            drawn[row, :, 0] -= bent @ np.array([squeezes[row].real, squeezes[row].imag], dtype=np.float32)
+        if looks.bends:
+            self._bend(drawn, looks.bends, shapes)
         columns[:, GROUND] *= self.mask
         np.multiply(drawn[..., 0], self.mask, out=columns[:, CONTRAST])
         slope_x, slope_y = (np.multiply(drawn[..., axis], self.mask) for axis in (1, 2))
@@ -112,6 +110,24 @@ class Pixels:
         light = columns[:, CONTRAST] + looks.ratios.astype(np.float32)[:, None] * self.mask
         np.multiply(x, light, out=columns[:, LIGHT[0]])
         np.multiply(y, light, out=columns[:, LIGHT[1]])
+
+    def _bend(self, drawn: Floats, bends: list[Pattern], shapes: Shapes) -> None:
+        """Take into T (N, M, 4) that a blur round in the image is not so in a squeezed marker's coordinates.
+
+        Towards the horizon the marker shrinks by `w^(-3/2)` with `w = 1 + Re(h̄ m z)`, so that blur grows in
+        its coordinates, and the squeeze changes by `- h m̄ z / 2`.
+        """
+        squeezes = (shapes.squeezes / shapes.arms).astype(np.complex64)
+        leans = (shapes.horizons * shapes.arms.conj()).astype(np.complex64)
+        for row, bend in enumerate(bends):
+            x, y = self.x[row], self.y[row]
+            bent = np.empty((x.size, 2), dtype=np.float32)
+            _read(bend, x, y, bent)
+            lean = leans[row] / 2
+            squeeze_x = squeezes[row].real - (lean.real * x - lean.imag * y)
+            squeeze_y = squeezes[row].imag - (lean.imag * x + lean.real * y)
+            drawn[row, :, 0] -= bent[:, 0] * squeeze_x + bent[:, 1] * squeeze_y
+            drawn[row, :, 0] += 3 * (lean.real * x + lean.imag * y) * drawn[row, :, 3]
 
     def cell_means(self, solutions: Array, n_cells: int) -> Array:
         """(N, n, n): mean over each cell of what the model at `solutions` (N, 12) leaves, grey levels."""

@@ -1,0 +1,177 @@
+"""Where in an image a marker could be: what a detector rejects, and what it cannot see.
+
+Four kinds: dark quadrilaterals, as OpenCV finds them at several settings; dark patches that are nearly
+square; dark shapes that the border of the image cuts, squares being laid through the corners that are left;
+and groups of bright spots, from which a square is guessed whose own outline cannot be seen.
+"""
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from skyherd.geometry import Array
+from skyherd.markers import cells_per_side, load_dictionary
+
+Image = npt.NDArray[np.uint8]
+
+MIN_SIDE_PX = 6.0
+THRESHOLDS = (14, 6)
+"""How much darker than its surroundings, in grey levels, an outline must be in each pass."""
+
+MAX_ENLARGED = 4_000_000
+"""Images of more pixels are not searched at twice their size."""
+
+WINDOWS_PX = (5, 53, 16)
+CLOSINGS_PX = (3, 5, 9, 17, 33)
+"""Gaps over which bright spots are taken as one group, one after the other."""
+
+MAX_GROUPS = 400
+SQUARENESS_DEG = 35.0
+"""A corner of a cut shape may differ from a right angle by so much."""
+
+
+def dark_quads(image: Image, dictionary: str) -> list[Array]:
+    """Quadrilaterals (4, 2) that are darker than what is around them, accepted by OpenCV or rejected.
+
+    The image is searched at twice its size too if it is not large: outlines of a few pixels are found so.
+    """
+    found = [quad for constant in THRESHOLDS for quad in _opencv_quads(image, dictionary, constant)]
+    if image.size <= MAX_ENLARGED:
+        large = cv2.resize(image, None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC)
+        quads = _opencv_quads(np.asarray(large, dtype=np.uint8), dictionary, THRESHOLDS[0])
+        found += [(quad + 0.5) / 2 - 0.5 for quad in quads]
+    return found
+
+
+def _opencv_quads(image: Image, dictionary: str, constant: int) -> list[Array]:
+    parameters = cv2.aruco.DetectorParameters()
+    parameters.minMarkerPerimeterRate = 4 * MIN_SIDE_PX / max(image.shape)
+    parameters.maxMarkerPerimeterRate = 8.0
+    parameters.adaptiveThreshWinSizeMin, parameters.adaptiveThreshWinSizeMax = WINDOWS_PX[:2]
+    parameters.adaptiveThreshWinSizeStep = WINDOWS_PX[2]
+    parameters.adaptiveThreshConstant = constant
+    parameters.polygonalApproxAccuracyRate = 0.05
+    parameters.minDistanceToBorder = 0
+    parameters.perspectiveRemovePixelPerCell = 8
+    detector = cv2.aruco.ArucoDetector(load_dictionary(dictionary), parameters)
+    accepted, _, rejected = detector.detectMarkers(image)
+    return [np.reshape(quad, (4, 2)).astype(float) for quad in (*accepted, *rejected)]
+
+
+def dark_patches(image: Image) -> list[Array]:
+    """Smallest rectangles (4, 2) around dark patches, if nearly square: markers that are covered in part."""
+    quads: list[Array] = []
+    for dark in _dark(image):
+        contours, _ = cv2.findContours(dark, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
+        for contour in contours:
+            rectangle = cv2.minAreaRect(contour)
+            shorter, longer = sorted(rectangle[1])
+            if shorter > MIN_SIDE_PX and longer < 1.2 * shorter:
+                quads.append(cv2.boxPoints(rectangle).astype(float))
+    return quads
+
+
+def _dark(image: Image) -> list[Image]:
+    """What is dark against its wider surroundings, at each threshold."""
+    window = max(WINDOWS_PX[1], 2 * (min(image.shape) // 12) + 1)
+    mean, below = cv2.ADAPTIVE_THRESH_MEAN_C, cv2.THRESH_BINARY_INV
+    masks = [cv2.adaptiveThreshold(image, 255, mean, below, window, constant) for constant in THRESHOLDS]
+    return [np.asarray(mask, dtype=np.uint8) for mask in masks]
+
+
+def cut_squares(image: Image, dictionary: str) -> list[Array]:
+    """Squares (4, 2) through what is left of dark shapes that the image's border cuts."""
+    height, width = image.shape
+    squares: list[Array] = []
+    for dark in _dark(image):
+        framed = cv2.copyMakeBorder(dark, 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=0)
+        contours, _ = cv2.findContours(framed, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
+        for contour in contours:
+            points = contour[:, 0, :].astype(float) - 1
+            u, v = points.T
+            touches = u.min() < 1 or v.min() < 1 or u.max() > width - 2 or v.max() > height - 2
+            if touches and cv2.contourArea(contour) > MIN_SIDE_PX**2:
+                squares += _complete(contour, (width, height), cells_per_side(dictionary))
+    return squares
+
+
+def _complete(contour: npt.NDArray[np.int32], size_px: tuple[int, int], n: int) -> list[Array]:
+    """Squares that have the corners of a contour (M, 1, 2) which lie inside the image."""
+    hull = cv2.convexHull(contour)
+    outline = cv2.approxPolyDP(hull, 0.04 * cv2.arcLength(hull, True), True)[:, 0, :].astype(float) - 1
+    if not 3 <= len(outline) <= 7:
+        return []
+    limit = np.array(size_px) - 1.0
+    inside = ((outline > 1.5) & (outline < limit - 1.5)).all(axis=1)
+    squares: list[Array] = []
+    for k in np.flatnonzero(inside):
+        before, here, after = outline[k - 1], outline[k], outline[(k + 1) % len(outline)]
+        back, ahead = before - here, after - here
+        angle = np.degrees(
+            np.arccos(np.clip(back @ ahead / np.linalg.norm(back) / np.linalg.norm(ahead), -1, 1))
+        )
+        if abs(angle - 90) > SQUARENESS_DEG:
+            continue
+        if inside[(k + 1) % len(outline)]:
+            squares.append(_square(here, after, back))
+        elif not inside[k - 1]:
+            longest = max(float(np.linalg.norm(back)), float(np.linalg.norm(ahead)))
+            direction = ahead / np.linalg.norm(ahead)
+            for side in longest * np.geomspace(1.0, 2.5, 4 * n):
+                squares.append(_square(here, here + side * direction, back))
+    return squares
+
+
+def _square(first: Array, second: Array, towards: Array) -> Array:
+    """The square (4, 2) with the edge given, on the side to which `towards` points."""
+    edge = second - first
+    across = np.array([-edge[1], edge[0]])
+    across = across if across @ towards > 0 else -across
+    return np.array([first, second, second + across, first + across])
+
+
+def bright_groups(image: Image, dictionary: str) -> list[Array]:
+    """Squares (4, 2) around groups of bright spots on dark: markers whose outline cannot be seen.
+
+    The smallest rectangle around the white cells is that of the bits, or lacks a row or two that are all
+    black.
+    """
+    n = cells_per_side(dictionary)
+    squares: list[Array] = []
+    local = cv2.GaussianBlur(image, (0, 0), 1.0)
+    for window in (41, 121):
+        bright = cv2.adaptiveThreshold(local, 255, cv2.ADAPTIVE_THRESH_MEAN_C, cv2.THRESH_BINARY, window, -20)
+        for closing in CLOSINGS_PX:
+            disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (closing, closing))
+            closed = cv2.morphologyEx(bright, cv2.MORPH_CLOSE, disc)
+            contours, _ = cv2.findContours(closed, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
+            large = [c for c in contours if cv2.contourArea(c) > (MIN_SIDE_PX * (n - 2) / n) ** 2]
+            for contour in sorted(large, key=cv2.contourArea, reverse=True)[:MAX_GROUPS]:
+                squares += _grow(contour, n)
+    return squares
+
+
+def _grow(contour: npt.NDArray[np.int32], n: int) -> list[Array]:
+    """Marker outlines (4, 2) whose bits the contour may be."""
+    corner = cv2.boxPoints(cv2.minAreaRect(contour)).astype(float)
+    right, down = corner[1] - corner[0], corner[3] - corner[0]
+    width, height = float(np.linalg.norm(right)), float(np.linalg.norm(down))
+    if min(width, height) < 3:
+        return []
+    right, down = right / width, down / height
+    outlines: list[Array] = []
+    for columns in range(n - 4, n - 1):
+        for rows in range(n - 4, n - 1):
+            cell = (width / columns + height / rows) / 2
+            if abs(width / columns - height / rows) > 0.2 * cell:
+                continue
+            for left in range(n - 1 - columns):
+                for top in range(n - 1 - rows):
+                    first = corner[0] - cell * ((left + 1) * right + (top + 1) * down)
+                    edge = cell * n
+                    outlines.append(
+                        np.array(
+                            [first, first + edge * right, first + edge * (right + down), first + edge * down]
+                        )
+                    )
+    return outlines

@@ -5,11 +5,13 @@ square; dark shapes that the border of the image cuts, squares being laid throug
 and groups of bright spots, from which a square is guessed whose own outline cannot be seen.
 """
 
+from typing import Any
+
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from skyherd.geometry import Array
+from skyherd.geometry import Array, BoolArray
 from skyherd.markers import cells_per_side, load_dictionary
 
 Image = npt.NDArray[np.uint8]
@@ -95,14 +97,14 @@ def cut_squares(image: Image, dictionary: str) -> list[Array]:
     return squares
 
 
-def _complete(contour: npt.NDArray[np.int32], size_px: tuple[int, int], n: int) -> list[Array]:
+def _complete(contour: npt.NDArray[Any], size_px: tuple[int, int], n: int) -> list[Array]:
     """Squares that have the corners of a contour (M, 1, 2) which lie inside the image."""
     hull = cv2.convexHull(contour)
     outline = cv2.approxPolyDP(hull, 0.04 * cv2.arcLength(hull, True), True)[:, 0, :].astype(float) - 1
     if not 3 <= len(outline) <= 7:
         return []
     limit = np.array(size_px) - 1.0
-    inside = ((outline > 1.5) & (outline < limit - 1.5)).all(axis=1)
+    inside: BoolArray = np.all((outline > 1.5) & (outline < limit - 1.5), axis=1)
     squares: list[Array] = []
     for k in np.flatnonzero(inside):
         before, here, after = outline[k - 1], outline[k], outline[(k + 1) % len(outline)]
@@ -151,7 +153,7 @@ def bright_groups(image: Image, dictionary: str) -> list[Array]:
     return squares
 
 
-def _grow(contour: npt.NDArray[np.int32], n: int) -> list[Array]:
+def _grow(contour: npt.NDArray[Any], n: int) -> list[Array]:
     """Marker outlines (4, 2) whose bits the contour may be."""
     corner = cv2.boxPoints(cv2.minAreaRect(contour)).astype(float)
     right, down = corner[1] - corner[0], corner[3] - corner[0]

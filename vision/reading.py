@@ -208,7 +208,8 @@ def _sample(image: Image, image_cells: Array, n: int) -> Array:
     samples = np.asarray(warped, dtype=float).reshape(size, FINE, size, FINE).mean(axis=(1, 3))
     at = (np.arange(size) + 0.5) / PER_CELL - 1
     points = np.stack(np.meshgrid(at, at), axis=-1) @ image_cells[:, :2].T + image_cells[:, 2]
-    u, v = points[..., 0] / points[..., 2], points[..., 1] / points[..., 2]
+    with np.errstate(divide="ignore", invalid="ignore"):  # a quadrilateral may have its horizon inside
+        u, v = points[..., 0] / points[..., 2], points[..., 1] / points[..., 2]
     inside = (u > -0.5) & (v > -0.5) & (u < image.shape[1] - 0.5) & (v < image.shape[0] - 0.5)
     return np.where(inside, samples, np.nan)
 

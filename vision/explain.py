@@ -28,8 +28,8 @@ REACH = 0.6
 """What is centred within this share of a detected card's side from its centre is part of it."""
 
 FRAME_BONUS = 0.3
-SURE, LEAST_VISIBLE = 0.93, 0.4
-"""Likeness, and share of it in the image, that make a guessed square a marker."""
+GUESS, SURE, LEAST_VISIBLE = 0.75, 0.93, 0.4
+"""Likeness at first and second look, and share in the image, that make a guessed square a marker."""
 
 
 @dataclass(frozen=True)
@@ -108,7 +108,7 @@ def _read_all(image: Image, dictionary: str, detections: Detections) -> list[Rea
     seen = [_read_grown(image, quad, dictionary) for quad in outlines]
     whole = [reading for reading in seen if not is_cut(reading, size_px)]
     doubtful = [reading for reading in seen if is_cut(reading, size_px)]
-    doubtful += [read_quad(image, quad, dictionary) for quad in guesses]
+    doubtful += [read_quad(image, quad, dictionary, promising=GUESS) for quad in guesses]
     return whole + [
         r for r in doubtful if r.likeness >= SURE and r.wrong_bits == 0 and r.visible >= LEAST_VISIBLE
     ]

@@ -141,8 +141,8 @@ def image_from_cells(corners_px: Array, n: int) -> Array:
     return np.asarray(cv2.getPerspectiveTransform(square, corners_px.astype(np.float32)), dtype=float)
 
 
-def read_quad(image: Image, corners_px: Array, dictionary: str) -> Reading:
-    """Read a quadrilateral (4, 2)."""
+def read_quad(image: Image, corners_px: Array, dictionary: str, *, promising: float = PROMISING) -> Reading:
+    """Read a quadrilateral (4, 2); one less than `promising` at the first look is not looked at finely."""
     n = cells_per_side(dictionary)
     image_cells = image_from_cells(corners_px, n)
     samples = _sample(image, image_cells, n)
@@ -151,7 +151,7 @@ def read_quad(image: Image, corners_px: Array, dictionary: str) -> Reading:
     border = np.concatenate([ring[0], ring[-1], ring[1:-1, 0], ring[1:-1, -1]])
     quiet = np.array([_median(edge[1:-1]) for edge in (levels[0], levels[:, -1], levels[-1], levels[:, 0])])
     templates = load_templates(dictionary)
-    match = _nearest(ring, samples[PER_CELL:-PER_CELL, PER_CELL:-PER_CELL], templates)
+    match = _nearest(ring, samples[PER_CELL:-PER_CELL, PER_CELL:-PER_CELL], templates, promising)
     nearest_id, mirrored = templates.row(match.row)
     seen = np.isfinite(ring)
     middle = _middle(border, inner)
@@ -231,7 +231,7 @@ class Match:
     white: float
 
 
-def _nearest(cells: Array, samples: Array, templates: Templates) -> Match:
+def _nearest(cells: Array, samples: Array, templates: Templates, promising: float) -> Match:
     """The template most like what lies in the image.
 
     All are compared by the cells' middles, the best of them then by all samples and blurs.
@@ -244,7 +244,7 @@ def _nearest(cells: Array, samples: Array, templates: Templates) -> Match:
     match = _fit(
         float(likeness[best[-1]]), int(best[-1]), FIRST_BLUR, templates.levels[best[-1]][seen], cells[seen]
     )
-    if match.likeness < PROMISING:
+    if match.likeness < promising:
         return match
     seen = np.isfinite(samples)
     for blur in BLURS:

@@ -11,6 +11,7 @@ import typer
 from skyherd import __version__
 from skyherd.cli.console import complain
 from skyherd.cli.detect import detect
+from skyherd.cli.markers import markers
 from skyherd.cli.report import report
 from skyherd.cli.run import run
 from skyherd.cli.scenario import scenario_app
@@ -28,6 +29,7 @@ app = typer.Typer(
 app.command()(run)
 app.command()(report)
 app.command()(detect)
+app.command()(markers)
 app.add_typer(scenario_app, name="scenario")
 
 

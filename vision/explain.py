@@ -19,7 +19,7 @@ from skyherd.messages import Detections
 from skyherd.vision.aruco import ArucoDetector
 from skyherd.vision.candidates import bright_groups, cut_squares, dark_patches, dark_quads
 from skyherd.vision.reading import PROMISING, Reading, read_quad
-from skyherd.vision.reasons import Reason, describe, find_reason, is_cut, is_dark
+from skyherd.vision.reasons import CERTAIN, ENOUGH_CELL_PX, Reason, describe, find_reason, is_cut, is_dark
 
 Image = npt.NDArray[np.uint8]
 
@@ -128,7 +128,9 @@ def _read_grown(image: Image, corners_px: Array, dictionary: str) -> Reading:
 
 def _rank(reading: Reading) -> float:
     """How marker-like a reading is; of squares that share a place the highest stays."""
-    return float(reading.likeness * reading.visible**0.25 + FRAME_BONUS * reading.framed)
+    exact = reading.likeness >= CERTAIN and reading.wrong_bits == 0
+    frame = reading.framed and reading.cell_px[0] >= ENOUGH_CELL_PX and is_dark(reading)
+    return float(reading.likeness * reading.visible**0.25 + FRAME_BONUS * (exact or frame))
 
 
 def _contains(corners_px: Array, point_px: Array) -> bool:

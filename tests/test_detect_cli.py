@@ -54,8 +54,8 @@ def test_a_picture_leaves_a_table_and_an_annotated_picture(here, capsys) -> None
         assert float(row["corner0_v_px"]) == pytest.approx(35.5, abs=0.2)
         assert 0 < float(row["std_u_px"]) < 0.1
         assert (row["file"], row["frame"], row["time_s"]) == ("a.png", "", "")
-    picture = Image.open("detections/a/a.png")
-    assert picture.mode == "RGB" and max(picture.size) >= 640
+    with Image.open("detections/a/a.png") as picture:
+        assert picture.mode == "RGB" and max(picture.size) >= 640
     assert not [path for path in here.rglob("*") if path.name.startswith(".")]
 
 
@@ -122,11 +122,11 @@ def test_rejections_are_numbered_with_place_and_remedy(here, capsys) -> None:
     small = cv2.resize(image, None, fx=0.16, fy=0.16, interpolation=cv2.INTER_AREA)
     image = np.full((240, 340), 140, np.uint8)
     image[100 : 100 + small.shape[0], 100 : 100 + small.shape[1]] = small
-    image[180:220, 250:290] = 30
+    image[180:220, 250:290] = 30  # and a dark patch that is no marker
     Image.fromarray(image).save("small.png")
     _, out, _ = call(capsys, "small.png", "--explain")
     assert "1. at (" in out and "px a cell, at least 3 are needed" in out and "print larger" in out
-    assert "1 more dark quadrilateral(s) without bits" in out
+    assert "more dark quadrilateral(s) without bits" in out
     with open("detections/small/rejected.csv", newline="") as file:
         rows = list(csv.DictReader(file))
     assert rows[0]["reason"] == "too few pixels a cell" and float(rows[0]["cell_px"]) < 2

@@ -44,6 +44,12 @@ def likely(image: np.ndarray, dictionary: str = DICTIONARY) -> list[Rejection]:
     return [r for r in explain(image, dictionary) if r.reason is not Reason.NO_BITS]
 
 
+def blindly(image: np.ndarray) -> list[Rejection]:
+    """As for a detector that finds nothing: what is said does not hang on how good today's is."""
+    nothing = ArucoDetector(DICTIONARY).detect(image).select([])
+    return [r for r in explain(image, DICTIONARY, nothing) if r.reason is not Reason.NO_BITS]
+
+
 def explained_at(image: np.ndarray, place_px: np.ndarray) -> Rejection:
     """The one rejection within 10 px of a place."""
     near = [r for r in likely(image) if np.linalg.norm(r.center_px - place_px) < 10]
@@ -56,14 +62,13 @@ def test_nothing_is_rejected_where_all_is_well(draw) -> None:
     image = draw()
     assert ArucoDetector(DICTIONARY).detect(image).ids.tolist() == IDS
     assert likely(image) == []
+    assert {(r.reason, r.reading.nearest_id) for r in blindly(image)} == {(Reason.OVERLOOKED, k) for k in IDS}
 
 
 def test_too_few_pixels(draw) -> None:
     """Markers of 9 px have 1.5 px a cell; an outline is right to two pixels a side, a third of one a cell."""
-    image = draw(9)
-    found = ArucoDetector(DICTIONARY).detect(image)
-    rejected = likely(image)
-    assert len(rejected) >= 3 and len(rejected) + len(found) == 4
+    rejected = blindly(draw(9))
+    assert len(rejected) >= 3
     for r in rejected:
         assert r.reason is Reason.FEW_PIXELS
         assert r.reading.cell_px[0] == pytest.approx(1.5, abs=0.34)
@@ -73,8 +78,7 @@ def test_too_few_pixels(draw) -> None:
 
 def test_low_contrast(draw) -> None:
     """25 grey levels, measured to the noise of a mean over a cell, and texture: within 5."""
-    image = draw(black=112.0, white=137.0)
-    rejected = likely(image)
+    rejected = blindly(draw(black=112.0, white=137.0))
     assert {r.reading.nearest_id for r in rejected} == set(IDS)
     for r in rejected:
         assert r.reason is Reason.LOW_CONTRAST and r.reading.contrast == pytest.approx(25, abs=5)
@@ -84,7 +88,7 @@ def test_low_contrast(draw) -> None:
 @pytest.mark.parametrize("psf_px", [4.5, 5.5])
 def test_too_blurred(draw, psf_px) -> None:
     """Cells of 6.7 px under 4.5 px and more; blurs are tried in steps of 0.1 to 0.15 of a cell."""
-    rejected = likely(draw(psf_px=psf_px))
+    rejected = blindly(draw(psf_px=psf_px))
     assert len(rejected) >= 2
     for r in rejected:
         assert r.reason is Reason.BLURRED, r.words
@@ -103,10 +107,8 @@ def test_no_quiet_zone() -> None:
     turn = cv2.getRotationMatrix2D((200, 200), 20, 1.0)
     image = cv2.GaussianBlur(cv2.warpAffine(image, turn, (400, 400), borderValue=35), (0, 0), 0.8)
     image = np.clip(image + rng.normal(0, 2, image.shape), 0, 255).astype(np.uint8)
-    rejected = likely(image)
-    found = ArucoDetector(DICTIONARY).detect(image)
-    assert len(rejected) >= 3
-    assert sorted([*found.ids, *(r.reading.nearest_id for r in rejected)]) == IDS
+    rejected = blindly(image)
+    assert {r.reading.nearest_id for r in rejected} == set(IDS)
     for r in rejected:
         assert r.reason is Reason.NO_QUIET_ZONE and "4 of its 4 edges" in r.words
         wanted = (PLACES_PX[IDS.index(r.reading.nearest_id)] - 0.5) @ turn[:, :2].T + turn[:, 2]
@@ -118,7 +120,7 @@ def test_cut_by_the_border(draw, cut) -> None:
     """The left of the picture cut off through two markers; the share left is right to a row of cells."""
     whole = draw(60)
     image = np.ascontiguousarray(whole[:, cut])
-    rejected = likely(image)
+    rejected = [r for r in blindly(image) if r.reason is not Reason.OVERLOOKED]
     assert [r.reason for r in rejected] == [Reason.CUT] * 2
     share = 0.5 + (PLACES_PX[0, 0] - cut.start) / 60
     for r in rejected:
@@ -136,11 +138,10 @@ def test_a_shape_without_bits_at_the_border_is_not_called_a_marker(draw) -> None
 def test_too_oblique(draw) -> None:
     """Seen at acos(0.2) = 78.5 deg, 60 px become 12, 2 px a cell the short way.
 
-    OpenCV still reads them without noise: its detections are withheld, as of a detector that does not.
+    OpenCV still reads them without noise; a detector that does not is told this.
     """
     image = cv2.resize(draw(60, noise=0.0), (400, 80), interpolation=cv2.INTER_AREA)
-    nothing = ArucoDetector(DICTIONARY).detect(image).select([])
-    rejected = [r for r in explain(image, DICTIONARY, nothing) if r.reason is not Reason.NO_BITS]
+    rejected = blindly(image)
     assert {(r.reason, r.reading.nearest_id) for r in rejected} == {(Reason.OBLIQUE, k) for k in IDS}
     for r in rejected:
         assert r.reading.tilt_deg == pytest.approx(78.5, abs=4)

@@ -1,7 +1,7 @@
 """The command line: one file a verb, each thin: parse, check, one call.
 
-Exit codes: 0 done; 1 the run did not reach its goal, or `detect --require` found a file without a marker; 2 bad
-input or output; 130 interrupted.
+Exit codes: 0 done; 1 the run did not reach its goal, or `detect --require` found a file without a marker; 2
+bad input or output; 130 interrupted.
 """
 
 import sys

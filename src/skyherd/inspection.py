@@ -137,7 +137,7 @@ class Inspector:
         found = self._look(detector, image, Place(result.file.name), result, tables)
         annotated = Annotator((image.shape[1], image.shape[0])).draw(image, found, result.rejections)
         drawn = Image.fromarray(annotated)
-        result.picture = write_whole(picture, lambda part: drawn.save(part, format="PNG"))
+        result.picture = write_whole(picture, lambda part: drawn.save(part, format="PNG", compress_level=2))
         if len(found) < FEW:
             result.hint = suggest(image, self.dictionary)
         self._on_frame(result.file, 1, 1)

@@ -5,11 +5,13 @@ square; dark shapes that the border of the image cuts, squares being laid throug
 and groups of bright spots, from which a square is guessed whose own outline cannot be seen.
 """
 
+from typing import Any
+
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from skyherd.geometry import Array
+from skyherd.geometry import Array, BoolArray
 from skyherd.markers import cells_per_side, load_dictionary
 
 Image = npt.NDArray[np.uint8]
@@ -25,7 +27,14 @@ WINDOWS_PX = (5, 53, 16)
 CLOSINGS_PX = (3, 5, 9, 17, 33)
 """Gaps over which bright spots are taken as one group, one after the other."""
 
+BRIGHT_WINDOWS_PX, BRIGHTER = (41, 121), 20
+"""Bright spots are so many grey levels above the mean of a window of these sizes."""
+
+DARK_SHARE = 0.9
 MAX_GROUPS = 400
+MAX_EDGES, ALIKE_RAD = 6, 0.07
+"""Of a group, so many edges of its hull are tried as directions of the grid, those alike once."""
+
 SQUARENESS_DEG = 35.0
 """A corner of a cut shape may differ from a right angle by so much."""
 
@@ -95,14 +104,14 @@ def cut_squares(image: Image, dictionary: str) -> list[Array]:
     return squares
 
 
-def _complete(contour: npt.NDArray[np.int32], size_px: tuple[int, int], n: int) -> list[Array]:
+def _complete(contour: npt.NDArray[Any], size_px: tuple[int, int], n: int) -> list[Array]:
     """Squares that have the corners of a contour (M, 1, 2) which lie inside the image."""
     hull = cv2.convexHull(contour)
     outline = cv2.approxPolyDP(hull, 0.04 * cv2.arcLength(hull, True), True)[:, 0, :].astype(float) - 1
     if not 3 <= len(outline) <= 7:
         return []
     limit = np.array(size_px) - 1.0
-    inside = ((outline > 1.5) & (outline < limit - 1.5)).all(axis=1)
+    inside: BoolArray = np.all((outline > 1.5) & (outline < limit - 1.5), axis=1)
     squares: list[Array] = []
     for k in np.flatnonzero(inside):
         before, here, after = outline[k - 1], outline[k], outline[(k + 1) % len(outline)]
@@ -133,14 +142,15 @@ def _square(first: Array, second: Array, towards: Array) -> Array:
 def bright_groups(image: Image, dictionary: str) -> list[Array]:
     """Squares (4, 2) around groups of bright spots on dark: markers whose outline cannot be seen.
 
-    The smallest rectangle around the white cells is that of the bits, or lacks a row or two that are all
-    black.
+    A rectangle around the white cells is that of the bits, or lacks a row or two that are all black.
     """
     n = cells_per_side(dictionary)
     squares: list[Array] = []
-    local = cv2.GaussianBlur(image, (0, 0), 1.0)
-    for window in (41, 121):
-        bright = cv2.adaptiveThreshold(local, 255, cv2.ADAPTIVE_THRESH_MEAN_C, cv2.THRESH_BINARY, window, -20)
+    smooth = cv2.GaussianBlur(image, (0, 0), 1.0)
+    for window in BRIGHT_WINDOWS_PX:
+        bright = cv2.adaptiveThreshold(
+            smooth, 255, cv2.ADAPTIVE_THRESH_MEAN_C, cv2.THRESH_BINARY, window, -BRIGHTER
+        )
         for closing in CLOSINGS_PX:
             disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (closing, closing))
             closed = cv2.morphologyEx(bright, cv2.MORPH_CLOSE, disc)
@@ -148,30 +158,71 @@ def bright_groups(image: Image, dictionary: str) -> list[Array]:
             large = [c for c in contours if cv2.contourArea(c) > (MIN_SIDE_PX * (n - 2) / n) ** 2]
             for contour in sorted(large, key=cv2.contourArea, reverse=True)[:MAX_GROUPS]:
                 squares += _grow(contour, n)
-    return squares
+    return _with_dark_border(np.asarray(smooth, dtype=np.uint8), squares, n)
 
 
-def _grow(contour: npt.NDArray[np.int32], n: int) -> list[Array]:
-    """Marker outlines (4, 2) whose bits the contour may be."""
-    corner = cv2.boxPoints(cv2.minAreaRect(contour)).astype(float)
-    right, down = corner[1] - corner[0], corner[3] - corner[0]
-    width, height = float(np.linalg.norm(right)), float(np.linalg.norm(down))
-    if min(width, height) < 3:
+def _with_dark_border(image: Image, squares: list[Array], n: int) -> list[Array]:
+    """Those squares whose border of cells is dark and whose inside is not, at the cells' middles."""
+    if not squares:
         return []
-    right, down = right / width, down / height
+    corners = np.stack(squares)
+    at = (np.arange(n) + 0.5) / n
+    right, down = corners[:, 1] - corners[:, 0], corners[:, 3] - corners[:, 0]
+    places = (
+        corners[:, None, None, 0]
+        + at[:, None] * right[:, None, None]
+        + at[:, None, None] * down[:, None, None]
+    )
+    u, v = np.rint(places).astype(int).clip(0, np.array(image.shape[::-1]) - 1).transpose(3, 0, 1, 2)
+    levels = image[v, u].astype(float)
+    rim = np.ones((n, n), dtype=bool)
+    rim[1:-1, 1:-1] = False
+    black = np.median(levels[:, rim], axis=1)
+    white = np.percentile(levels[:, ~rim], 85, axis=1)
+    dark = (levels[:, rim] < ((black + white) / 2)[:, None]).mean(axis=1) >= DARK_SHARE
+    return [corners[k] for k in np.flatnonzero(dark & (white - black > BRIGHTER))]
+
+
+def _grow(contour: npt.NDArray[Any], n: int) -> list[Array]:
+    """Marker outlines (4, 2) whose bits the contour may be."""
+    hull = cv2.convexHull(contour)[:, 0, :].astype(float)
+    outlines: list[Array] = []
+    for angle in _edge_angles(hull):
+        right = np.array([np.cos(angle), np.sin(angle)])
+        down = np.array([-right[1], right[0]])
+        across, along = hull @ right, hull @ down
+        # A contour runs through the middles of the outermost pixels.
+        corner = (across.min() - 0.5) * right + (along.min() - 0.5) * down
+        outlines += _complete_bits(corner, right, down, np.ptp(across) + 1.0, np.ptp(along) + 1.0, n)
+    return outlines
+
+
+def _edge_angles(hull: Array) -> list[float]:
+    """Directions of a convex hull's longer edges, within a quarter turn, those alike once."""
+    outline = cv2.approxPolyDP(hull.astype(np.float32)[:, None], 1.5, True)[:, 0, :]
+    edges = np.roll(outline, -1, axis=0) - outline
+    lengths = np.hypot(*edges.T)
+    angles: list[float] = []
+    for edge in edges[np.argsort(-lengths)][:MAX_EDGES]:
+        angle = float(np.arctan2(edge[1], edge[0]) % (np.pi / 2))
+        if all(abs(np.angle(np.exp(4j * (angle - other)))) > 4 * ALIKE_RAD for other in angles):
+            angles.append(angle)
+    return angles
+
+
+def _complete_bits(
+    corner: Array, right: Array, down: Array, width: float, height: float, n: int
+) -> list[Array]:
+    """Outlines of markers of n cells whose white cells may span the rectangle, up to two rows being black."""
     outlines: list[Array] = []
     for columns in range(n - 4, n - 1):
         for rows in range(n - 4, n - 1):
             cell = (width / columns + height / rows) / 2
-            if abs(width / columns - height / rows) > 0.2 * cell:
+            if cell * n < MIN_SIDE_PX or abs(width / columns - height / rows) > 0.2 * cell:
                 continue
             for left in range(n - 1 - columns):
                 for top in range(n - 1 - rows):
-                    first = corner[0] - cell * ((left + 1) * right + (top + 1) * down)
-                    edge = cell * n
-                    outlines.append(
-                        np.array(
-                            [first, first + edge * right, first + edge * (right + down), first + edge * down]
-                        )
-                    )
+                    first = corner - cell * ((left + 1) * right + (top + 1) * down)
+                    steps = np.array([0 * right, right, right + down, down])
+                    outlines.append(first + cell * n * steps)
     return outlines

@@ -19,14 +19,17 @@ from skyherd.messages import Detections
 from skyherd.vision.aruco import ArucoDetector
 from skyherd.vision.candidates import bright_groups, cut_squares, dark_patches, dark_quads
 from skyherd.vision.reading import PROMISING, Reading, read_quad
-from skyherd.vision.reasons import Reason, describe, find_reason, is_cut, is_dark
+from skyherd.vision.reasons import CERTAIN, ENOUGH_CELL_PX, Reason, describe, find_reason, is_cut, is_dark
 
 Image = npt.NDArray[np.uint8]
 
 GROWTHS_PX = (0.5, 1.0)
+REACH = 0.6
+"""What is centred within this share of a detected card's side from its centre is part of it."""
+
 FRAME_BONUS = 0.3
-SURE, LEAST_VISIBLE = 0.93, 0.4
-"""Likeness, and share of it in the image, that make a guessed square a marker."""
+GUESS, SURE, LEAST_VISIBLE = 0.75, 0.93, 0.4
+"""Likeness at first and second look, and share in the image, that make a guessed square a marker."""
 
 
 @dataclass(frozen=True)
@@ -72,9 +75,9 @@ def explain(image: Image, dictionary: str, detections: Detections | None = None)
         raise InputError("image", f"shape {image.shape}, {image.dtype}", "grey, (height, width), uint8")
     if detections is None:
         detections = ArucoDetector(dictionary).detect(image)
-    readings = []
-    for reading in sorted(_read_all(image, dictionary), key=_rank, reverse=True):
-        if not _is_known(reading, detections, dictionary) and not _is_part(reading, readings):
+    readings: list[Reading] = []
+    for reading in sorted(_read_all(image, dictionary, detections), key=_rank, reverse=True):
+        if not _is_part(reading, readings):
             readings.append(reading)
     exact = Counter([r.nearest_id for r in readings if r.wrong_bits == 0 and not r.mirrored])
     exact.update(detections.ids.tolist())
@@ -88,19 +91,24 @@ def explain(image: Image, dictionary: str, detections: Detections | None = None)
     return sorted(rejections, key=lambda rejection: rejection.reason is Reason.NO_BITS)
 
 
-def _read_all(image: Image, dictionary: str) -> list[Reading]:
-    """Readings of all candidates.
+def _read_all(image: Image, dictionary: str, detections: Detections) -> list[Reading]:
+    """Readings of all candidates that are apart from the detections.
 
     Squares that were guessed rather than seen count only if they read without a fault, and so do those that
     touch the border, whose outline may be the border itself.
     """
     size_px = np.array([image.shape[1], image.shape[0]])
+    reach_px = REACH * card_side(dictionary) * detections.sides_px
     outlines = [*dark_quads(image, dictionary), *dark_patches(image)]
     guesses = [*cut_squares(image, dictionary), *bright_groups(image, dictionary)]
+    outlines, guesses = (
+        [quad for quad in quads if not _is_known(quad, detections.centers_px, reach_px)]
+        for quads in (outlines, guesses)
+    )
     seen = [_read_grown(image, quad, dictionary) for quad in outlines]
-    guessed = [read_quad(image, quad, dictionary) for quad in guesses]
     whole = [reading for reading in seen if not is_cut(reading, size_px)]
-    doubtful = [*guessed, *(reading for reading in seen if is_cut(reading, size_px))]
+    doubtful = [reading for reading in seen if is_cut(reading, size_px)]
+    doubtful += [read_quad(image, quad, dictionary, promising=GUESS) for quad in guesses]
     return whole + [
         r for r in doubtful if r.likeness >= SURE and r.wrong_bits == 0 and r.visible >= LEAST_VISIBLE
     ]
@@ -120,7 +128,9 @@ def _read_grown(image: Image, corners_px: Array, dictionary: str) -> Reading:
 
 def _rank(reading: Reading) -> float:
     """How marker-like a reading is; of squares that share a place the highest stays."""
-    return reading.likeness * reading.visible**0.25 + FRAME_BONUS * reading.framed
+    exact = reading.likeness >= CERTAIN and reading.wrong_bits == 0
+    frame = reading.framed and reading.cell_px[0] >= ENOUGH_CELL_PX and is_dark(reading)
+    return float(reading.likeness * reading.visible**0.25 + FRAME_BONUS * (exact or frame))
 
 
 def _contains(corners_px: Array, point_px: Array) -> bool:
@@ -135,13 +145,14 @@ def _grown(corners_px: Array, factor: float) -> Array:
     return np.asarray(center + factor * (corners_px - center))
 
 
-def _is_known(reading: Reading, detections: Detections, dictionary: str) -> bool:
-    """Whether it is, lies on, or surrounds the card of a detection."""
-    center, card = reading.corners_px.mean(axis=0), card_side(dictionary)
-    return any(
-        _contains(_grown(corners, card), center) or _contains(reading.corners_px, known)
-        for corners, known in zip(detections.corners_px, detections.centers_px, strict=True)
-    )
+def _is_known(corners_px: Array, centers_px: Array, reach_px: Array) -> bool:
+    """Whether a quadrilateral is, lies on, or surrounds one of the detections at centres (N, 2)."""
+    center = corners_px.mean(axis=0)
+    distances = np.linalg.norm(centers_px - center, axis=1)
+    if (distances < reach_px).any():
+        return True
+    extent = np.linalg.norm(corners_px - center, axis=1).max()
+    return any(_contains(corners_px, centers_px[k]) for k in np.flatnonzero(distances < extent))
 
 
 def _is_part(reading: Reading, better: list[Reading]) -> bool:

@@ -102,8 +102,9 @@ def _products(
 def make_bend(dictionary: str, marker_id: int, bucket: int) -> Pattern:
     """What a blur that is round in the image does where the marker is squeezed: (S, S, 2) float32.
 
-    A squeeze z ↦ z + e z̄ leaves in marker coordinates a blur of variances σ² (1 ∓ 2 e_x) and covariance -2 σ² e_y,
-    to first order, and so changes T by `- e_x σ² (T_xx - T_yy) - 2 e_y σ² T_xy`: the two factors of -e.
+    A squeeze z ↦ z + e z̄ leaves in marker coordinates a blur of variances σ² (1 ∓ 2 e_x) and covariance
+    -2 σ² e_y, to first order, and so changes T by `- e_x σ² (T_xx - T_yy) - 2 e_y σ² T_xy`: the two factors
+    of -e.
     """
     sigma = BLUR_STEP**bucket
     x, rate = _axis(0.5 + REACH_SIGMAS * sigma, sigma)

@@ -141,8 +141,8 @@ def image_from_cells(corners_px: Array, n: int) -> Array:
     return np.asarray(cv2.getPerspectiveTransform(square, corners_px.astype(np.float32)), dtype=float)
 
 
-def read_quad(image: Image, corners_px: Array, dictionary: str) -> Reading:
-    """Read a quadrilateral (4, 2)."""
+def read_quad(image: Image, corners_px: Array, dictionary: str, *, promising: float = PROMISING) -> Reading:
+    """Read a quadrilateral (4, 2); one less than `promising` at the first look is not looked at finely."""
     n = cells_per_side(dictionary)
     image_cells = image_from_cells(corners_px, n)
     samples = _sample(image, image_cells, n)
@@ -151,7 +151,7 @@ def read_quad(image: Image, corners_px: Array, dictionary: str) -> Reading:
     border = np.concatenate([ring[0], ring[-1], ring[1:-1, 0], ring[1:-1, -1]])
     quiet = np.array([_median(edge[1:-1]) for edge in (levels[0], levels[:, -1], levels[-1], levels[:, 0])])
     templates = load_templates(dictionary)
-    match = _nearest(ring, samples[PER_CELL:-PER_CELL, PER_CELL:-PER_CELL], templates)
+    match = _nearest(ring, samples[PER_CELL:-PER_CELL, PER_CELL:-PER_CELL], templates, promising)
     nearest_id, mirrored = templates.row(match.row)
     seen = np.isfinite(ring)
     middle = _middle(border, inner)
@@ -208,7 +208,8 @@ def _sample(image: Image, image_cells: Array, n: int) -> Array:
     samples = np.asarray(warped, dtype=float).reshape(size, FINE, size, FINE).mean(axis=(1, 3))
     at = (np.arange(size) + 0.5) / PER_CELL - 1
     points = np.stack(np.meshgrid(at, at), axis=-1) @ image_cells[:, :2].T + image_cells[:, 2]
-    u, v = points[..., 0] / points[..., 2], points[..., 1] / points[..., 2]
+    with np.errstate(divide="ignore", invalid="ignore"):  # a quadrilateral may have its horizon inside
+        u, v = points[..., 0] / points[..., 2], points[..., 1] / points[..., 2]
     inside = (u > -0.5) & (v > -0.5) & (u < image.shape[1] - 0.5) & (v < image.shape[0] - 0.5)
     return np.where(inside, samples, np.nan)
 
@@ -230,7 +231,7 @@ class Match:
     white: float
 
 
-def _nearest(cells: Array, samples: Array, templates: Templates) -> Match:
+def _nearest(cells: Array, samples: Array, templates: Templates, promising: float) -> Match:
     """The template most like what lies in the image.
 
     All are compared by the cells' middles, the best of them then by all samples and blurs.
@@ -243,7 +244,7 @@ def _nearest(cells: Array, samples: Array, templates: Templates) -> Match:
     match = _fit(
         float(likeness[best[-1]]), int(best[-1]), FIRST_BLUR, templates.levels[best[-1]][seen], cells[seen]
     )
-    if match.likeness < PROMISING:
+    if match.likeness < promising:
         return match
     seen = np.isfinite(samples)
     for blur in BLURS:

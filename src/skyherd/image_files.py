@@ -114,7 +114,7 @@ def _grey(picture: Image.Image) -> Grey:
 
 def _is_deep(picture: Image.Image) -> bool:
     """Whether the file, not yet loaded, has 16 bits a colour, of which Pillow keeps 8."""
-    return picture.mode[0] not in "IF" and any(";16" in str(tile[3]) for tile in picture.tile)
+    return picture.mode[0] not in "IF" and any(";16" in str(tile[3]) for tile in getattr(picture, "tile", ()))
 
 
 def _grey_of_deep(data: bytes) -> Grey:
@@ -127,7 +127,7 @@ def _grey_of_deep(data: bytes) -> Grey:
     grey = colors @ np.array(LUMA[::-1], np.float32) if colors.shape[2] == 3 else colors[..., 0]
     grey /= _top_level(float(colors.max()))
     cover = levels[..., 3] / 65535 if levels.shape[2] == 4 else 1.0
-    return _scaled(grey * cover + 1 - cover)
+    return _scaled(np.asarray(grey * cover + 1 - cover, dtype=np.float32))
 
 
 def _grey_of_levels(levels: npt.NDArray[np.generic]) -> Grey:
@@ -145,7 +145,7 @@ def _top_level(brightest: float) -> float:
 
 
 def _scaled(share: npt.NDArray[np.float32]) -> Grey:
-    return np.rint(255 * share.clip(0, 1)).astype(np.uint8)
+    return np.asarray(np.rint(255 * share.clip(0, 1)), dtype=np.uint8)
 
 
 def _orientation(picture: Image.Image) -> int:

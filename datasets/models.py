@@ -3,19 +3,10 @@
 from collections.abc import Iterator
 from typing import Annotated, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, model_validator
+from pydantic import Field, FiniteFloat, model_validator
 
-Positive = Annotated[FiniteFloat, Field(gt=0, le=1e6)]
-NotNegative = Annotated[FiniteFloat, Field(ge=0, le=1e6)]
-Fraction = Annotated[FiniteFloat, Field(ge=0, lt=1)]
-Coordinate = Annotated[FiniteFloat, Field(ge=-1e6, le=1e6)]
-Point = tuple[Coordinate, Coordinate]
-
-
-class Model(BaseModel):
-    """Unknown keys are errors; values do not change after they are checked."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=False)
+from skyherd.datasets.fields import Fraction, Model, NotNegative, Point, Positive
+from skyherd.datasets.scene_models import CameraModel, GroundModel, OccluderModel, SensorModel
 
 
 class TemplateModel(Model):
@@ -92,26 +83,6 @@ class SelectionModel(Model):
     dwell_s: Positive = Field(2.0, description="least time between changes of topology")
 
 
-class CameraModel(Model):
-    """A camera; the controller is told nothing of this but the image's size."""
-
-    size_px: tuple[Annotated[int, Field(ge=32, le=8192)], Annotated[int, Field(ge=32, le=8192)]] = (800, 800)
-    focal_px: Positive | None = Field(None, description="focal length; or half_angle_deg")
-    half_angle_deg: Annotated[FiniteFloat, Field(gt=0, lt=85)] | None = Field(
-        None, description="half the field of view across the image's shorter side"
-    )
-    principal_point_px: Point | None = Field(None, description="the image's centre if left out")
-    aspect: Positive = Field(1.0, description="focal length along v over along u")
-    skew: FiniteFloat = Field(0.0, description="of the pixel axes")
-    mirrored: bool = Field(False, description="the stream is flipped left to right")
-
-    @model_validator(mode="after")
-    def _one_focal(self) -> Self:
-        if (self.focal_px is None) == (self.half_angle_deg is None):
-            raise ValueError("give exactly one of focal_px and half_angle_deg")
-        return self
-
-
 class FlightModel(Model):
     """How a unit flies; lengths are in halves of the image's shorter side."""
 
@@ -180,22 +151,6 @@ class NetworkModel(Model):
     message_loss: Fraction = Field(0.0, description="share of messages lost, for each receiver")
 
 
-class SensorModel(Model):
-    """What the cameras' images suffer."""
-
-    noise: NotNegative = Field(2.0, description="standard deviation, grey levels")
-    psf_px: Annotated[FiniteFloat, Field(ge=0, le=10)] = Field(
-        0.8, description="standard deviation of the blur"
-    )
-
-
-class GroundModel(Model):
-    """The textured ground."""
-
-    mean: Annotated[FiniteFloat, Field(ge=0, le=255)] = 128.0
-    contrast: NotNegative = Field(12.0, description="standard deviation, grey levels")
-
-
 class GoalModel(Model):
     """When a run counts as converged."""
 
@@ -227,6 +182,7 @@ class Scenario(Model):
     network: NetworkModel = NetworkModel()
     sensor: SensorModel = SensorModel()
     ground: GroundModel = GroundModel()
+    occluders: list[OccluderModel] = Field(default=[], max_length=1000)
     goal: GoalModel = GoalModel()
 
     @model_validator(mode="after")
@@ -243,3 +199,6 @@ class Scenario(Model):
             yield f"height_m {unit.height_m:g} is outside the autopilot's {low:g} to {high:g} m"
         if rate * self.step_s > 1 + 1e-9:
             yield f"frame_rate_hz {rate:g} is more than one image a step_s of {self.step_s:g}"
+        widest = min(zoom for _, zoom in unit.zoom)
+        if complaint := unit.camera.lens_complaint(widest):
+            yield complaint

@@ -16,6 +16,7 @@ from skyherd.datasets.shapes import shape_points
 from skyherd.datasets.template_image import read_template_image
 from skyherd.errors import DegenerateSetError, InputError
 from skyherd.geometry import Array, IntArray
+from skyherd.image_files import Grey, read_grey
 from skyherd.markers import dictionary_size
 from skyherd.vision import detector_names
 
@@ -51,6 +52,7 @@ class Mission:
         ids: (N,) robots, ascending.
         positions_m: (N, 2) start, in the order of `ids`.
         headings_rad: (N,) start.
+        ground_image: grey picture (height, width) on the ground, if it has one.
     """
 
     scenario: Scenario
@@ -58,6 +60,7 @@ class Mission:
     ids: IntArray
     positions_m: Array
     headings_rad: Array
+    ground_image: Grey | None = None
 
 
 def load_mission(name_or_file: str, settings: Iterable[str] = (), *, seed: int | None = None) -> Mission:
@@ -78,7 +81,7 @@ def load_mission(name_or_file: str, settings: Iterable[str] = (), *, seed: int |
 
 
 def make_mission(tree: dict[str, Any], *, where: str = "scenario", folder: Path | None = None) -> Mission:
-    """Check a scenario given as a tree of plain values; `folder` is where its template image lies."""
+    """Check a scenario given as a tree of plain values; `folder` is where its pictures lie."""
     try:
         scenario = Scenario.model_validate(tree)
     except ValidationError as error:
@@ -171,7 +174,9 @@ def _complete(scenario: Scenario, folder: Path) -> Mission:
     positions = _positions(scenario.robots, ids, template, rng)
     headings = _headings(scenario.robots, ids.size, rng)
     order = np.argsort(ids)
-    return Mission(scenario, template, ids[order], positions[order], headings[order])
+    picture = scenario.ground.image
+    ground_image = None if picture is None else read_grey(folder / picture)
+    return Mission(scenario, template, ids[order], positions[order], headings[order], ground_image)
 
 
 def _template(model: TemplateModel, robots: RobotsModel, dictionary: str, folder: Path) -> Template:

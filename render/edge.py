@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import ndtr
 
-from skyherd.geometry import Array, IntArray
+from skyherd.geometry import Array
 from skyherd.optics import total_sigma_px
 
 REACH = 4.0
@@ -49,12 +49,15 @@ class EdgeSpread:
         """Fourth cumulant of a pixel's width, -1/120 px⁴, over σ⁴."""
         return -1.0 / 120.0 / self.sigma_px**4
 
-    def start(self, normals: Array) -> IntArray:
-        """Where in the table distance zero lies for edges with normals (..., 2) in the image."""
+    def start(self, normals: Array) -> Array:
+        """Where in the table distance zero lies for edges with normals (..., 2) in the image.
+
+        Half an entry more, so that cutting off decimals rounds to the nearest entry.
+        """
         u, v = normals[..., 0] ** 2, normals[..., 1] ** 2
         straight = ((u - v) ** 2 - 4 * u * v) / np.maximum((u + v) ** 2, 1e-300)  # cos 4α
-        direction = np.rint((1 - straight) / 2 * (DIRECTIONS - 1)).astype(np.int64)
-        return np.asarray(direction * SAMPLES + SAMPLES // 2)
+        direction = np.rint((1 - straight) / 2 * (DIRECTIONS - 1))
+        return np.asarray(direction * SAMPLES + SAMPLES // 2 + 0.5)
 
 
 PER_SIGMA = (SAMPLES / 2 - 1) / REACH

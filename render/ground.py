@@ -18,7 +18,7 @@ Image = npt.NDArray[np.uint8]
 GroundKind = Literal["plain", "concrete", "tiles", "image"]
 KINDS: tuple[GroundKind, ...] = ("plain", "concrete", "tiles", "image")
 
-FINEST, COARSEST = PERIOD, 16
+FINEST, COARSEST = PERIOD, 2
 KEPT = 6
 """Drawn grounds that are kept: those of so many cameras that stand still."""
 

@@ -20,7 +20,7 @@ class Shutter:
     row_time_s: float = 0.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Motion:
     """Velocities at the time of the pose, constant over the time that an image takes.
 
@@ -35,6 +35,12 @@ class Motion:
     yaw_rate_radps: float = 0.0
     robots_mps: Array | None = None
     robots_radps: Array | None = None
+
+    @property
+    def still(self) -> bool:
+        """Whether nothing moves."""
+        robots = (rates for rates in (self.robots_mps, self.robots_radps) if rates is not None)
+        return not (any(self.camera_mps) or self.yaw_rate_radps or any(np.any(rates) for rates in robots))
 
     def pose_at(self, pose: CameraPose, time_s: float) -> CameraPose:
         """The camera's pose some time later."""

@@ -37,16 +37,18 @@ def paint_lattices(canvas: Canvas, images: ShapeImages, lattices: Lattices, spre
 def paint_discs(canvas: Canvas, images: ShapeImages, levels: Array, spread: EdgeSpread) -> None:
     """Lay discs of grey `levels` (N,) over the canvas; `images` take the unit disc to pixels.
 
-    Their edge is taken as straight: right where the disc is much larger than the blur.
+    Their edge is taken as straight, and for its curvature moved inwards by `σ² / 2 R`, which leaves the disc
+    its area: right where it is much larger than the blur.
     """
     for pixels in _pixels(images, RING, spread):
         x, y = pixels.x, pixels.y
         radius = np.maximum(np.hypot(x.at, y.at), 1e-6)
         across_x, across_y = x.at / x.sharpness, y.at / y.sharpness
-        variance = across_x**2 + across_y**2
+        square = across_x**2 + across_y**2
         if pixels.corner is not None:
-            variance += 2 * pixels.corner.correlation * across_x * across_y
-        distance = (1 - radius) * radius / np.sqrt(np.maximum(variance, 1e-12))
+            square += 2 * pixels.corner.correlation * across_x * across_y
+        sigma = np.sqrt(np.maximum(square, 1e-12)) / radius
+        distance = (1 - radius) / sigma - sigma / 2
         place = np.clip(distance, -REACH, REACH) * np.float32(PER_SIGMA) + x.table_start
         covered = spread.table.take(place.astype(np.intp))
         _lay(canvas, pixels, levels.astype(np.float32).take(pixels.shape) * covered, covered)

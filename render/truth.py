@@ -91,7 +91,8 @@ def project_markers(
     local = images.at_origin()
     jacobian = (local[:, :2, :2] - centers[:, :, None] * local[:, 2:, :2]) / local[:, 2:, 2:]
     limit, ahead = np.array(camera.size_px) - 0.5, images.before_horizon(np.zeros((1, 2)))
-    whole = np.asarray(((cards >= -0.5) & (cards <= limit)).all(axis=(1, 2)) & ahead)
+    inside = ((cards >= -0.5) & (cards <= limit)).all(axis=(1, 2))
+    whole = np.asarray(inside & images.before_horizon(SQUARE * card))
     fractions = np.where(whole, 1.0, 0.0)
     unsure = np.flatnonzero(ahead & (~whole | bool(occluders)))
     if unsure.size:

@@ -13,12 +13,15 @@ and edges shared by two cells of one grey level cancel. The integrals along the 
 over short pieces; all else is closed form, so that blur, tilt and size cost no accuracy.
 """
 
+from collections.abc import Callable
+
 import cv2
 import numpy as np
 from scipy.special import ndtr
 
 BLACK, WHITE = 30.0, 230.0
 NODES, PIECE_PX = 4, 0.5
+CHORDS = 8
 
 
 def pixel_weight(t: np.ndarray, psf_px: float) -> np.ndarray:
@@ -85,6 +88,18 @@ def lattice_edges(levels: np.ndarray, image_lattice: np.ndarray) -> tuple[np.nda
     return to_image(starts), to_image(ends), sense * np.concatenate([upright_step, level_step])
 
 
+def bent(
+    starts: np.ndarray, ends: np.ndarray, steps: np.ndarray, bend: Callable[[np.ndarray], np.ndarray] | None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The same edges through a lens, in CHORDS straight pieces each, or as they are."""
+    if bend is None:
+        return starts, ends, steps
+    share = np.linspace(0, 1, CHORDS + 1)[None, :, None]
+    points = starts[:, None] + share * (ends - starts)[:, None]
+    points = bend(points.reshape(-1, 2)).reshape(points.shape)
+    return points[:, :-1].reshape(-1, 2), points[:, 1:].reshape(-1, 2), np.repeat(steps, CHORDS)
+
+
 def card_levels(dictionary: str, marker_id: int) -> np.ndarray:
     """Grey levels (n + 2, n + 2) of a marker with its white card, from OpenCV's own drawing."""
     book = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{dictionary}"))
@@ -101,13 +116,14 @@ def reference_light(
     *,
     psf_px: float,
     ground: float | np.ndarray = 128.0,
+    bend: Callable[[np.ndarray], np.ndarray] | None = None,
     piece_px: float = PIECE_PX,
     nodes: int = NODES,
 ) -> np.ndarray:
     """Noise-free light (height, width) of markers flat on a ground of one level, or over an image of it.
 
-    `images_marker` (N, 3, 3) map marker coordinates (forward, left) in sides to pixels. Each marker is drawn
-    over those before it.
+    `images_marker` (N, 3, 3) map marker coordinates (forward, left) in sides to pixels, `bend` takes those
+    (M, 2) through a lens. Each marker is drawn over those before it.
     """
     width, height = size_px
     light = np.empty((height, width))
@@ -120,13 +136,16 @@ def reference_light(
         image_lattice = image_marker @ marker_lattice
         corners = np.array([[0, 0, 1], [m, 0, 1], [m, m, 1], [0, m, 1.0]]) @ image_lattice.T
         corners = corners[:, :2] / corners[:, 2:]
+        corners = corners if bend is None else bend(corners)
         low = np.maximum(np.floor(corners.min(axis=0) - 7 * psf_px - 1), 0).astype(int)
         high = np.minimum(np.ceil(corners.max(axis=0) + 7 * psf_px + 2), size_px).astype(int)
         if (low >= high).any():
             continue
         columns, rows = np.arange(low[0], high[0]), np.arange(low[1], high[1])
         drawn, cover = (
-            polygon_edges_light(*lattice_edges(grid, image_lattice), psf_px, columns, rows, piece_px, nodes)
+            polygon_edges_light(
+                *bent(*lattice_edges(grid, image_lattice), bend), psf_px, columns, rows, piece_px, nodes
+            )
             for grid in (levels, np.ones_like(levels))
         )
         region = light[low[1] : high[1], low[0] : high[0]]

@@ -70,6 +70,31 @@ BAD = {
         ["frame_rate_hz 60", "0.1"],
     ),
     "count_and_positions": ("headings_deg = [0, 0, 0]", "count = 99", ["99", "3 positions"]),
+    "folding_lens": (
+        "half_angle_deg = 30",
+        "half_angle_deg = 30, distortion = { k1 = -2.0 }",
+        ["unit 0", "camera.distortion", "folds the image over", "smaller k1"],
+    ),
+    "lens_folds_when_zoomed_out": (
+        "camera = { half_angle_deg = 30 }",
+        "camera = { half_angle_deg = 30, distortion = { k1 = -0.3 } }\nzoom = [[0, 1], [5, 0.4]]",
+        ["unit 0", "camera.distortion"],
+    ),
+    "ground_of_sand": ("[[units]]", '[ground]\nkind = "sand"\n[[units]]', ["ground.kind", "'concrete'"]),
+    "image_without_its_kind": ("[[units]]", '[ground]\nimage = "a.png"\n[[units]]', ["ground", "kind image"]),
+    "missing_ground_image": (
+        "[[units]]",
+        '[ground]\nkind = "image"\nimage = "absent.png"\n[[units]]',
+        ["absent.png"],
+    ),
+    "jpeg_quality_of_0": ("[[units]]", "[sensor]\njpeg_quality = 0\n[[units]]", ["sensor.jpeg_quality", "1"]),
+    "more_shadow_than_light": ("[[units]]", "[sensor]\nshadow = 1.5\n[[units]]", ["sensor.shadow", "1.5"]),
+    "half_a_disc": ("[[units]]", "[[occluders]]\ncenter_m = [0, 0]\n[[units]]", ["occluders.0", "radius_m"]),
+    "crossed_quad": (
+        "[[units]]",
+        "[[occluders]]\ncorners_m = [[0, 0], [1, 1], [1, 0], [0, 1]]\n[[units]]",
+        ["occluders.0", "convex"],
+    ),
     "unordered_zoom": ("height_m = 10", "height_m = 10\nzoom = [[5, 1], [0, 2]]", ["zoom", "ascend"]),
 }
 
@@ -188,3 +213,11 @@ def test_schema_names_every_key_of_the_built_in_scenarios():
     properties = Scenario.model_json_schema()["properties"]
     for name in scenario_names():
         assert set(tomllib.loads(scenario_text(name))) <= set(properties)
+
+
+def test_an_unreadable_ground_image_is_one_line(tmp_path):
+    (tmp_path / "ground.png").write_bytes(b"no picture")
+    file = tmp_path / "mine.toml"
+    file.write_text(GOOD.replace("[[units]]", '[ground]\nkind = "image"\nimage = "ground.png"\n[[units]]'))
+    with pytest.raises(InputError, match=r"ground\.png"):
+        load_mission(str(file))

@@ -43,11 +43,13 @@ SEEN_SIGMAS = 3.0
 class Looks:
     """What markers look like at their size and blur: N patterns, and what of the ground each would show.
 
-    `limits` (N,) are the marker coordinates up to which pixels are read, `ratios` (N,) black over contrast.
+    `limits` (N,) are the marker coordinates up to which pixels are read, `ratios` (N,) black over contrast;
+    `bends` are needed of squeezed markers only.
     """
 
     patterns: list[Pattern]
     grounds: list[Pattern]
+    bends: list[Pattern]
     limits: Array
     sees_ground: BoolArray
     ratios: Array
@@ -57,6 +59,7 @@ class Looks:
         return Looks(
             [self.patterns[row] for row in rows],
             [self.grounds[row] for row in rows],
+            [self.bends[row] for row in rows] if self.bends else [],
             self.limits[rows],
             self.sees_ground[rows],
             self.ratios[rows],
@@ -73,27 +76,17 @@ class Pixels:
 
     def __init__(self, image: Image, rows: IntArray, shapes: Shapes, looks: Looks) -> None:
         self.rows = rows
-        marker, u, v = _pixels_within(shapes, looks.limits, image.shape)
-        counts = np.bincount(marker, minlength=rows.size)
-        size = -(-max(int(counts.max()), 1) // BLOCK) * BLOCK
-        slot = np.arange(marker.size) + np.repeat(
-            np.arange(rows.size) * size - np.cumsum(counts) + counts, counts
-        )
-        self.mask = np.arange(size) < counts[:, None]
+        lines = _lines_within(shapes, looks.limits, image.shape)
+        size = lines.padded.shape[1]
+        self.mask = lines.padded
         self.columns = np.zeros((rows.size, PIXELS + 1, size), dtype=np.float32)
-        self.columns[:, BLACK] = self.mask
-        points, grey = (
-            np.zeros((2, rows.size * size), dtype=np.float32),
-            np.zeros(rows.size * size, dtype=np.float32),
-        )
-        origins = np.rint(shapes.centers)
-        points[0, slot], points[1, slot] = u - origins.real[marker], v - origins.imag[marker]
-        grey[slot] = image[v, u] - np.float32(MIDDLE_GREY)
-        self.columns[:, PIXELS] = grey.reshape(rows.size, size)
-        self.x, self.y = _marker_coordinates(shapes, origins, points.reshape(2, rows.size, size))
-        self._fill(looks)
+        self.columns[:, BLACK] = lines.padded
+        grey = image.ravel().take(lines.places, mode="clip").reshape(rows.size, size)
+        np.multiply(grey - np.float32(MIDDLE_GREY), lines.padded, out=self.columns[:, PIXELS])
+        self.x, self.y = _marker_coordinates(shapes, lines)
+        self._fill(looks, shapes)
 
-    def _fill(self, looks: Looks) -> None:
+    def _fill(self, looks: Looks, shapes: Shapes) -> None:
         """Read the patterns at the pixels and make the model's columns of them."""
         x, y, columns = self.x, self.y, self.columns
         drawn = np.empty((*x.shape, 4), dtype=np.float32)
@@ -101,20 +94,40 @@ class Pixels:
             _read(pattern, x[row], y[row], drawn[row])
             if looks.sees_ground[row]:
                 _read(looks.grounds[row], x[row], y[row], columns[row, GROUND])
+        if looks.bends:
+            self._bend(drawn, looks.bends, shapes)
         columns[:, GROUND] *= self.mask
-        drawn *= self.mask[..., None]
-        columns[:, CONTRAST], columns[:, BLUR] = drawn[..., 0], drawn[..., 3]
-        slope_x, slope_y = np.ascontiguousarray(drawn[..., 1]), np.ascontiguousarray(drawn[..., 2])
+        np.multiply(drawn[..., 0], self.mask, out=columns[:, CONTRAST])
+        slope_x, slope_y = (np.multiply(drawn[..., axis], self.mask) for axis in (1, 2))
+        np.multiply(drawn[..., 3], self.mask, out=columns[:, BLUR])
         np.negative(slope_x, out=columns[:, RIGHT])
         np.negative(slope_y, out=columns[:, DOWN])
         xx, yy, xy, yx = x * slope_x, y * slope_y, x * slope_y, y * slope_x
         np.subtract(yx, xy, out=columns[:, TURN])
-        np.add(-xx, -yy, out=columns[:, GROW])
+        np.subtract(-xx, yy, out=columns[:, GROW])
         np.subtract(yy, xx, out=columns[:, SQUEEZE[0]])
-        np.add(-yx, -xy, out=columns[:, SQUEEZE[1]])
+        np.subtract(-yx, xy, out=columns[:, SQUEEZE[1]])
         light = columns[:, CONTRAST] + looks.ratios.astype(np.float32)[:, None] * self.mask
         np.multiply(x, light, out=columns[:, LIGHT[0]])
         np.multiply(y, light, out=columns[:, LIGHT[1]])
+
+    def _bend(self, drawn: Floats, bends: list[Pattern], shapes: Shapes) -> None:
+        """Take into T (N, M, 4) that a blur round in the image is not so in a squeezed marker's coordinates.
+
+        Towards the horizon the marker shrinks by `w^(-3/2)` with `w = 1 + Re(h̄ m z)`, so that blur grows in
+        its coordinates, and the squeeze changes by `- h m̄ z / 2`.
+        """
+        squeezes = (shapes.squeezes / shapes.arms).astype(np.complex64)
+        leans = (shapes.horizons * shapes.arms.conj()).astype(np.complex64)
+        for row, bend in enumerate(bends):
+            x, y = self.x[row], self.y[row]
+            bent = np.empty((x.size, 2), dtype=np.float32)
+            _read(bend, x, y, bent)
+            lean = leans[row] / 2
+            squeeze_x = squeezes[row].real - (lean.real * x - lean.imag * y)
+            squeeze_y = squeezes[row].imag - (lean.imag * x + lean.real * y)
+            drawn[row, :, 0] -= bent[:, 0] * squeeze_x + bent[:, 1] * squeeze_y
+            drawn[row, :, 0] += 3 * (lean.real * x + lean.imag * y) * drawn[row, :, 3]
 
     def cell_means(self, solutions: Array, n_cells: int) -> Array:
         """(N, n, n): mean over each cell of what the model at `solutions` (N, 12) leaves, grey levels."""
@@ -122,7 +135,7 @@ class Pixels:
         model = np.concatenate([-solutions, np.ones((count, 1))], axis=1).astype(np.float32)
         left = (model[:, None] @ self.columns)[:, 0]
         across, down = (np.floor((z + np.float32(0.5)) * n_cells).astype(np.int32) for z in (self.x, self.y))
-        inside = (np.minimum(across, down) >= 0) & (np.maximum(across, down) < n_cells) & self.mask
+        inside = (np.minimum(across, down) >= 0) & (np.maximum(across, down) < n_cells) & (self.mask > 0)
         cell = (np.arange(count, dtype=np.int32)[:, None] * n_cells + down) * n_cells + across
         sums, sizes = (
             np.bincount(cell[inside], weights, minlength=count * n_cells**2)
@@ -131,10 +144,25 @@ class Pixels:
         return (sums / np.maximum(sizes, 1)).reshape(count, n_cells, n_cells)
 
 
-def _pixels_within(
-    shapes: Shapes, limits: Array, image_shape: tuple[int, ...]
-) -> tuple[IntArray, IntArray, IntArray]:
-    """Marker, u and v of every pixel that lies in an image within `limits` (N,) of a marker's centre.
+@dataclass(frozen=True)
+class Lines:
+    """Pixels of N markers, line by line, each marker's filled up to the same number M.
+
+    Attributes:
+        padded: (N, M) 1 for a pixel, 0 for one that only fills up.
+        places: (N x M,) where the pixels are in the image.
+        u, v: (N, M) the pixels, from `origins` (N,).
+    """
+
+    padded: Floats
+    places: IntArray
+    u: Floats
+    v: Floats
+    origins: ComplexArray
+
+
+def _lines_within(shapes: Shapes, limits: Array, image_shape: tuple[int, ...]) -> Lines:
+    """The pixels of an image that lie within `limits` (N,) of the markers' centres, in marker coordinates.
 
     Each line of pixels meets the two strips `|x| < limit` and `|y| < limit` in intervals; their common part
     is taken.
@@ -142,8 +170,7 @@ def _pixels_within(
     right, down = shapes.arms + shapes.squeezes, 1j * (shapes.arms - shapes.squeezes)
     area = (right.conj() * down).imag
     reach = limits * (np.abs(right.imag) + np.abs(down.imag))
-    first = np.ceil(shapes.centers.imag - reach)
-    lines = first[:, None] + np.arange(int(2 * reach.max()) + 1)
+    lines = np.ceil(shapes.centers.imag - reach)[:, None] + np.arange(int(2 * reach.max()) + 1)
     v = lines - shapes.centers.imag[:, None]
     low, high = np.full(v.shape, -np.inf), np.full(v.shape, np.inf)
     # x = (down_v u - down_u v) / area and y = (right_u v - right_v u) / area, from the marker's centre.
@@ -154,18 +181,35 @@ def _pixels_within(
     low = np.maximum(np.ceil(low + shapes.centers.real[:, None]), 0)
     high = np.minimum(np.floor(high + shapes.centers.real[:, None]), image_shape[1] - 1)
     inside = (lines >= 0) & (lines < image_shape[0])
-    counts = np.where(inside, np.maximum(high - low + 1, 0), 0).astype(np.int64).ravel()
-    line = np.repeat(np.arange(counts.size), counts)
-    u = np.arange(line.size) + np.repeat(low.ravel() - np.cumsum(counts) + counts, counts)
-    return line // lines.shape[1], u.astype(np.int64), lines.ravel()[line].astype(np.int64)
+    counts = np.where(inside, np.maximum(high - low + 1, 0), 0).astype(np.int64)
+    return _laid_out(low, lines, counts, image_shape[1], np.rint(shapes.centers))
 
 
-def _marker_coordinates(shapes: Shapes, origins: ComplexArray, points: Floats) -> tuple[Floats, Floats]:
-    """x, y (N, M) of pixels (2, N, M) from `origins`."""
-    (a, b, c), (d, e, f), (g, h, i) = np.moveaxis(np.linalg.inv(shapes.matrices(origins)), 0, 2)[
-        ..., None
-    ].astype(np.float32)
-    u, v = points
+def _laid_out(low: Array, lines: Array, counts: IntArray, width: int, origins: ComplexArray) -> Lines:
+    """Pixels from `low` (N, L), `counts` of them, on image `lines`; a last line fills each marker up."""
+    totals = counts.sum(axis=1)
+    size = -(-max(int(totals.max()), 1) // BLOCK) * BLOCK
+    counts = np.column_stack([counts, size - totals]).ravel()
+    fill = np.zeros(totals.size)
+    low, lines = np.column_stack([low, fill]), np.column_stack([lines, fill])
+    line = np.repeat(np.arange(counts.size, dtype=np.int32), counts)
+    within = -(np.cumsum(counts) - counts)
+    position = np.arange(line.size)
+    places = position + (within + (lines * width + low).ravel().astype(np.int64))[line]
+    u = position + (within + (low - origins.real[:, None]).ravel())[line]
+    v = (lines - origins.imag[:, None]).ravel()[line]
+    shape = (totals.size, size)
+    padded = (np.arange(size) < totals[:, None]).astype(np.float32)
+    return Lines(
+        padded, places, u.astype(np.float32).reshape(shape), v.astype(np.float32).reshape(shape), origins
+    )
+
+
+def _marker_coordinates(shapes: Shapes, lines: Lines) -> tuple[Floats, Floats]:
+    """x, y (N, M) of pixels."""
+    matrices = np.linalg.inv(shapes.matrices(lines.origins)).astype(np.float32)
+    (a, b, c), (d, e, f), (g, h, i) = np.moveaxis(matrices, 0, 2)[..., None]
+    u, v = lines.u, lines.v
     x, y = a * u + b * v + c, d * u + e * v + f
     if not shapes.horizons.any():
         return x, y

@@ -14,11 +14,11 @@ from skyherd.markers import QUIET_ZONE_CELLS, cells_per_side
 from skyherd.vision import columns
 from skyherd.vision.columns import BLACK, BLUR, CONTRAST, LIGHT, MIDDLE_GREY, PIXELS, SQUEEZE, Looks, Pixels
 from skyherd.vision.grey import Image
-from skyherd.vision.pattern import blur_bucket, make_ground, make_pattern
+from skyherd.vision.pattern import Pattern, blur_bucket, make_bend, make_ground, make_pattern
 from skyherd.vision.plane import Plane, fit_plane
 from skyherd.vision.regression import Solved
 from skyherd.vision.rows import Rows
-from skyherd.vision.shapes import CORNERS, Shapes
+from skyherd.vision.shapes import Shapes
 
 INSIDE_SIGMAS, OUTSIDE_SIGMAS = 1.2, 2.5
 """Pixels are read to the latter beyond the black square, and to the former within the card's edge."""
@@ -26,9 +26,9 @@ INSIDE_SIGMAS, OUTSIDE_SIGMAS = 1.2, 2.5
 ROUNDS = 6
 """Most steps taken."""
 
-SETTLED_PX = 0.15
-"""A marker is settled once a step moves no corner by more than this: as `∫ T' T'' = 0` over an edge, a step s
-leaves `s³ / (12 σ²)`, here 0.0008 px at most."""
+SETTLED_PX = 0.2
+"""A marker is settled once a step moves its sides by no more than this: as `∫ T' T'' = 0` over an edge, a
+step s leaves `s³ / (12 σ²)`, here 0.001 px at most."""
 
 STRAIGHT_PX = 0.002
 """Nor is it settled while the horizon last found would move a corner by more than this."""
@@ -96,7 +96,7 @@ def fit_markers(
     """
     middle = complex(image.shape[1] - 1, image.shape[0] - 1) / 2
     sides_px = shapes.sides_px()
-    looks = _looks(dictionary, ids, sigma_px / sides_px)
+    looks = _looks(dictionary, ids, sigma_px / sides_px, plane)
     grams = np.empty((ids.size, PIXELS + 1, PIXELS + 1))
     taken: list[Pixels] = []
     start = shapes = replace(shapes, horizons=plane.horizons(shapes.centers - middle))
@@ -112,6 +112,7 @@ def fit_markers(
         plane, squeezes = _common_plane(solved, start, middle)
         solved = solved.holding(SQUEEZE, squeezes)
         looks = replace(looks, ratios=(solved.values[:, BLACK] + MIDDLE_GREY) / solved.contrasts())
+        looks = replace(looks, bends=_bends(dictionary, ids, sigma_px / sides_px, plane))
         shapes, moved_px = _step(solved, start)
         shapes = replace(shapes, horizons=plane.horizons(shapes.centers - middle))
         bent_px = np.abs(shapes.horizons - start.horizons) * sides_px**2 / 2
@@ -122,7 +123,7 @@ def fit_markers(
     return Fits(
         ids=ids,
         shapes=shapes,
-        covariances=_covariances(solved, shapes),
+        covariances=_covariances(solved, shapes, plane.variances(shapes.centers - middle)),
         contrasts=solved.values[:, CONTRAST],
         noises=solved.noises(),
         log_blurs=solved.values[:, BLUR] / solved.contrasts(),
@@ -132,7 +133,14 @@ def fit_markers(
     ), plane
 
 
-def _looks(dictionary: str, ids: IntArray, relative_sigmas: Array) -> Looks:
+def _bends(dictionary: str, ids: IntArray, relative_sigmas: Array, plane: Plane) -> list[Pattern]:
+    """What blur does to squeezed markers; nothing to look for on a plane that is not."""
+    if plane == Plane():
+        return []
+    return [make_bend(dictionary, int(i), blur_bucket(s)) for i, s in zip(ids, relative_sigmas, strict=True)]
+
+
+def _looks(dictionary: str, ids: IntArray, relative_sigmas: Array, plane: Plane) -> Looks:
     """What markers of `ids` (N,) look like under blurs (N,), in marker sides."""
     quiet = QUIET_ZONE_CELLS / cells_per_side(dictionary)
     buckets = [blur_bucket(sigma) for sigma in relative_sigmas]
@@ -140,6 +148,7 @@ def _looks(dictionary: str, ids: IntArray, relative_sigmas: Array) -> Looks:
     return Looks(
         patterns=[make_pattern(dictionary, int(i), bucket) for i, bucket in zip(ids, buckets, strict=True)],
         grounds=[make_ground(dictionary, bucket) for bucket in buckets],
+        bends=_bends(dictionary, ids, relative_sigmas, plane),
         limits=0.5 + beyond,
         sees_ground=quiet - beyond < columns.SEEN_SIGMAS * relative_sigmas,
         ratios=np.full(ids.size, USUAL_RATIO),
@@ -174,20 +183,21 @@ def _common_plane(solved: Solved, shapes: Shapes, middle: complex) -> tuple[Plan
 
 
 def _step(solved: Solved, shapes: Shapes) -> tuple[Shapes, Array]:
-    """The shapes moved as solved, cut to `LARGEST_STEP`, and by how much (N,) a corner moves, px."""
+    """The shapes moved as solved, cut to `LARGEST_STEP`, and by how much (N,) their sides' middles, px."""
     steps = solved.values / solved.contrasts()[:, None]
     shift = steps[:, columns.RIGHT] + 1j * steps[:, columns.DOWN]
     grow = steps[:, columns.GROW] + 1j * steps[:, columns.TURN]
     squeeze = steps[:, SQUEEZE] @ np.array([1, 1j])
-    size = np.abs(shift) + abs(CORNERS[0]) * (np.abs(grow) + np.abs(squeeze))
+    size = np.abs(shift) + (np.abs(grow) + np.abs(squeeze)) / 2
     cut = np.minimum(1.0, LARGEST_STEP / np.maximum(size, 1e-12))
     return shapes.moved(cut * shift, cut * grow, cut * squeeze), size * shapes.sides_px()
 
 
-def _covariances(solved: Solved, shapes: Shapes) -> Array:
+def _covariances(solved: Solved, shapes: Shapes, squeeze_variances: Array) -> Array:
     """(N, 3, 3) of (u, v, heading): the unknowns' covariance through the marker's shape.
 
-    A step moves the centre by `m d + k d̄` and turns forward by `Re((m + k) / (m - k)) (θ - e_shear)`.
+    A step moves the centre by `m d + k d̄` and turns forward by `Re((m + k) / (m - k)) (θ - e_shear)`; shear
+    that is held as the plane has it varies as the plane does.
     """
     right, down = shapes.arms + shapes.squeezes, 1j * (shapes.arms - shapes.squeezes)
     turn = (right / (shapes.arms - shapes.squeezes)).real
@@ -196,4 +206,6 @@ def _covariances(solved: Solved, shapes: Shapes) -> Array:
         to_pose[:, 0, column], to_pose[:, 1, column] = axis.real, axis.imag
     to_pose[:, 2, columns.TURN], to_pose[:, 2, SQUEEZE[1]] = turn, -turn
     scale = (solved.noises() / solved.contrasts()) ** 2
-    return np.asarray(to_pose @ solved.inverses @ to_pose.transpose(0, 2, 1) * scale[:, None, None])
+    covariances = to_pose @ solved.inverses @ to_pose.transpose(0, 2, 1) * scale[:, None, None]
+    covariances[:, 2, 2] += turn**2 * squeeze_variances
+    return np.asarray(covariances)

@@ -9,6 +9,7 @@ and so do its derivatives T_x, T_y and, by the heat equation, `T_log σ = σ² (
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -18,7 +19,7 @@ import numpy.typing as npt
 
 from skyherd.geometry import Array
 from skyherd.markers import QUIET_ZONE_CELLS, cells_per_side, marker_cells
-from skyherd.optics import gather_with_derivatives
+from skyherd.optics import Gathered, gather_with_derivatives
 
 BLUR_STEP = 1.05
 """Patterns are kept for blurs, in sides, in this geometric progression; the fit takes up the rest."""
@@ -70,24 +71,47 @@ def _axis(extent: float, sigma: float) -> tuple[Array, float]:
 def make_pattern(dictionary: str, marker_id: int, bucket: int) -> Pattern:
     """Pattern of a marker at a blur of `BLUR_STEP ** bucket` marker sides."""
     sigma = BLUR_STEP**bucket
-    n = cells_per_side(dictionary)
     x, rate = _axis(0.5 + REACH_SIGMAS * sigma, sigma)
-    e = gather_with_derivatives(x, np.arange(n + 1) / n - 0.5, sigma)
+    product, e = _products(dictionary, marker_id, x, sigma)
+    curvature = sigma**2 * e.curvature
+    bend = product(e.value, curvature) + product(curvature, e.value)
+    channels = [
+        1.0 + product(e.value, e.value) - bend / (12 * (sigma * rate) ** 2),
+        product(e.value, e.slope),
+        product(e.slope, e.value),
+        bend,
+    ]
+    return _pattern(np.stack(channels, axis=-1), rate)
+
+
+def _products(
+    dictionary: str, marker_id: int, x: Array, sigma: float
+) -> tuple[Callable[[Array, Array], Array], Gathered]:
+    """The map `- down B rightᵀ` of a marker's black cells B, and E with its derivatives at x (S,)."""
     black = (~marker_cells(dictionary, marker_id)).astype(float)
-    value, slope, curvature = e.value, e.slope, sigma**2 * e.curvature
+    e = gather_with_derivatives(x, np.arange(len(black) + 1) / len(black) - 0.5, sigma)
 
     def product(down: Array, right: Array) -> Array:
         # OpenCV's product, not NumPy's: BLAS threads on so small a product cost more than it does.
         return np.asarray(cv2.gemm(down @ black, right, -1.0, np.empty(0), 0.0, flags=cv2.GEMM_2_T))
 
-    bend = product(value, curvature) + product(curvature, value)
-    channels = [
-        1.0 + product(value, value) - bend / (12 * (sigma * rate) ** 2),
-        product(value, slope),
-        product(slope, value),
-        bend,
-    ]
-    return _pattern(np.stack(channels, axis=-1), rate)
+    return product, e
+
+
+@lru_cache(maxsize=256)
+def make_bend(dictionary: str, marker_id: int, bucket: int) -> Pattern:
+    """What a blur that is round in the image does where the marker is squeezed: (S, S, 2) float32.
+
+    A squeeze z ↦ z + e z̄ leaves in marker coordinates a blur of variances σ² (1 ∓ 2 e_x) and covariance
+    -2 σ² e_y, to first order, and so changes T by `- e_x σ² (T_xx - T_yy) - 2 e_y σ² T_xy`: the two factors
+    of -e.
+    """
+    sigma = BLUR_STEP**bucket
+    x, rate = _axis(0.5 + REACH_SIGMAS * sigma, sigma)
+    product, e = _products(dictionary, marker_id, x, sigma)
+    curvature = sigma**2 * e.curvature
+    along = product(e.value, curvature) - product(curvature, e.value)
+    return _pattern(np.stack([along, 2 * sigma**2 * product(e.slope, e.slope)], axis=-1), rate)
 
 
 @lru_cache(maxsize=64)

@@ -10,7 +10,7 @@ with the line λ̄·p = 1 as horizon. α and λ are all that a tilt, an aspect a
 the camera is; no focal length enters.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -26,18 +26,25 @@ ROUNDS = 3
 class Plane:
     """Squeeze α at the image's centre, and horizon λ, 1/px; both zero for a camera that looks straight down.
 
-    `shared` is false where markers do not lie as on one plane: each is then squeezed in its own way.
+    `shared` is false where markers do not lie as on one plane: each is then squeezed in its own way. `covariance`
+    (2, 2) is that of α and λ, for one of their two components.
     """
 
     squeeze: complex = 0j
     horizon: complex = 0j
     shared: bool = True
+    covariance: ComplexArray = field(default_factory=lambda: np.zeros((2, 2), dtype=complex), compare=False)
 
     def squeezes(self, points: ComplexArray) -> ComplexArray:
         """ε (N,) of markers at image points (N,) from the image's centre."""
         a, h = self.squeeze, self.horizon
         top = a * (1 - points * np.conj(h) / 2) - points * h / 2
         return np.asarray(top / (1 - points.conj() * h / 2 - points.conj() * np.conj(h) * a / 2))
+
+    def variances(self, points: ComplexArray) -> Array:
+        """Variances (N,) of each component of the squeezes at image points (N,), by how α and λ are known."""
+        columns = _columns(points)
+        return np.asarray(np.einsum("ni,ij,nj->n", columns, self.covariance, columns.conj()).real)
 
     def horizons(self, points: ComplexArray) -> ComplexArray:
         """Horizons h (N,) of `Shapes` for markers at image points (N,): `λ / (1 - λ·p)`."""
@@ -51,27 +58,36 @@ def fit_plane(points: ComplexArray, squeezes: ComplexArray, variances: Array) ->
     in its own way. `variances` (N,) are those of each of the squeezes' two components. A plane explains them
     if their chi-squared a degree of freedom is within `SIGNIFICANT` deviations of 1.
     """
-    candidates = [Plane()]
-    if points.size >= 2:
-        candidates.append(_solve(points, squeezes, variances, tilted=False))
-    if points.size >= 3:
-        candidates.append(_solve(points, squeezes, variances, tilted=True))
-    for unknowns, plane in zip((0, 2, 4), candidates, strict=False):
+    plane = Plane()
+    for unknowns in (0, 2, 4):
         freedom = 2 * points.size - unknowns
+        if unknowns and freedom <= 0:
+            break
+        if unknowns:
+            plane = _solve(points, squeezes, variances, tilted=unknowns == 4)
         chi_squared = float(np.sum(np.abs(squeezes - plane.squeezes(points)) ** 2 / variances))
         if chi_squared <= freedom + SIGNIFICANT * np.sqrt(2 * freedom):
             return plane
-    return Plane(candidates[-1].squeeze, candidates[-1].horizon, shared=False)
+    return replace(plane, shared=False)
 
 
 def _solve(points: ComplexArray, squeezes: ComplexArray, variances: Array, *, tilted: bool) -> Plane:
     """Weighted least squares in α, and in λ if `tilted`; second-order terms are the last round's."""
+    unknowns = 1 + tilted
     weight = 1 / np.sqrt(variances)
-    columns = np.stack([np.ones_like(points), -points / 2], axis=1)[:, : 1 + tilted] * weight[:, None]
+    columns = _columns(points)[:, :unknowns] * weight[:, None]
+    inverse = np.linalg.pinv(columns)
     plane = Plane()
     for _ in range(ROUNDS):
         a, h = plane.squeeze, plane.horizon
         second = (a * points * np.conj(h) - squeezes * points.conj() * (h + np.conj(h) * a)) / 2
-        solution = np.linalg.lstsq(columns, weight * (squeezes + second), rcond=None)[0]
-        plane = Plane(complex(solution[0]), complex(solution[1]) if tilted else 0j)
-    return plane
+        solution = np.append(inverse @ (weight * (squeezes + second)), 0)
+        plane = Plane(complex(solution[0]), complex(solution[1]))
+    covariance = np.zeros((2, 2), dtype=complex)
+    covariance[:unknowns, :unknowns] = inverse @ inverse.conj().T
+    return replace(plane, covariance=covariance)
+
+
+def _columns(points: ComplexArray) -> ComplexArray:
+    """What α and λ do to the squeezes at image points (N,), to first order: (N, 2)."""
+    return np.stack([np.ones_like(points), -points / 2], axis=1)

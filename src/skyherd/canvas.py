@@ -190,15 +190,24 @@ def draw_text(
 
 
 def draw_arrows(
-    image: Image, starts_px: npt.ArrayLike, tips_px: npt.ArrayLike, color: Color, halo: Color
+    image: Image,
+    starts_px: npt.ArrayLike,
+    tips_px: npt.ArrayLike,
+    color: Color,
+    halo: Color,
+    *,
+    scale: float = 1.0,
 ) -> None:
-    """Draw arrows with a pale rim from (N, 2) to (N, 2); short ones have small heads."""
+    """Draw arrows with a pale rim from (N, 2) to (N, 2); short ones have small heads.
+
+    The shaft is `2 scale` px wide, the head `8 scale` px long.
+    """
     starts, tips = np.asarray(starts_px, dtype=float), np.asarray(tips_px, dtype=float)
     lengths = np.linalg.norm(tips - starts, axis=1, keepdims=True)
     along = (tips - starts) / np.maximum(lengths, 1e-9)
-    heads = np.minimum(8.0, 0.6 * lengths)
+    heads = np.minimum(8.0 * scale, 0.6 * lengths)
     bases, across = tips - heads * along, 0.45 * heads * along[:, ::-1] * (-1.0, 1.0)
-    draw_segments(image, starts, tips, halo, 4)
-    draw_segments(image, starts, bases, color, 2)
+    draw_segments(image, starts, tips, halo, round(4 * scale))
+    draw_segments(image, starts, bases, color, round(2 * scale))
     for head in np.stack([tips, bases + across, bases - across], axis=1):
         fill_polygon(image, head, color)

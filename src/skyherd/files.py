@@ -4,7 +4,7 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
-from skyherd.errors import OutputError
+from skyherd.errors import InputError, OutputError
 
 
 def write_whole(path: Path, write: Callable[[Path], object]) -> Path:
@@ -30,3 +30,15 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> Path:
 def write_text(path: Path, text: str) -> Path:
     """Write a text file, UTF-8, whole or not at all; OutputError if it cannot be."""
     return write_whole(path, lambda part: part.write_text(text, "utf-8"))
+
+
+def refuse_existing(folder: Path, *, force: bool) -> None:
+    """Refuse an output folder that exists, unless `force`; nothing is touched.
+
+    Raises:
+        InputError: it exists.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise InputError(str(folder), "is a file", "a folder to make; choose another --out")
+    if folder.exists() and not force:
+        raise InputError(str(folder), "exists", "another --out, or --force to write it anew")

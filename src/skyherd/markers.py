@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from skyherd.errors import InputError
 from skyherd.geometry import Array, ComplexArray, to_complex
+from skyherd.marker_codes import CODES, code_bits
 
 CORNERS: ComplexArray = np.array([0.5 - 0.5j, 0.5 + 0.5j, -0.5 + 0.5j, -0.5 - 0.5j])
 """Corners 0-3 of a marker of side 1 at heading 0: real part forward, imaginary part to the right."""
@@ -22,18 +23,29 @@ QUIET_ZONE_CELLS = 1.0
 
 
 def dictionary_names() -> list[str]:
-    """Names of OpenCV's dictionaries, without their `DICT_` prefix."""
-    return sorted(name.removeprefix("DICT_") for name in dir(cv2.aruco) if name.startswith("DICT_"))
+    """Names of OpenCV's dictionaries, without their `DICT_` prefix, and of the generated ones."""
+    return sorted(
+        [*CODES, *(name.removeprefix("DICT_") for name in dir(cv2.aruco) if name.startswith("DICT_"))]
+    )
 
 
 @cache
 def load_dictionary(name: str) -> cv2.aruco.Dictionary:
-    """OpenCV's dictionary of that name, such as `4X4_50`; InputError names those there are."""
+    """The dictionary of that name, such as `4X4_50`; InputError names those there are."""
+    if name in CODES:
+        return _generate(name)
     if name not in dictionary_names():
         raise InputError(
             "marker dictionary", f"no dictionary {name!r}", f"one of {', '.join(dictionary_names())}"
         )
     return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{name}"))
+
+
+def _generate(name: str) -> cv2.aruco.Dictionary:
+    """A generated dictionary as OpenCV has them: half the distance, rounded down, can be corrected."""
+    code = CODES[name]
+    rows = [cv2.aruco.Dictionary.getByteListFromBits(bits) for bits in code_bits(code).astype(np.uint8)]
+    return cv2.aruco.Dictionary(np.concatenate(rows), code.cells, (code.distance - 1) // 2)
 
 
 def dictionary_size(name: str) -> int:

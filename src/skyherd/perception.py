@@ -12,7 +12,16 @@ from skyherd.geometry import Array, BoolArray, IntArray, to_complex
 from skyherd.markers import card_side
 from skyherd.messages import Detections
 from skyherd.optics import total_sigma_px
-from skyherd.render import FrameTruth, Ground, Renderer, Sensor, project_markers
+from skyherd.render import (
+    Clutter,
+    FrameTruth,
+    Ground,
+    Motion,
+    Renderer,
+    Sensor,
+    Shutter,
+    project_markers,
+)
 from skyherd.vision import create_detector, explain_mirrored
 from skyherd.vision.accuracy import DetectorAccuracy, load_accuracy
 from skyherd.world import World
@@ -69,31 +78,58 @@ def _project(world: World, unit: int, side_m: float, dictionary: str) -> FrameTr
     )
 
 
+def make_renderer(mission: Mission, rng: np.random.Generator) -> Renderer:
+    """The renderer a scenario asks for."""
+    scenario = mission.scenario
+    sensor, ground = scenario.sensor, scenario.ground
+    clutter = None
+    if ground.clutter_per_m2:
+        clutter = Clutter(scenario.seed, ground.clutter_per_m2, ground.clutter_side_m, ground.clutter_levels)
+    return Renderer(
+        scenario.marker.dictionary,
+        scenario.marker.side_m,
+        Ground(
+            scenario.seed,
+            kind=ground.kind,
+            mean=ground.mean,
+            contrast=ground.contrast,
+            tile_m=ground.period_m,
+            sigma_px=total_sigma_px(sensor.psf_px),
+            image=mission.ground_image,
+            clutter=clutter,
+        ),
+        Sensor(
+            sensor.noise,
+            rng,
+            shot=sensor.shot,
+            gain=sensor.gain,
+            illumination=sensor.illumination(),
+            jpeg_quality=sensor.jpeg_quality,
+        ),
+        psf_px=sensor.psf_px,
+        shutter=sensor.shutter(),
+    )
+
+
 class Rendered:
     """Pixels drawn by `skyherd.render` and read by `skyherd.vision`."""
 
     def __init__(self, mission: Mission, rng: np.random.Generator) -> None:
         scenario = mission.scenario
-        sigma_px = total_sigma_px(scenario.sensor.psf_px)
         self.side_m, self.dictionary = scenario.marker.side_m, scenario.marker.dictionary
         self._unproven = set(range(len(scenario.units)))
         self.detector = create_detector(scenario.detector, dictionary=self.dictionary)
-        self.renderer = Renderer(
-            self.dictionary,
-            self.side_m,
-            Ground(
-                scenario.seed, mean=scenario.ground.mean, contrast=scenario.ground.contrast, sigma_px=sigma_px
-            ),
-            Sensor(scenario.sensor.noise, rng),
-            psf_px=scenario.sensor.psf_px,
-        )
+        self.renderer = make_renderer(mission, rng)
+        self._occluders = [occluder.make() for occluder in scenario.occluders]
+        self._moves = self.renderer.shutter != Shutter()
 
     def look(self, world: World, unit: int, time_s: float) -> Sight:
         """Render the unit's image and detect the markers in it."""
-        truth = _project(world, unit, self.side_m, self.dictionary)
-        image = self.renderer.render(
-            world.cameras[unit], world.camera_pose(unit), world.ids, world.positions_m, world.headings_rad
-        )
+        camera, pose = world.cameras[unit], world.camera_pose(unit)
+        team = world.ids, world.positions_m, world.headings_rad
+        motion = world.motion(unit) if self._moves else Motion()
+        image = self.renderer.render(camera, pose, *team, motion=motion, occluders=self._occluders)
+        truth = self.renderer.truth(camera, pose, *team, motion=motion, occluders=self._occluders)
         detections = self.detector.detect(image, time_s=time_s, unit_id=unit)
         whole_ids = world.ids[truth.whole]
         if unit in self._unproven:

@@ -99,8 +99,10 @@ def read_recording(path: Path) -> Recording:
     steps: list[Step] = []
     wall_s: float | None = None
     pending: dict[str, Any] = {}
-    has_images = False
+    has_images = ended = False
     for topic, time_s, record in messages:
+        # The wall time stands before the last chunk of messages: only the run's end tells that it is whole.
+        ended |= topic == "/end"
         has_images |= topic.endswith("/image")
         if not topic.endswith("/image"):
             pending[topic] = record
@@ -111,7 +113,7 @@ def read_recording(path: Path) -> Recording:
             wall_s = float(record["wall_s"])
     if not steps:
         raise InputError(str(path), "no whole step in it", "a run that went on for at least one chunk")
-    return Recording(mission, versions, steps, wall_s, has_images)
+    return Recording(mission, versions, steps, wall_s if ended else None, has_images)
 
 
 def read_steps(path: Path) -> Iterator[Step]:

@@ -16,7 +16,7 @@ from skyherd.composer import Composer
 from skyherd.datasets import Mission
 from skyherd.errors import InputError
 from skyherd.figures import PANELS, write_figures
-from skyherd.files import write_text
+from skyherd.files import refuse_existing, write_text
 from skyherd.history import make_history
 from skyherd.loop import Step, run_steps
 from skyherd.recording import Recorder
@@ -30,18 +30,6 @@ FREE_BYTES = 100 * 2**20
 VIDEO_FPS = 20
 VIDEO_SPEED = 4
 """Simulated seconds a second of video."""
-
-
-def refuse_existing(folder: Path, *, force: bool) -> None:
-    """Refuse an output folder that exists, unless `force`; nothing is touched.
-
-    Raises:
-        InputError: it exists.
-    """
-    if folder.exists() and not folder.is_dir():
-        raise InputError(str(folder), "is a file", "a folder to make; choose another --out")
-    if folder.exists() and not force:
-        raise InputError(str(folder), "exists", "another --out, or --force to write it anew")
 
 
 def prepare_folder(folder: Path) -> None:

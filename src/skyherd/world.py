@@ -6,10 +6,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from skyherd.datasets import Mission, Scenario
-from skyherd.datasets.models import AutopilotModel, CameraModel, UnitModel
+from skyherd.datasets.models import AutopilotModel, UnitModel
+from skyherd.datasets.scene_models import CameraModel
 from skyherd.geometry import Array, BoolArray, to_complex, to_points, wrap_angle
 from skyherd.messages import FlightCommand, MotionGoals, UnitReport, VelocityCommand
-from skyherd.render import Camera, CameraPose
+from skyherd.render import Camera, CameraPose, Motion
 
 
 def move_unicycles(
@@ -37,17 +38,7 @@ class Fleet:
 
 def make_camera(model: CameraModel) -> Camera:
     """The camera a scenario describes."""
-    focal_px = model.focal_px
-    if focal_px is None:
-        focal_px = min(model.size_px) / 2 / float(np.tan(np.radians(model.half_angle_deg or 0.0)))
-    return Camera(
-        size_px=model.size_px,
-        focal_px=focal_px,
-        principal_point_px=model.principal_point_px,
-        aspect=model.aspect,
-        skew=model.skew,
-        mirrored=model.mirrored,
-    )
+    return model.make()
 
 
 def _fly(fleet: Fleet, commands: Sequence[FlightCommand], limits: AutopilotModel, step_s: float) -> Fleet:
@@ -90,6 +81,8 @@ class World:
             yaws_rad=np.radians([unit.yaw_deg for unit in units]),
             zooms=self._zooms(0.0),
         )
+        self._rates = (np.zeros_like(self.positions_m), np.zeros_like(self.headings_rad))
+        self._fleet_before, self._step_s = self.fleet, 1.0
         self._commands = [FlightCommand(unit, np.zeros(2), 0.0, 0.0) for unit in range(len(units))]
 
     def camera_pose(self, unit: int) -> CameraPose:
@@ -103,6 +96,14 @@ class World:
             tilt_rad=(float(tilt_u), float(tilt_v)),
             zoom=float(fleet.zooms[unit]),
         )
+
+    def motion(self, unit: int) -> Motion:
+        """Velocities of one unit's camera and of the robots over the last step; zero before the first."""
+        old, new = self._fleet_before, self.fleet
+        x, y = ((new.positions_m[unit] - old.positions_m[unit]) / self._step_s).tolist()
+        climb = float(new.heights_m[unit] - old.heights_m[unit]) / self._step_s
+        turn = float(wrap_angle(new.yaws_rad[unit] - old.yaws_rad[unit])) / self._step_s
+        return Motion((x, y, climb), turn, *self._rates)
 
     def fly(self, command: FlightCommand) -> None:
         """Hand a unit's autopilot the velocity to fly until the next command."""
@@ -122,6 +123,9 @@ class World:
         self.positions_m, self.headings_rad = move_unicycles(
             self.positions_m, self.headings_rad, command.v_mps, command.omega_radps, step_s
         )
+        forward = np.column_stack([np.cos(self.headings_rad), np.sin(self.headings_rad)])
+        self._rates = command.v_mps[:, None] * forward, command.omega_radps
+        self._fleet_before, self._step_s = self.fleet, step_s
         fleet = _fly(self.fleet, self._commands, self.scenario.autopilot, step_s)
         self.fleet = Fleet(fleet.positions_m, fleet.heights_m, fleet.yaws_rad, self._zooms(time_s + step_s))
 

@@ -1,6 +1,7 @@
 """The command line: one file a verb, each thin: parse, check, one call.
 
-Exit codes: 0 done; 1 the run did not reach its goal; 2 bad input or output; 130 interrupted.
+Exit codes: 0 done; 1 the run did not reach its goal, or `detect --require` found a file without a marker; 2
+bad input or output; 130 interrupted.
 """
 
 import sys
@@ -11,6 +12,8 @@ import typer
 from skyherd import __version__
 from skyherd.cli.bench import bench_app
 from skyherd.cli.console import complain
+from skyherd.cli.detect import detect
+from skyherd.cli.markers import markers
 from skyherd.cli.report import report
 from skyherd.cli.run import run
 from skyherd.cli.scenario import scenario_app
@@ -27,6 +30,8 @@ app = typer.Typer(
 )
 app.command()(run)
 app.command()(report)
+app.command()(detect)
+app.command()(markers)
 app.add_typer(scenario_app, name="scenario")
 app.add_typer(bench_app, name="bench")
 

@@ -1,0 +1,166 @@
+"""Any picture file as a grey image of 8 bits.
+
+Pillow reads it; transparency lies over white, and the camera's orientation mark (EXIF) is obeyed. Of more
+than 8 bits, levels are those of the fewest of 8, 10, 12, 14 and 16 bits that hold the brightest pixel:
+cameras of 10 or 12 bits store these as they are in 16.
+"""
+
+import io
+import struct
+import warnings
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+from PIL import Image, UnidentifiedImageError
+
+from skyherd.errors import InputError
+
+Grey = npt.NDArray[np.uint8]
+
+MAX_PIXELS = 400_000_000
+"""Larger pictures are refused: a small file may claim to be one of any size."""
+
+FORMATS = "a PNG, JPEG, TIFF, BMP, WebP or GIF picture"
+BIT_DEPTHS = (8, 10, 12, 14, 16)
+LUMA = (0.299, 0.587, 0.114)
+"""Weights of red, green and blue (ITU-R BT.601), those of Pillow."""
+
+ORIENTATION = 0x0112
+"""EXIF tag: how the camera was held."""
+
+_BROKEN = (OSError, SyntaxError, ValueError, EOFError, TypeError, IndexError, struct.error, zlib.error)
+"""What Pillow raises on files that are damaged in one way or another."""
+
+SUFFIXES = frozenset(
+    {".png", ".jpg", ".jpeg", ".jpe", ".tif", ".tiff", ".bmp", ".webp", ".gif", ".pgm", ".ppm"}
+)
+"""How the names of picture files end, by which a folder is searched."""
+
+
+def read_grey(path: Path) -> Grey:
+    """A picture file as (height, width) uint8.
+
+    Raises:
+        InputError: there is no such file, or it is not a whole picture.
+    """
+    data = _read_bytes(path)
+    with _quiet_pillow():
+        try:
+            with Image.open(io.BytesIO(data)) as picture:
+                if picture.width * picture.height > MAX_PIXELS:
+                    raise _refuse(
+                        path,
+                        f"{picture.width * picture.height / 1e6:.0f} megapixels",
+                        "at most 400 can be read",
+                    )
+                deep = _is_deep(picture)
+                picture.load()
+                grey = _grey_of_deep(data) if deep else _grey(picture)
+                return np.ascontiguousarray(_turn(grey, _orientation(picture)))
+        except InputError:
+            raise
+        except UnidentifiedImageError:
+            raise _refuse(path, "not a picture", f"give {FORMATS}") from None
+        except _BROKEN as error:
+            why = " ".join(str(error).split()) or type(error).__name__
+            raise _refuse(path, f"damaged or cut short ({why})", f"give {FORMATS} that is whole") from None
+
+
+def _refuse(path: Path, what: str, allowed: str) -> InputError:
+    return InputError(str(path), what, allowed)
+
+
+def _read_bytes(path: Path) -> bytes:
+    try:
+        data = path.read_bytes()
+    except FileNotFoundError:
+        raise _refuse(path, "no such file", f"give {FORMATS}") from None
+    except IsADirectoryError:
+        raise _refuse(path, "is a folder", f"give {FORMATS}") from None
+    except OSError as error:
+        raise _refuse(path, f"cannot be read: {error.strerror}", f"give {FORMATS}") from None
+    if not data:
+        raise _refuse(path, "the file is empty", f"give {FORMATS}")
+    return data
+
+
+@contextmanager
+def _quiet_pillow() -> Iterator[None]:
+    """Pillow without its warnings and its own limit of size, which large photographs exceed."""
+    limit = Image.MAX_IMAGE_PIXELS
+    Image.MAX_IMAGE_PIXELS = None
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        Image.MAX_IMAGE_PIXELS = limit
+
+
+def _grey(picture: Image.Image) -> Grey:
+    if picture.mode[0] in "IF":
+        return _grey_of_levels(np.asarray(picture))
+    if picture.mode in {"RGBA", "LA", "La", "RGBa", "PA"} or "transparency" in picture.info:
+        opaque = Image.new("RGBA", picture.size, "white")
+        opaque.alpha_composite(picture.convert("RGBA"))
+        picture = opaque.convert("RGB")
+    return np.asarray(picture.convert("L"), dtype=np.uint8)
+
+
+def _is_deep(picture: Image.Image) -> bool:
+    """Whether the file, not yet loaded, has 16 bits a colour, of which Pillow keeps 8."""
+    return picture.mode[0] not in "IF" and any(";16" in str(tile[3]) for tile in getattr(picture, "tile", ()))
+
+
+def _grey_of_deep(data: bytes) -> Grey:
+    """Grey of a file of 16 bits a colour, which OpenCV keeps: BGR or BGRA."""
+    decoded = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    if decoded is None:
+        raise OSError("its 16-bit colours cannot be read")
+    levels = np.atleast_3d(decoded).astype(np.float32)
+    colors = levels[..., :3]
+    grey = colors @ np.array(LUMA[::-1], np.float32) if colors.shape[2] == 3 else colors[..., 0]
+    grey /= _top_level(float(colors.max()))
+    cover = levels[..., 3] / 65535 if levels.shape[2] == 4 else 1.0
+    return _scaled(np.asarray(grey * cover + 1 - cover, dtype=np.float32))
+
+
+def _grey_of_levels(levels: npt.NDArray[np.generic]) -> Grey:
+    """Grey of whole numbers of up to 16 and more, or of real numbers, where 1 is white if none is above."""
+    values = np.nan_to_num(levels.astype(np.float32))
+    top = float(values.max(initial=0.0))
+    if levels.dtype.kind == "f" and top <= 1:
+        return _scaled(values)
+    return _scaled(values / _top_level(top))
+
+
+def _top_level(brightest: float) -> float:
+    """White of the fewest bits that hold the brightest level; the brightest itself beyond 16 bits."""
+    return next((2.0**bits - 1 for bits in BIT_DEPTHS if brightest < 2**bits), brightest)
+
+
+def _scaled(share: npt.NDArray[np.float32]) -> Grey:
+    return np.asarray(np.rint(255 * share.clip(0, 1)), dtype=np.uint8)
+
+
+def _orientation(picture: Image.Image) -> int:
+    try:
+        return int(picture.getexif().get(ORIENTATION, 1))
+    except _BROKEN:
+        return 1
+
+
+def _turn(image: Grey, orientation: int) -> Grey:
+    """The picture upright, given EXIF's mark of how the camera was held (1 to 8)."""
+    if orientation in (5, 6, 7, 8):
+        image = image.T
+    if orientation in (2, 3, 6, 7):
+        image = image[:, ::-1]
+    if orientation in (3, 4, 7, 8):
+        image = image[::-1]
+    return image

@@ -285,7 +285,7 @@ def test_only_grey_images_of_8_bits_are_taken(image) -> None:
 
 
 def test_an_unknown_detector_or_dictionary_is_named_with_those_there_are() -> None:
-    with pytest.raises(InputError, match="no detector 'yolo'; one of aruco"):
+    with pytest.raises(InputError, match="no detector 'yolo'; one of apriltag3, aruco"):
         create_detector("yolo")
     with pytest.raises(InputError, match="no dictionary '9X9_1'") as raised:
         ArucoDetector("9X9_1").detect(np.zeros((40, 40), np.uint8))

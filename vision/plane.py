@@ -26,8 +26,8 @@ ROUNDS = 3
 class Plane:
     """Squeeze α at the image's centre, and horizon λ, 1/px; both zero for a camera that looks straight down.
 
-    `shared` is false where markers do not lie as on one plane: each is then squeezed in its own way. `covariance`
-    (2, 2) is that of α and λ, for one of their two components.
+    `shared` is false where markers do not lie as on one plane: each is then squeezed in its own way.
+    `covariance` (2, 2) is that of α and λ, for one of their two components.
     """
 
     squeeze: complex = 0j

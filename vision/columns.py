@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from skyherd.geometry import Array, BoolArray, ComplexArray, IntArray
+from skyherd.geometry import Array, ComplexArray, IntArray
 from skyherd.vision.grey import Image
 from skyherd.vision.pattern import Pattern
 from skyherd.vision.shapes import Shapes
@@ -35,23 +35,21 @@ ALIKE = 1.5
 BLOCK = 64
 """Pixels are padded to a multiple of this: OpenCV reads a pattern at blocks of points."""
 
-SEEN_SIGMAS = 3.0
-"""Ground nearer than this to a pixel is seen by it."""
-
 
 @dataclass(frozen=True)
 class Looks:
     """What markers look like at their size and blur: N patterns, and what of the ground each would show.
 
-    `limits` (N,) are the marker coordinates up to which pixels are read, `ratios` (N,) black over contrast;
-    `bends` are needed of squeezed markers only.
+    `limits` (N,) are the marker coordinates up to which pixels are read, `ratios` (N,) black over contrast,
+    `textures` (N,) deviations of the ground's texture over the noise; `bends` are needed of squeezed markers
+    only.
     """
 
     patterns: list[Pattern]
     grounds: list[Pattern]
     bends: list[Pattern]
     limits: Array
-    sees_ground: BoolArray
+    textures: Array
     ratios: Array
 
     def take(self, rows: IntArray) -> "Looks":
@@ -61,7 +59,7 @@ class Looks:
             [self.grounds[row] for row in rows],
             [self.bends[row] for row in rows] if self.bends else [],
             self.limits[rows],
-            self.sees_ground[rows],
+            self.textures[rows],
             self.ratios[rows],
         )
 
@@ -71,20 +69,31 @@ class Pixels:
 
     Attributes:
         rows: (N,) which of the image's markers they are.
-        columns: (N, 13, M) the model's columns and the pixels, zero in padding.
+        counts: (N,) pixels of each.
+        columns: (N, 13, M) the model's columns and the pixels, all times the pixels' weights, 0 in padding.
     """
 
     def __init__(self, image: Image, rows: IntArray, shapes: Shapes, looks: Looks) -> None:
         self.rows = rows
         lines = _lines_within(shapes, looks.limits, image.shape)
         size = lines.padded.shape[1]
-        self.mask = lines.padded
-        self.columns = np.zeros((rows.size, PIXELS + 1, size), dtype=np.float32)
-        self.columns[:, BLACK] = lines.padded
-        grey = image.ravel().take(lines.places, mode="clip").reshape(rows.size, size)
-        np.multiply(grey - np.float32(MIDDLE_GREY), lines.padded, out=self.columns[:, PIXELS])
+        self.counts = lines.padded.sum(axis=1)
+        self.columns = np.empty((rows.size, PIXELS + 1, size), dtype=np.float32)
         self.x, self.y = _marker_coordinates(shapes, lines)
+        self._weigh(looks, lines.padded)
+        grey = image.ravel().take(lines.places, mode="clip").reshape(rows.size, size)
+        np.multiply(grey - np.float32(MIDDLE_GREY), self.weights, out=self.columns[:, PIXELS])
         self._fill(looks, shapes)
+
+    def _weigh(self, looks: Looks, padded: Floats) -> None:
+        """What of the ground is seen, and the pixels' weights: texture seen there is noise as well."""
+        ground = self.columns[:, GROUND]
+        for row, pattern in enumerate(looks.grounds):
+            _read(pattern, self.x[row], self.y[row], ground[row])
+        seen = ground * looks.textures.astype(np.float32)[:, None]
+        self.weights = self.columns[:, BLACK]
+        np.divide(padded, np.sqrt(1 + seen * seen), out=self.weights)
+        ground *= self.weights
 
     def _fill(self, looks: Looks, shapes: Shapes) -> None:
         """Read the patterns at the pixels and make the model's columns of them."""
@@ -92,14 +101,11 @@ class Pixels:
         drawn = np.empty((*x.shape, 4), dtype=np.float32)
         for row, pattern in enumerate(looks.patterns):
             _read(pattern, x[row], y[row], drawn[row])
-            if looks.sees_ground[row]:
-                _read(looks.grounds[row], x[row], y[row], columns[row, GROUND])
         if looks.bends:
             self._bend(drawn, looks.bends, shapes)
-        columns[:, GROUND] *= self.mask
-        np.multiply(drawn[..., 0], self.mask, out=columns[:, CONTRAST])
-        slope_x, slope_y = (np.multiply(drawn[..., axis], self.mask) for axis in (1, 2))
-        np.multiply(drawn[..., 3], self.mask, out=columns[:, BLUR])
+        np.multiply(drawn[..., 0], self.weights, out=columns[:, CONTRAST])
+        slope_x, slope_y = (np.multiply(drawn[..., axis], self.weights) for axis in (1, 2))
+        np.multiply(drawn[..., 3], self.weights, out=columns[:, BLUR])
         np.negative(slope_x, out=columns[:, RIGHT])
         np.negative(slope_y, out=columns[:, DOWN])
         xx, yy, xy, yx = x * slope_x, y * slope_y, x * slope_y, y * slope_x
@@ -107,7 +113,7 @@ class Pixels:
         np.subtract(-xx, yy, out=columns[:, GROW])
         np.subtract(yy, xx, out=columns[:, SQUEEZE[0]])
         np.subtract(-yx, xy, out=columns[:, SQUEEZE[1]])
-        light = columns[:, CONTRAST] + looks.ratios.astype(np.float32)[:, None] * self.mask
+        light = columns[:, CONTRAST] + looks.ratios.astype(np.float32)[:, None] * self.weights
         np.multiply(x, light, out=columns[:, LIGHT[0]])
         np.multiply(y, light, out=columns[:, LIGHT[1]])
 
@@ -135,7 +141,7 @@ class Pixels:
         model = np.concatenate([-solutions, np.ones((count, 1))], axis=1).astype(np.float32)
         left = (model[:, None] @ self.columns)[:, 0]
         across, down = (np.floor((z + np.float32(0.5)) * n_cells).astype(np.int32) for z in (self.x, self.y))
-        inside = (np.minimum(across, down) >= 0) & (np.maximum(across, down) < n_cells) & (self.mask > 0)
+        inside = (np.minimum(across, down) >= 0) & (np.maximum(across, down) < n_cells) & (self.weights > 0)
         cell = (np.arange(count, dtype=np.int32)[:, None] * n_cells + down) * n_cells + across
         sums, sizes = (
             np.bincount(cell[inside], weights, minlength=count * n_cells**2)

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from skyherd.geometry import Array, IntArray
-from skyherd.markers import QUIET_ZONE_CELLS, cells_per_side
+from skyherd.markers import card_side, cells_per_side
 from skyherd.vision import columns
 from skyherd.vision.columns import BLACK, BLUR, CONTRAST, LIGHT, MIDDLE_GREY, PIXELS, SQUEEZE, Looks, Pixels
 from skyherd.vision.grey import Image
@@ -23,6 +23,9 @@ from skyherd.vision.shapes import Shapes
 INSIDE_SIGMAS, OUTSIDE_SIGMAS = 1.2, 2.5
 """Pixels are read to the latter beyond the black square, and to the former within the card's edge."""
 
+TEXTURE = 30.0
+"""Deviation of the ground's grey levels that is reckoned with, where ground blurs into the card."""
+
 ROUNDS = 6
 """Most steps taken."""
 
@@ -33,13 +36,16 @@ step s leaves `s³ / (12 σ²)`, here 0.001 px at most."""
 STRAIGHT_PX = 0.002
 """Nor is it settled while the horizon last found would move a corner by more than this."""
 
+USUAL_NOISE = 3.0
+"""Standard deviation of a pixel, grey levels, until a camera's is known."""
+
 USUAL_RATIO = 0.15
 """Black over contrast, until a fit tells."""
 
 LARGEST_STEP = 0.15
 """Steps are cut to this, in marker sides, radians and logarithms of scale."""
 
-UNEVEN = 3.0
+UNEVEN = 8.0
 """Light is taken as uneven once the markers' mean chi-squared exceeds its mean by so many deviations."""
 
 
@@ -79,7 +85,13 @@ def no_fits(dictionary: str) -> Fits:
 
 
 def fit_markers(
-    image: Image, dictionary: str, ids: IntArray, shapes: Shapes, sigma_px: float, plane: Plane
+    image: Image,
+    dictionary: str,
+    ids: IntArray,
+    shapes: Shapes,
+    sigma_px: float,
+    plane: Plane,
+    noise: float = USUAL_NOISE,
 ) -> tuple[Fits, Plane]:
     """Fit markers `ids` (N,) that lie near `shapes`, a pixel or two or a tenth of a side from the truth.
 
@@ -90,14 +102,15 @@ def fit_markers(
         shapes: N of them, where to begin.
         sigma_px: blur of lens and pixel together, as far as it is known.
         plane: that the markers lie on, as far as it is known.
+        noise: standard deviation of a pixel, grey levels, as far as it is known.
 
     Returns:
         The fits, and the plane that they say the markers lie on.
     """
     middle = complex(image.shape[1] - 1, image.shape[0] - 1) / 2
     sides_px = shapes.sides_px()
-    looks = _looks(dictionary, ids, sigma_px / sides_px, plane)
-    grams = np.empty((ids.size, PIXELS + 1, PIXELS + 1))
+    looks = _looks(dictionary, ids, sigma_px / sides_px, plane, noise)
+    grams, counts = np.empty((ids.size, PIXELS + 1, PIXELS + 1)), np.empty(ids.size)
     taken: list[Pixels] = []
     start = shapes = replace(shapes, horizons=plane.horizons(shapes.centers - middle))
     rows = np.arange(ids.size)
@@ -105,8 +118,9 @@ def fit_markers(
         start = start.replaced(rows, shapes)
         for pixels in columns.take_pixels(image, rows, start, looks):
             grams[pixels.rows] = pixels.columns @ pixels.columns.transpose(0, 2, 1)
+            counts[pixels.rows] = pixels.counts
             taken.append(pixels)
-        solved = Solved.of(grams)
+        solved = Solved.of(grams, counts)
         if not _is_uneven(solved):
             solved = solved.holding(LIGHT, np.zeros((ids.size, 2)))
         plane, squeezes = _common_plane(solved, start, middle)
@@ -140,17 +154,16 @@ def _bends(dictionary: str, ids: IntArray, relative_sigmas: Array, plane: Plane)
     return [make_bend(dictionary, int(i), blur_bucket(s)) for i, s in zip(ids, relative_sigmas, strict=True)]
 
 
-def _looks(dictionary: str, ids: IntArray, relative_sigmas: Array, plane: Plane) -> Looks:
+def _looks(dictionary: str, ids: IntArray, relative_sigmas: Array, plane: Plane, noise: float) -> Looks:
     """What markers of `ids` (N,) look like under blurs (N,), in marker sides."""
-    quiet = QUIET_ZONE_CELLS / cells_per_side(dictionary)
+    quiet = (card_side(dictionary) - 1) / 2
     buckets = [blur_bucket(sigma) for sigma in relative_sigmas]
-    beyond = np.clip(quiet - INSIDE_SIGMAS * relative_sigmas, 0, OUTSIDE_SIGMAS * relative_sigmas)
     return Looks(
         patterns=[make_pattern(dictionary, int(i), bucket) for i, bucket in zip(ids, buckets, strict=True)],
         grounds=[make_ground(dictionary, bucket) for bucket in buckets],
         bends=_bends(dictionary, ids, relative_sigmas, plane),
-        limits=0.5 + beyond,
-        sees_ground=quiet - beyond < columns.SEEN_SIGMAS * relative_sigmas,
+        limits=0.5 + np.clip(quiet - INSIDE_SIGMAS * relative_sigmas, 0, OUTSIDE_SIGMAS * relative_sigmas),
+        textures=np.full(ids.size, TEXTURE / noise),
         ratios=np.full(ids.size, USUAL_RATIO),
     )
 

@@ -14,7 +14,7 @@ from skyherd.geometry import Array, BoolArray, IntArray, to_complex, to_points
 from skyherd.messages import Detections
 from skyherd.optics import total_sigma_px
 from skyherd.vision.decode import Candidates, decode_quads
-from skyherd.vision.fit import Fits, no_fits
+from skyherd.vision.fit import USUAL_NOISE, Fits, no_fits
 from skyherd.vision.grey import Image, check_grey
 from skyherd.vision.plane import Plane
 from skyherd.vision.pyramid import fit_all_sizes
@@ -27,6 +27,9 @@ START_SIGMA_PX = total_sigma_px(0.8)
 SIGMA_LIMITS_PX = (0.35, 4.0)
 BLUR_RATE, BLUR_ROUNDS, BLUR_SETTLED = 0.2, 5, 0.04
 """A camera's blur is found in the first image that shows markers, to 4 %, and followed slowly from there."""
+
+LEAST_NOISE = 0.3
+"""Rounding to whole grey levels leaves as much in any image."""
 
 SEARCH_INTERVAL = 10
 """While all markers are followed, the whole image is searched in every tenth."""
@@ -113,7 +116,8 @@ class PhotometricDetector:
 
     def _fit(self, image: Image, camera: Camera, ids: IntArray, shapes: Shapes) -> Fits:
         sigma_px = camera.sigma_px or START_SIGMA_PX
-        fits, plane = fit_all_sizes(image, self.dictionary, ids, shapes, sigma_px, camera.plane)
+        noise = max(camera.noise or USUAL_NOISE, LEAST_NOISE)
+        fits, plane = fit_all_sizes(image, self.dictionary, ids, shapes, sigma_px, camera.plane, noise)
         if bits_are_right(fits).any():
             camera.plane = plane
         return fits

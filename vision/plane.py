@@ -16,8 +16,12 @@ import numpy as np
 
 from skyherd.geometry import Array, ComplexArray
 
-SIGNIFICANT = 3.0
-"""Standard deviations, of the mean of a chi-squared, by which simpler planes must fail to be given up."""
+SIGNIFICANT = 14.0
+"""Fall of a chi-squared by which two more unknowns must earn their place: chance has it once in 1000."""
+
+EXCESS = 6.0
+"""Chi-squared a degree of freedom beyond which markers do not lie on one plane. Texture that blurs into small
+cards may double it."""
 
 ROUNDS = 3
 
@@ -54,21 +58,26 @@ class Plane:
 def fit_plane(points: ComplexArray, squeezes: ComplexArray, variances: Array) -> Plane:
     """The simplest plane that explains the squeezes (N,) seen at image points (N,).
 
-    Tried in turn: a camera that looks straight down; one squeeze for all; a tilted plane; none, each marker
-    in its own way. `variances` (N,) are those of each of the squeezes' two components. A plane explains them
-    if their chi-squared a degree of freedom is within `SIGNIFICANT` deviations of 1.
+    A camera that looks straight down is given up for one squeeze common to all, and that for a tilted plane,
+    where the chi-squared falls by more than `SIGNIFICANT`; if more than `EXCESS` of it a degree of freedom
+    is left, no plane explains the squeezes and each marker is squeezed in its own way. `variances` (N,) are
+    those of each of the squeezes' two components; what they leave out is taken from the fit itself.
     """
-    plane = Plane()
-    for unknowns in (0, 2, 4):
-        freedom = 2 * points.size - unknowns
-        if unknowns and freedom <= 0:
+    best, least = Plane(), _chi_squared(Plane(), points, squeezes, variances)
+    per_freedom = least / (2 * points.size)
+    for unknowns in (2, 4):
+        if 2 * points.size <= unknowns:
             break
-        if unknowns:
-            plane = _solve(points, squeezes, variances, tilted=unknowns == 4)
-        chi_squared = float(np.sum(np.abs(squeezes - plane.squeezes(points)) ** 2 / variances))
-        if chi_squared <= freedom + SIGNIFICANT * np.sqrt(2 * freedom):
-            return plane
-    return replace(plane, shared=False)
+        plane = _solve(points, squeezes, variances, tilted=unknowns == 4)
+        chi_squared = _chi_squared(plane, points, squeezes, variances)
+        excess = max(chi_squared / (2 * points.size - unknowns), 1.0)
+        if least - chi_squared > SIGNIFICANT * excess:
+            best, least, per_freedom = plane, chi_squared, excess
+    return replace(best, shared=per_freedom <= EXCESS)
+
+
+def _chi_squared(plane: Plane, points: ComplexArray, squeezes: ComplexArray, variances: Array) -> float:
+    return float(np.sum(np.abs(squeezes - plane.squeezes(points)) ** 2 / variances))
 
 
 def _solve(points: ComplexArray, squeezes: ComplexArray, variances: Array, *, tilted: bool) -> Plane:

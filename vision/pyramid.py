@@ -23,20 +23,27 @@ LARGEST_SIDE_PX = 144.0
 
 
 def fit_all_sizes(
-    image: Image, dictionary: str, ids: IntArray, shapes: Shapes, sigma_px: float, plane: Plane
+    image: Image,
+    dictionary: str,
+    ids: IntArray,
+    shapes: Shapes,
+    sigma_px: float,
+    plane: Plane,
+    noise: float,
 ) -> tuple[Fits, Plane]:
     """As `fit_markers`, each marker at a resolution that suits it; the smallest tell the plane."""
     told = plane
     octaves = np.maximum(np.ceil(np.log2(shapes.sides_px() / LARGEST_SIDE_PX)), 0).astype(int)
     if not octaves.any():
-        return fit_markers(image, dictionary, ids, shapes, sigma_px, plane)
+        return fit_markers(image, dictionary, ids, shapes, sigma_px, plane, noise)
     parts: list[Fits] = []
     for octave in np.unique(octaves):
         rows, shrink = np.flatnonzero(octaves == octave), 2 ** int(octave)
         variance = max((sigma_px**2 - PIXEL_VARIANCE) / shrink**2, 0.0) + PIXEL_VARIANCE
         near = shapes.take(rows).scaled(shrink)
         here = replace(plane, horizon=plane.horizon * shrink)
-        fits, here = fit_markers(_shrunk(image, shrink), dictionary, ids[rows], near, variance**0.5, here)
+        small = _shrunk(image, shrink)
+        fits, here = fit_markers(small, dictionary, ids[rows], near, variance**0.5, here, noise / shrink)
         scale = np.diag([shrink, shrink, 1.0])
         full_size = fits.shapes.scaled(1 / shrink)
         parts.append(replace(fits, shapes=full_size, covariances=scale @ fits.covariances @ scale))

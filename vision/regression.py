@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from skyherd.geometry import Array
-from skyherd.vision.columns import BLACK, CONTRAST, GROUND, PIXELS
+from skyherd.vision.columns import CONTRAST, GROUND, PIXELS
 
 GROUND_RIDGE = 3e-4
 """Added to the ground's own element of the Gram matrix, since there may be none to be seen: a deviation of
@@ -45,16 +45,16 @@ class Solved:
     free: int = PIXELS
 
     @classmethod
-    def of(cls, grams: Array) -> "Solved":
-        """Solve for all unknowns of Gram matrices (N, 13, 13)."""
+    def of(cls, grams: Array, pixels: Array) -> "Solved":
+        """Solve for all unknowns of Gram matrices (N, 13, 13), of so many pixels (N,) each."""
         right = grams[:, :PIXELS, PIXELS]
         normal = grams[:, :PIXELS, :PIXELS] + np.diag(_RIDGE)
-        # Sums in single precision are right to 1e-6 or so: columns closer to one another than that are parted.
+        # Sums in single precision are right to 1e-6 or so: columns nearer than that are parted.
         normal[:, range(PIXELS), range(PIXELS)] *= 1 + SINGLE_PRECISION
         inverses = np.linalg.inv(normal).astype(float)
         values: Array = (inverses @ right[..., None])[..., 0]
         squares: Array = np.maximum(grams[:, PIXELS, PIXELS] - (values * right).sum(axis=1), 1e-9)
-        return cls(values, inverses, squares, grams[:, BLACK, BLACK])
+        return cls(values, inverses, squares, pixels)
 
     def growth(self, rows: list[int], at: Array) -> Array:
         """(N,) by how much the squares grow if the unknowns `rows` are held at values (N, len(rows))."""

@@ -94,11 +94,13 @@ def project_markers(
     inside = ((cards >= -0.5) & (cards <= limit)).all(axis=(1, 2))
     whole = np.asarray(inside & images.before_horizon(SQUARE * card))
     fractions = np.where(whole, 1.0, 0.0)
-    unsure = np.flatnonzero(ahead & (~whole | bool(occluders)))
+    touches = ((cards.max(axis=1) >= -0.5) & (cards.min(axis=1) <= limit)).all(axis=1)
+    unsure = np.flatnonzero(ahead & touches & (~whole | bool(occluders)))
     if unsure.size:
         some, grounds = images.only(unsure), markers(0.0)[unsure]
         fractions[unsure] = _shares(some, grounds, occluders, 1.0)
-        whole[unsure] &= _shares(some, grounds, occluders, card) == 1.0
+        if occluders:
+            whole[unsure] &= _shares(some, grounds, occluders, card) == 1.0
     return FrameTruth(
         ids=np.arange(len(centers)) if ids is None else np.asarray(ids),
         centers_px=centers,

@@ -83,17 +83,20 @@ def _chi_squared(plane: Plane, points: ComplexArray, squeezes: ComplexArray, var
 def _solve(points: ComplexArray, squeezes: ComplexArray, variances: Array, *, tilted: bool) -> Plane:
     """Weighted least squares in α, and in λ if `tilted`; second-order terms are the last round's."""
     unknowns = 1 + tilted
-    weight = 1 / np.sqrt(variances)
-    columns = _columns(points)[:, :unknowns] * weight[:, None]
-    inverse = np.linalg.pinv(columns)
+    columns = _columns(points)[:, :unknowns]
+    weighted = columns.conj().T / variances
+    covariance = np.zeros((2, 2), dtype=complex)
+    normal = weighted @ columns
+    # Markers in one place tell no horizon: a grain of ridge keeps it at zero.
+    covariance[:unknowns, :unknowns] = np.linalg.inv(
+        normal + 1e-12 * np.trace(normal).real * np.eye(unknowns)
+    )
     plane = Plane()
     for _ in range(ROUNDS):
         a, h = plane.squeeze, plane.horizon
         second = (a * points * np.conj(h) - squeezes * points.conj() * (h + np.conj(h) * a)) / 2
-        solution = np.append(inverse @ (weight * (squeezes + second)), 0)
+        solution = covariance[:, :unknowns] @ (weighted @ (squeezes + second))
         plane = Plane(complex(solution[0]), complex(solution[1]))
-    covariance = np.zeros((2, 2), dtype=complex)
-    covariance[:unknowns, :unknowns] = inverse @ inverse.conj().T
     return replace(plane, covariance=covariance)
 
 

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from skyherd.geometry import Array, ComplexArray, IntArray
+from skyherd.geometry import Array, BoolArray, ComplexArray, IntArray
 from skyherd.vision.grey import Image
 from skyherd.vision.pattern import Pattern
 from skyherd.vision.shapes import Shapes
@@ -49,6 +49,7 @@ class Looks:
     grounds: list[Pattern]
     bends: list[Pattern]
     limits: Array
+    sees_ground: BoolArray
     textures: Array
     ratios: Array
 
@@ -59,6 +60,7 @@ class Looks:
             [self.grounds[row] for row in rows],
             [self.bends[row] for row in rows] if self.bends else [],
             self.limits[rows],
+            self.sees_ground[rows],
             self.textures[rows],
             self.ratios[rows],
         )
@@ -88,8 +90,9 @@ class Pixels:
     def _weigh(self, looks: Looks, padded: Floats) -> None:
         """What of the ground is seen, and the pixels' weights: texture seen there is noise as well."""
         ground = self.columns[:, GROUND]
-        for row, pattern in enumerate(looks.grounds):
-            _read(pattern, self.x[row], self.y[row], ground[row])
+        ground[...] = 0.0
+        for row in np.flatnonzero(looks.sees_ground):
+            _read(looks.grounds[row], self.x[row], self.y[row], ground[row])
         seen = ground * looks.textures.astype(np.float32)[:, None]
         self.weights = self.columns[:, BLACK]
         np.divide(padded, np.sqrt(1 + seen * seen), out=self.weights)

@@ -23,15 +23,18 @@ from skyherd.vision.shapes import Shapes
 INSIDE_SIGMAS, OUTSIDE_SIGMAS = 1.2, 2.5
 """Pixels are read to the latter beyond the black square, and to the former within the card's edge."""
 
+SEEN_SIGMAS = 3.0
+"""Ground nearer than this to a pixel is seen by it."""
+
 TEXTURE = 30.0
 """Deviation of the ground's grey levels that is reckoned with, where ground blurs into the card."""
 
 ROUNDS = 6
 """Most steps taken."""
 
-SETTLED_PX = 0.2
-"""A marker is settled once a step moves its sides by no more than this: as `∫ T' T'' = 0` over an edge, a
-step s leaves `s³ / (12 σ²)`, here 0.001 px at most."""
+SETTLED_PX = 0.08
+"""A marker is settled once a step moves its sides by no more than this, at a noise of one grey level: as
+`∫ T' T'' = 0` over an edge, a step s leaves an error in proportion to s³, and noise one in proportion to it."""
 
 STRAIGHT_PX = 0.002
 """Nor is it settled while the horizon last found would move a corner by more than this."""
@@ -130,7 +133,7 @@ def fit_markers(
         shapes, moved_px = _step(solved, start)
         shapes = replace(shapes, horizons=plane.horizons(shapes.centers - middle))
         bent_px = np.abs(shapes.horizons - start.horizons) * sides_px**2 / 2
-        rows = np.flatnonzero((moved_px > SETTLED_PX) | (bent_px > STRAIGHT_PX))
+        rows = np.flatnonzero((moved_px > SETTLED_PX * np.cbrt(noise)) | (bent_px > STRAIGHT_PX))
         if not rows.size:
             break
     n_cells = cells_per_side(dictionary)
@@ -157,12 +160,14 @@ def _bends(dictionary: str, ids: IntArray, relative_sigmas: Array, plane: Plane)
 def _looks(dictionary: str, ids: IntArray, relative_sigmas: Array, plane: Plane, noise: float) -> Looks:
     """What markers of `ids` (N,) look like under blurs (N,), in marker sides."""
     quiet = (card_side(dictionary) - 1) / 2
+    beyond = np.clip(quiet - INSIDE_SIGMAS * relative_sigmas, 0, OUTSIDE_SIGMAS * relative_sigmas)
     buckets = [blur_bucket(sigma) for sigma in relative_sigmas]
     return Looks(
         patterns=[make_pattern(dictionary, int(i), bucket) for i, bucket in zip(ids, buckets, strict=True)],
         grounds=[make_ground(dictionary, bucket) for bucket in buckets],
         bends=_bends(dictionary, ids, relative_sigmas, plane),
-        limits=0.5 + np.clip(quiet - INSIDE_SIGMAS * relative_sigmas, 0, OUTSIDE_SIGMAS * relative_sigmas),
+        limits=0.5 + beyond,
+        sees_ground=quiet - beyond < SEEN_SIGMAS * relative_sigmas,
         textures=np.full(ids.size, TEXTURE / noise),
         ratios=np.full(ids.size, USUAL_RATIO),
     )
@@ -201,7 +206,7 @@ def _step(solved: Solved, shapes: Shapes) -> tuple[Shapes, Array]:
     shift = steps[:, columns.RIGHT] + 1j * steps[:, columns.DOWN]
     grow = steps[:, columns.GROW] + 1j * steps[:, columns.TURN]
     squeeze = steps[:, SQUEEZE] @ np.array([1, 1j])
-    size = np.abs(shift) + (np.abs(grow) + np.abs(squeeze)) / 2
+    size = np.sqrt(np.abs(shift) ** 2 + (np.abs(grow) ** 2 + np.abs(squeeze) ** 2) / 4)
     cut = np.minimum(1.0, LARGEST_STEP / np.maximum(size, 1e-12))
     return shapes.moved(cut * shift, cut * grow, cut * squeeze), size * shapes.sides_px()
 

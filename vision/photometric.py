@@ -6,7 +6,7 @@ leave nothing but noise before it counts. What a camera's images have in common,
 plane that the markers lie on, is learned from the fits, for each unit.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -27,6 +27,9 @@ START_SIGMA_PX = total_sigma_px(0.8)
 SIGMA_LIMITS_PX = (0.35, 4.0)
 BLUR_RATE, BLUR_ROUNDS, BLUR_SETTLED = 0.2, 5, 0.04
 """A camera's blur is found in the first image that shows markers, to 4 %, and followed slowly from there."""
+
+CORNERS_TELL_PX = 1.0
+"""Squeezes of candidates are right to this."""
 
 LEAST_NOISE = 0.3
 """Rounding to whole grey levels leaves as much in any image."""
@@ -111,7 +114,8 @@ class PhotometricDetector:
         candidates = _best_of_each(decode_quads(image, quads_px, self.dictionary, sigma_px))
         if not candidates.ids.size:
             return self._none
-        fits = self._fit(image, camera, candidates.ids, Shapes.of_corners(candidates.corners_px))
+        shapes = _on_plane(Shapes.of_corners(candidates.corners_px), camera.plane, image.shape)
+        fits = self._fit(image, camera, candidates.ids, shapes)
         return fits.take(verified(fits, camera.noise))
 
     def _fit(self, image: Image, camera: Camera, ids: IntArray, shapes: Shapes) -> Fits:
@@ -147,6 +151,14 @@ def _learn_blur(camera: Camera, found: Fits, rate: float) -> float:
     sigma_px = camera.sigma_px or START_SIGMA_PX
     camera.sigma_px = float(np.clip(sigma_px * np.exp(rate * step), *SIGMA_LIMITS_PX))
     return step
+
+
+def _on_plane(shapes: Shapes, plane: Plane, image_shape: tuple[int, ...]) -> Shapes:
+    """Shapes with the squeezes that the plane gives them, where their own are as near as corners can tell."""
+    middle = complex(image_shape[1] - 1, image_shape[0] - 1) / 2
+    squeezes = plane.squeezes(shapes.centers - middle) * shapes.arms.conj()
+    near = np.abs(squeezes - shapes.squeezes) < CORNERS_TELL_PX
+    return replace(shapes, squeezes=np.where(near, squeezes, shapes.squeezes))
 
 
 def _elsewhere(quads_px: Array, known: Shapes) -> BoolArray:

@@ -23,7 +23,8 @@ EXCESS = 6.0
 """Chi-squared a degree of freedom beyond which markers do not lie on one plane. Texture that blurs into small
 cards may double it."""
 
-ROUNDS = 3
+ROUNDS, SOLVED = 8, 1e-7
+"""Each round leaves half of |λ p| or less of what the one before did: 0.1 at a tilt of 15 degrees."""
 
 
 @dataclass(frozen=True)
@@ -97,6 +98,8 @@ def _solve(points: ComplexArray, squeezes: ComplexArray, variances: Array, *, ti
         second = (a * points * np.conj(h) - squeezes * points.conj() * (h + np.conj(h) * a)) / 2
         solution = covariance[:, :unknowns] @ (weighted @ (squeezes + second))
         plane = Plane(complex(solution[0]), complex(solution[1]))
+        if abs(plane.squeeze - a) + abs(plane.horizon - h) * np.abs(points).max() < SOLVED:
+            break
     return replace(plane, covariance=covariance)
 
 

@@ -16,8 +16,9 @@ from skyherd.geometry import Array, BoolArray, ComplexArray, IntArray, to_points
 SMOOTHING_PX = 3
 """Width of the box that takes noise off before the threshold."""
 
-SHARPENING_PX = 7
-"""Width of the box whose mean is taken off again: blur closes the white between a border and its ground."""
+SHARPENING_PX = 5
+"""Width of the box whose mean, taken twice, is taken off again: blur closes the white between a border and its
+ground."""
 
 WINDOWS_PX = (9, 21)
 """Widths of the surroundings: small ones part crowded edges, large ones fill thick borders."""
@@ -67,19 +68,24 @@ def find_quads(image: npt.NDArray[np.uint8]) -> Array:
 
 def _dark_boundaries(image: npt.NDArray[np.uint8]) -> list[npt.NDArray[np.int32]]:
     """Boundaries (K, 2) of dark regions, those too short for a marker left out."""
-    smooth, wide = (cv2.blur(image, (width, width)) for width in (SMOOTHING_PX, SHARPENING_PX))
+    smooth, wide = _mean(image, SMOOTHING_PX), _mean(_mean(image, SHARPENING_PX), SHARPENING_PX)
     sharp = cv2.addWeighted(smooth, 2.0, wide, -1.0, 0.0)
-    narrow, broad = (cv2.subtract(cv2.blur(sharp, (width, width)), sharp) for width in WINDOWS_PX)
+    narrow, broad = (cv2.subtract(_mean(sharp, width), sharp) for width in WINDOWS_PX)
     darkness = cv2.max(narrow, broad)
     usual = cv2.mean(np.ascontiguousarray(darkness[::4, ::4]))[0]
     crowd = np.clip(CROWDED * usual, LEAST_CROWDED, MOST_CROWDED)
     _, dark = cv2.threshold(darkness, DARKER, 255, cv2.THRESH_BINARY)
-    _, crowded = cv2.threshold(cv2.blur(darkness, (CROWD_PX, CROWD_PX)), crowd, 255, cv2.THRESH_BINARY)
+    _, crowded = cv2.threshold(_mean(darkness, CROWD_PX), crowd, 255, cv2.THRESH_BINARY)
     dark = cv2.bitwise_and(dark, crowded)
     contours, _ = cv2.findContours(dark, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
     # A square whose sides run diagonally has a boundary of side / sqrt(2) pixels a side.
     shortest = 4 * MIN_SIDE_PX / np.sqrt(2)
     return cast("list[npt.NDArray[np.int32]]", [c for c in contours if len(c) >= shortest])
+
+
+def _mean(image: npt.NDArray[np.uint8], width: int) -> npt.NDArray[np.uint8]:
+    """Mean over a box around each pixel."""
+    return np.asarray(cv2.blur(image, (width, width)), dtype=np.uint8)
 
 
 def _join(boundaries: list[npt.NDArray[np.int32]]) -> tuple[ComplexArray, IntArray]:

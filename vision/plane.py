@@ -23,7 +23,8 @@ EXCESS = 6.0
 """Chi-squared a degree of freedom beyond which markers do not lie on one plane. Texture that blurs into small
 cards may double it."""
 
-ROUNDS = 3
+ROUNDS = 6
+"""Each leaves half of |λ p| or less of what the one before did: 0.1 at a tilt of 15 degrees."""
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from skyherd.vision.pyramid import fit_all_sizes
 from skyherd.vision.quads import find_quads
 from skyherd.vision.shapes import CORNERS, Shapes
 from skyherd.vision.tracks import Tracks, in_view, no_tracks
-from skyherd.vision.verify import bits_are_right, verified
+from skyherd.vision.verify import FIRST_SHARE, bits_are_right, image_noise, verified
 
 START_SIGMA_PX = total_sigma_px(0.8)
 SIGMA_LIMITS_PX = (0.35, 4.0)
@@ -94,7 +94,7 @@ class PhotometricDetector:
         if not here.any():
             return self._none, False
         fits = self._fit(image, camera, camera.tracks.ids[here], shapes.take(here))
-        good = verified(fits, camera.noise)
+        good = _verified(fits, camera, image)
         return fits.take(good), not (here.all() and good.all())
 
     def _search(self, image: Image, camera: Camera, known: Shapes) -> Fits:
@@ -112,7 +112,7 @@ class PhotometricDetector:
         if not candidates.ids.size:
             return self._none
         fits = self._fit(image, camera, candidates.ids, Shapes.of_corners(candidates.corners_px))
-        return fits.take(verified(fits, camera.noise))
+        return fits.take(_verified(fits, camera, image))
 
     def _fit(self, image: Image, camera: Camera, ids: IntArray, shapes: Shapes) -> Fits:
         sigma_px = camera.sigma_px or START_SIGMA_PX
@@ -147,6 +147,13 @@ def _learn_blur(camera: Camera, found: Fits, rate: float) -> float:
     sigma_px = camera.sigma_px or START_SIGMA_PX
     camera.sigma_px = float(np.clip(sigma_px * np.exp(rate * step), *SIGMA_LIMITS_PX))
     return step
+
+
+def _verified(fits: Fits, camera: Camera, image: Image) -> BoolArray:
+    """Which fits (N,) show their marker, by the noise that the camera's markers told, or else its image."""
+    if camera.noise is None:
+        return verified(fits, image_noise(image), FIRST_SHARE)
+    return verified(fits, camera.noise)
 
 
 def _elsewhere(quads_px: Array, known: Shapes) -> BoolArray:

@@ -21,7 +21,7 @@ from skyherd.vision.pyramid import fit_all_sizes
 from skyherd.vision.quads import find_quads
 from skyherd.vision.shapes import CORNERS, Shapes
 from skyherd.vision.tracks import Tracks, in_view, no_tracks
-from skyherd.vision.verify import bits_are_right, verified
+from skyherd.vision.verify import FIRST_SHARE, bits_are_right, image_noise, verified
 
 START_SIGMA_PX = total_sigma_px(0.8)
 SIGMA_LIMITS_PX = (0.35, 4.0)
@@ -33,6 +33,9 @@ CORNERS_TELL_PX = 1.0
 
 LEAST_NOISE = 0.3
 """Rounding to whole grey levels leaves as much in any image."""
+
+BLUR_ALIKE = 0.35
+"""Blurs of markers in one image differ by less than this, in logarithms."""
 
 SEARCH_INTERVAL = 10
 """While all markers are followed, the whole image is searched in every tenth."""
@@ -91,14 +94,14 @@ class PhotometricDetector:
         return _detections(found, image, time_s, unit_id)
 
     def _follow(self, image: Image, camera: Camera, time_s: float) -> tuple[Fits, bool]:
-        """Markers still where they should be by now, and whether one that should be in view is not."""
+        """Markers still where they should be by now, and whether one is not, or should have left the view."""
         shapes = camera.tracks.predicted(time_s)
         here = in_view(shapes, image.shape)
         if not here.any():
             return self._none, False
         fits = self._fit(image, camera, camera.tracks.ids[here], shapes.take(here))
-        good = verified(fits, camera.noise)
-        return fits.take(good), not good.all()
+        good = _verified(fits, camera, image)
+        return fits.take(good), not (here.all() and good.all())
 
     def _search(self, image: Image, camera: Camera, known: Shapes) -> Fits:
         """Markers anywhere in the image but where they are known to be."""
@@ -116,7 +119,7 @@ class PhotometricDetector:
             return self._none
         shapes = _on_plane(Shapes.of_corners(candidates.corners_px), camera.plane, image.shape)
         fits = self._fit(image, camera, candidates.ids, shapes)
-        return fits.take(verified(fits, camera.noise))
+        return fits.take(_verified(fits, camera, image))
 
     def _fit(self, image: Image, camera: Camera, ids: IntArray, shapes: Shapes) -> Fits:
         sigma_px = camera.sigma_px or START_SIGMA_PX
@@ -159,6 +162,25 @@ def _on_plane(shapes: Shapes, plane: Plane, image_shape: tuple[int, ...]) -> Sha
     squeezes = plane.squeezes(shapes.centers - middle) * shapes.arms.conj()
     near = np.abs(squeezes - shapes.squeezes) < CORNERS_TELL_PX
     return replace(shapes, squeezes=np.where(near, squeezes, shapes.squeezes))
+
+
+def _verified(fits: Fits, camera: Camera, image: Image) -> BoolArray:
+    """Which fits (N,) show their marker, by the camera's noise: the image tells it until markers have."""
+    if camera.noise is not None:
+        return _alike_in_blur(fits, verified(fits, camera.noise))
+    first = verified(fits, image_noise(image), FIRST_SHARE)
+    if not first.any():
+        return first
+    noise = float(np.average(fits.noises[first], weights=fits.pixels[first]))
+    return _alike_in_blur(fits, first & verified(fits, noise))
+
+
+def _alike_in_blur(fits: Fits, good: BoolArray) -> BoolArray:
+    """Those of the good fits (N,) whose blur is the image's: the mean of theirs, by pixels."""
+    if not good.any():
+        return good
+    usual = np.average(fits.log_blurs[good], weights=fits.pixels[good])
+    return np.asarray(good & (np.abs(fits.log_blurs - usual) < BLUR_ALIKE))
 
 
 def _elsewhere(quads_px: Array, known: Shapes) -> BoolArray:

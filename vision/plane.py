@@ -88,10 +88,8 @@ def _solve(points: ComplexArray, squeezes: ComplexArray, variances: Array, *, ti
     weighted = columns.conj().T / variances
     covariance = np.zeros((2, 2), dtype=complex)
     normal = weighted @ columns
-    # Markers in one place tell no horizon: a grain of ridge keeps it at zero.
-    covariance[:unknowns, :unknowns] = np.linalg.inv(
-        normal + 1e-12 * np.trace(normal).real * np.eye(unknowns)
-    )
+    # Markers in one place tell no horizon: a grain of ridge keeps the matrix from being singular.
+    covariance[:unknowns, :unknowns] = np.linalg.inv(normal + 1e-12 * np.diag(np.diag(normal)))
     plane = Plane()
     for _ in range(ROUNDS):
         a, h = plane.squeeze, plane.horizon

@@ -17,8 +17,8 @@ SMOOTHING_PX = 3
 """Width of the box that takes noise off before the threshold."""
 
 SHARPENING_PX = 5
-"""Width of the box whose mean, taken twice, is taken off again: blur closes the white between a border and its
-ground."""
+"""Width of the box whose mean, taken twice, is taken off again: blur closes the white between a border and
+its ground."""
 
 WINDOWS_PX = (9, 21)
 """Widths of the surroundings: small ones part crowded edges, large ones fill thick borders."""
@@ -69,9 +69,9 @@ def find_quads(image: npt.NDArray[np.uint8]) -> Array:
 def _dark_boundaries(image: npt.NDArray[np.uint8]) -> list[npt.NDArray[np.int32]]:
     """Boundaries (K, 2) of dark regions, those too short for a marker left out."""
     smooth, wide = _mean(image, SMOOTHING_PX), _mean(_mean(image, SHARPENING_PX), SHARPENING_PX)
-    sharp = cv2.addWeighted(smooth, 2.0, wide, -1.0, 0.0)
+    sharp = np.asarray(cv2.addWeighted(smooth, 2.0, wide, -1.0, 0.0), dtype=np.uint8)
     narrow, broad = (cv2.subtract(_mean(sharp, width), sharp) for width in WINDOWS_PX)
-    darkness = cv2.max(narrow, broad)
+    darkness = np.asarray(cv2.max(narrow, broad), dtype=np.uint8)
     usual = cv2.mean(np.ascontiguousarray(darkness[::4, ::4]))[0]
     crowd = np.clip(CROWDED * usual, LEAST_CROWDED, MOST_CROWDED)
     _, dark = cv2.threshold(darkness, DARKER, 255, cv2.THRESH_BINARY)

@@ -63,17 +63,12 @@ class Shapes(Rows):
         return Shapes(*(np.where(swap, new, old) for old, new in pairs))
 
     def moved(self, shift: ComplexArray, grow: ComplexArray, squeeze: ComplexArray) -> "Shapes":
-        """The shapes whose marker coordinates are `z - (shift + grow z + squeeze z̄)` where these have z."""
-        # z = α w + β w̄ with w = z' + shift undoes it.
-        own, other = 1 - grow, -squeeze
-        area = np.abs(own) ** 2 - np.abs(other) ** 2
-        alpha, beta = own.conj() / area, -other / area
-        center = alpha * shift + beta * shift.conj()
+        """After `z ↦ shift + (1 + grow) z + squeeze z̄` in marker coordinates, to first order in each."""
         return replace(
             self,
-            centers=self.centers + self.arms * center + self.squeezes * center.conj(),
-            arms=self.arms * alpha + self.squeezes * beta.conj(),
-            squeezes=self.arms * beta + self.squeezes * alpha.conj(),
+            centers=self.centers + self.arms * shift + self.squeezes * shift.conj(),
+            arms=self.arms * (1 + grow) + self.squeezes * squeeze.conj(),
+            squeezes=self.squeezes * (1 + grow.conj()) + self.arms * squeeze,
         )
 
     def images(self, z: ComplexArray) -> ComplexArray:

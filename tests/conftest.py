@@ -6,11 +6,12 @@ import tomllib
 from collections.abc import Callable, Iterator
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
 from skyherd.datasets import scenario_text
-from skyherd.markers import corners_of_pose
+from skyherd.markers import QUIET_ZONE_CELLS, cells_per_side, corners_of_pose, marker_cells
 from skyherd.messages import Detections, MotionGoals, UnitReport
 
 
@@ -175,3 +176,79 @@ def assert_nothing_overflows() -> Callable[[Any], None]:
         assert window.evaluate(OVERFLOWING) == []
 
     return check
+
+
+@pytest.fixture(scope="session")
+def place_markers() -> Callable[..., np.ndarray]:
+    """Similarities (N, 3, 3) from a marker's plane (right, down, in sides) to pixels, by centre and heading."""
+
+    def place(centers: Any, headings: Any, sides: Any) -> np.ndarray:
+        centers, headings = np.atleast_1d(np.asarray(centers, complex)), np.asarray(headings, dtype=float)
+        arms = np.broadcast_to(1j * np.asarray(sides) * np.exp(1j * headings), centers.shape)
+        rows = np.zeros((centers.size, 3, 3))
+        rows[:, 0] = np.column_stack([arms.real, -arms.imag, centers.real])
+        rows[:, 1] = np.column_stack([arms.imag, arms.real, centers.imag])
+        rows[:, 2, 2] = 1.0
+        return rows
+
+    return place
+
+
+@pytest.fixture(scope="session")
+def draw_markers() -> Callable[..., np.ndarray]:
+    """An image of markers by brute force, independent of `skyherd.render`: 4 x 4 points of each pixel looked up.
+
+    `paint`, if any, changes the float image before lens and sensor: what covers markers, or clutter.
+    """
+
+    def card(image: np.ndarray, dictionary: str, marker_id: int, matrix: np.ndarray) -> None:
+        n = cells_per_side(dictionary)
+        half = 0.5 + QUIET_ZONE_CELLS / n
+        corners = (
+            np.array([[-half, -half, 1], [half, -half, 1], [half, half, 1], [-half, half, 1]]) @ matrix.T
+        )
+        corners = corners[:, :2] / corners[:, 2:]
+        left, top = np.maximum(np.floor(corners.min(axis=0)).astype(int), 0)
+        right, bottom = np.minimum(np.ceil(corners.max(axis=0)).astype(int) + 1, image.shape[::-1])
+        if right <= left or bottom <= top:
+            return
+        u = (np.arange(4 * (right - left)) - 1.5) / 4 + left
+        v = (np.arange(4 * (bottom - top)) - 1.5) / 4 + top
+        (a, b, c), (d, e, f), (g, h, i) = np.linalg.inv(matrix)
+        w = g * u + h * v[:, None] + i
+        x, y = (a * u + b * v[:, None] + c) / w, (d * u + e * v[:, None] + f) / w
+        column, row = (np.floor((z + 0.5) * n).astype(int) + 1 for z in (x, y))
+        inside = np.maximum(np.abs(x), np.abs(y)) < half
+        cells = np.pad(marker_cells(dictionary, marker_id), 1, constant_values=True)
+        grey = np.where(cells[row.clip(0, n + 1), column.clip(0, n + 1)], 230.0, 30.0)
+        under = np.repeat(np.repeat(image[top:bottom, left:right], 4, axis=0), 4, axis=1)
+        seen = np.where(inside, grey, under)
+        image[top:bottom, left:right] = seen.reshape(bottom - top, 4, right - left, 4).mean(axis=(1, 3))
+
+    def draw(
+        matrices: np.ndarray,
+        ids: Any,
+        size_px: tuple[int, int],
+        rng: np.random.Generator,
+        *,
+        dictionary: str = "4X4_50",
+        noise: float = 5.0,
+        psf_px: float = 0.8,
+        texture: float = 8.0,
+        paint: Callable[[np.ndarray], None] | None = None,
+    ) -> np.ndarray:
+        width, height = size_px
+        image = np.full((height, width), 128.0, np.float32)
+        if texture:
+            coarse = rng.normal(0, texture, (height // 6 + 2, width // 6 + 2)).astype(np.float32)
+            image += cv2.resize(coarse, (width, height), interpolation=cv2.INTER_CUBIC)
+        for marker_id, matrix in zip(ids, matrices, strict=True):
+            card(image, dictionary, int(marker_id), matrix)
+        if paint is not None:
+            paint(image)
+        if psf_px:
+            image = cv2.GaussianBlur(image, (0, 0), psf_px)
+        image += noise * rng.standard_normal(image.shape, dtype=np.float32)
+        return np.clip(np.rint(image), 0, 255).astype(np.uint8)
+
+    return draw

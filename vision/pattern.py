@@ -26,7 +26,8 @@ BLUR_STEP = 1.05
 
 SAMPLES_PER_SIGMA = 3.0
 """Bilinear reading adds `f (1 - f) h² T'' / 2`, which is `h² T'' / 12` on average and is taken off
-beforehand. What is left is `h² T'' / 12 = 0.11 x 0.24 / 12` of the contrast at most: 0.45 of 200 levels."""
+beforehand. What is left is `h² T'' / 12 = 0.11 x 0.24 / 12` of the contrast at most along an edge: 0.45 of
+200 levels; at corners up to twice that, and a quarter of it in the root mean square."""
 
 MAX_SAMPLES = 640
 """Patterns of large markers are sampled less finely, so that each takes 6.5 MB at most."""

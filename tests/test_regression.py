@@ -1,0 +1,116 @@
+"""Least squares from Gram matrices, against NumPy's from the columns themselves."""
+
+import numpy as np
+import pytest
+
+from skyherd.vision.columns import BLACK, CONTRAST, GROUND, LIGHT, PIXELS, SQUEEZE
+from skyherd.vision.regression import GROUND_RIDGE, LEAST_CONTRAST, Solved
+
+MARKERS, ROWS = 12, 300
+HELD = [LIGHT, SQUEEZE, [GROUND], [*SQUEEZE, *LIGHT]]
+
+
+@pytest.fixture(scope="module")
+def problem():
+    """Columns (N, 12, M), the first all ones, pixels (N, M) and their Gram matrices."""
+    rng = np.random.default_rng(0)
+    columns = rng.normal(size=(MARKERS, PIXELS, ROWS))
+    columns[:, BLACK] = 1.0
+    pixels = np.einsum("ni,nim->nm", rng.normal(size=(MARKERS, PIXELS)), columns) + rng.normal(
+        0, 0.5, (MARKERS, ROWS)
+    )
+    both = np.concatenate([columns, pixels[:, None]], axis=1)
+    return columns, pixels, both @ both.transpose(0, 2, 1)
+
+
+def least_squares(columns, pixels, held=(), at=()):
+    """Unknowns and sum of squares by `np.linalg.lstsq`, those held moved to the pixels' side; the ridge on
+    the ground is one more row."""
+    ridge = np.zeros((PIXELS, 1))
+    ridge[GROUND] = np.sqrt(GROUND_RIDGE)
+    design = np.concatenate([columns, ridge], axis=1).T
+    target = np.append(pixels, 0.0) - design[:, list(held)] @ np.asarray(at)
+    free = [i for i in range(PIXELS) if i not in held]
+    values, squares, rank, _ = np.linalg.lstsq(design[:, free], target, rcond=None)
+    assert rank == len(free)
+    whole = np.zeros(PIXELS)
+    whole[free], whole[list(held)] = values, at
+    return whole, squares[0]
+
+
+# The small ridge of 1e-9 on every unknown changes them by 1e-9 / 300 of themselves.
+
+
+def test_solutions_are_those_of_least_squares(problem):
+    columns, pixels, grams = problem
+    solved = Solved.of(grams)
+    for row in range(MARKERS):
+        values, squares = least_squares(columns[row], pixels[row])
+        np.testing.assert_allclose(solved.values[row], values, atol=1e-8)
+        assert solved.squares[row] == pytest.approx(squares, rel=1e-8)
+    np.testing.assert_allclose(solved.pixels, ROWS)
+    np.testing.assert_allclose(solved.noises(), np.sqrt(solved.squares / (ROWS - PIXELS)))
+    assert solved.noises().mean() == pytest.approx(0.5, rel=5 / np.sqrt(2 * MARKERS * ROWS))
+
+
+@pytest.mark.parametrize("held", HELD, ids=str)
+def test_holding_is_solving_without_those_columns(problem, held):
+    columns, pixels, grams = problem
+    at = np.random.default_rng(1).normal(size=(MARKERS, len(held)))
+    solved = Solved.of(grams).holding(held, at)
+    free = [i for i in range(PIXELS) if i not in held]
+    for row in range(MARKERS):
+        values, squares = least_squares(columns[row], pixels[row], held, at[row])
+        np.testing.assert_allclose(solved.values[row], values, atol=1e-8)
+        assert solved.squares[row] == pytest.approx(squares, rel=1e-8)
+        normal = grams[row][np.ix_(free, free)]
+        normal += GROUND_RIDGE * np.diag(np.equal(free, GROUND))
+        np.testing.assert_allclose(
+            solved.inverses[row][np.ix_(free, free)], np.linalg.inv(normal), atol=1e-10
+        )
+        np.testing.assert_allclose(solved.inverses[row][held], 0, atol=1e-14)
+    assert solved.free == len(free)
+
+
+def test_holding_twice_is_holding_both(problem):
+    _, _, grams = problem
+    at = np.random.default_rng(2).normal(size=(MARKERS, 4))
+    one = Solved.of(grams).holding(SQUEEZE, at[:, :2]).holding(LIGHT, at[:, 2:])
+    both = Solved.of(grams).holding([*SQUEEZE, *LIGHT], at)
+    np.testing.assert_allclose(one.values, both.values, atol=1e-10)
+    np.testing.assert_allclose(one.squares, both.squares, rtol=1e-10)
+    assert one.free == both.free == PIXELS - 4
+
+
+@pytest.mark.parametrize("held", HELD, ids=str)
+def test_growth_is_the_difference_of_the_squares(problem, held):
+    columns, pixels, grams = problem
+    at = np.random.default_rng(3).normal(size=(MARKERS, len(held)))
+    growth = Solved.of(grams).growth(held, at)
+    for row in range(MARKERS):
+        without, with_all = (
+            least_squares(columns[row], pixels[row], held, at[row])[1],
+            least_squares(columns[row], pixels[row])[1],
+        )
+        assert growth[row] == pytest.approx(without - with_all, rel=1e-7, abs=1e-7)
+
+
+def test_what_noise_adds_to_unknowns_that_are_none_is_chi_squared():
+    """Growth over the noise's variance has mean 2 for two unknowns: to 5 deviations of a mean of 400."""
+    rng = np.random.default_rng(4)
+    columns = rng.normal(size=(400, PIXELS, ROWS))
+    columns[:, BLACK] = 1.0
+    pixels = rng.normal(0, 3.0, (400, 1, ROWS))
+    both = np.concatenate([columns, pixels], axis=1)
+    growth = Solved.of(both @ both.transpose(0, 2, 1)).growth(LIGHT, np.zeros((400, 2)))
+    assert (growth / 9.0).mean() == pytest.approx(2.0, abs=5 * 2 / np.sqrt(400))
+
+
+def test_a_marker_without_contrast_or_ground_is_still_solved():
+    """Columns that are zero throughout make no singular matrix, and contrast is not divided by."""
+    both = np.zeros((1, PIXELS + 1, ROWS))
+    both[:, BLACK], both[:, PIXELS] = 1.0, 7.0
+    solved = Solved.of(both @ both.transpose(0, 2, 1))
+    assert solved.values[0, BLACK] == pytest.approx(7.0) and abs(solved.values[0, CONTRAST]) < 1e-9
+    assert np.isfinite(solved.holding(LIGHT, np.zeros((1, 2))).inverses).all()
+    assert solved.contrasts()[0] == LEAST_CONTRAST

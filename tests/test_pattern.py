@@ -1,4 +1,4 @@
-"""Patterns and their derivatives, against markers made otherwise: by sums of normal distributions, by pixels."""
+"""Patterns and their derivatives, against markers made otherwise: summed cell by cell, and in pixels."""
 
 import cv2
 import numpy as np
@@ -118,7 +118,7 @@ def test_the_mean_that_bilinear_reading_adds_is_taken_off():
     off = read[..., 0] - seen(x, y, SIGMA)
     bend = read[..., 3] / SAMPLES_PER_SIGMA**2 / 12
     lean = (off * bend).sum() / (bend**2).sum()
-    # f (1 - f) / 2 scatters about 1/12 by 0.037, 0.45 of it: over 32000 points 0.0035; and h⁴ is a ninth of h².
+    # f (1 - f) / 2 scatters about 1/12 by 0.037, 0.45 of it: over 32000 points 0.0035; h⁴ is a ninth of h².
     assert abs(lean) < 0.06, lean
     assert ((off + bend) * bend).sum() / (bend**2).sum() > 0.9
 

@@ -198,7 +198,7 @@ def place_markers() -> Callable[..., np.ndarray]:
 def draw_markers() -> Callable[..., np.ndarray]:
     """An image of markers by brute force, independent of `skyherd.render`: 16 points a pixel looked up.
 
-    The points are a lattice in which no two share a line or column, so that upright edges lie right to 1/32 px.
+    The points are a lattice in which no two share a line or column: upright edges lie right to 1/32 px.
     `paint`, if any, changes the float image before lens and sensor: what covers markers, or clutter.
     """
 

@@ -7,7 +7,14 @@ from scipy.ndimage import gaussian_filter
 from scipy.special import erf
 
 from skyherd.markers import QUIET_ZONE_CELLS, cells_per_side, marker_cells
-from skyherd.vision.pattern import BLUR_STEP, SAMPLES_PER_SIGMA, blur_bucket, make_ground, make_pattern
+from skyherd.vision.pattern import (
+    BLUR_STEP,
+    SAMPLES_PER_SIGMA,
+    blur_bucket,
+    make_bend,
+    make_ground,
+    make_pattern,
+)
 
 DICTIONARY, MARKER, BUCKET = "4X4_50", 11, -72
 SIGMA = BLUR_STEP**BUCKET  # 0.030 of a side: 0.84 px on 28 px
@@ -121,6 +128,36 @@ def test_the_mean_that_bilinear_reading_adds_is_taken_off():
     # f (1 - f) / 2 scatters about 1/12 by 0.037, 0.45 of it: over 32000 points 0.0035; h⁴ is a ninth of h².
     assert abs(lean) < 0.06, lean
     assert ((off + bend) * bend).sum() / (bend**2).sum() > 0.9
+
+
+def test_the_bend_is_what_a_blur_of_two_widths_and_a_slant_does(pattern, at):
+    """A Gaussian of variances σ² (1 ∓ 2 e_x) and covariance -2 σ² e_y changes T by minus the bend times e.
+
+    By differences of T in ever smaller e, with order 2: widths differ along the axes by how the marker, which
+    separates, is seen with two sigmas; the slant is `T_xy`, by differences of T in x and y.
+    """
+    x, y = at
+    values = make_bend(DICTIONARY, MARKER, BUCKET).values[::3, ::3]
+    cells = ~marker_cells(DICTIONARY, MARKER)
+    edges = np.arange(len(cells) + 1) / len(cells) - 0.5
+
+    def squeezed(e):
+        wide, high = (SIGMA * np.sqrt(1 + sign * 2 * e) for sign in (-1, 1))
+        across = erf((x.T - edges) / (wide * np.sqrt(2))) / 2
+        down = erf((y - edges) / (high * np.sqrt(2))) / 2
+        return 1 - (down[:, :-1] - down[:, 1:]) @ cells @ (across[:, :-1] - across[:, 1:]).T
+
+    errors, sizes = [], np.array([0.1, 0.05, 0.025])
+    for e in sizes:
+        errors.append(np.abs(values[..., 0] + (squeezed(e) - squeezed(-e)) / (2 * e)).max())
+    assert order(errors, sizes) == pytest.approx(2.0, abs=0.1), errors
+    errors, sizes = [], np.array([0.2, 0.1, 0.05]) * SIGMA
+    for h in sizes:
+        mixed = (
+            sum(a * b * seen(x + a * h, y + b * h, SIGMA) for a in (1, -1) for b in (1, -1)) / (2 * h) ** 2
+        )
+        errors.append(np.abs(values[..., 1] - 2 * SIGMA**2 * mixed).max())
+    assert order(errors, sizes) == pytest.approx(2.0, abs=0.05), errors
 
 
 def test_ground_is_seen_beyond_the_card_only():

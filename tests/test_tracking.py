@@ -72,11 +72,11 @@ def test_arc_and_turning_camera_together_leave_what_is_of_second_order_in_the_st
     assert np.polyfit(np.log(steps), np.log(errors), 1)[0] == pytest.approx(2.0, abs=0.15)
 
 
-def test_only_markers_with_all_corners_in_the_image_are_expected_in_it():
-    arms = np.full(4, 20 + 0j)
-    centers = np.array([50 + 50j, 5 + 50j, 50 + 95j, -80 + 50j])
+def test_markers_are_looked_for_while_their_centres_are_in_the_image():
+    centers = np.array([50 + 50j, -0.4 - 0.4j, 119.4 + 99.4j, -0.6 + 50j, 119.6 + 50j, 50 + 99.6j])
+    arms = np.full(centers.size, 20 + 0j)
     shapes = Shapes(centers, arms, 0 * arms, 0 * arms)
-    assert in_view(shapes, (100, 120)).tolist() == [True, False, False, False]
+    assert in_view(shapes, (100, 120)).tolist() == [True, True, True, False, False, False]
 
 
 # --- following and searching agree ---

@@ -91,14 +91,14 @@ class PhotometricDetector:
         return _detections(found, image, time_s, unit_id)
 
     def _follow(self, image: Image, camera: Camera, time_s: float) -> tuple[Fits, bool]:
-        """Markers still where they should be by now, and whether one that should be in view is not."""
+        """Markers still where they should be by now, and whether one is not, or should have left the view."""
         shapes = camera.tracks.predicted(time_s)
         here = in_view(shapes, image.shape)
         if not here.any():
             return self._none, False
         fits = self._fit(image, camera, camera.tracks.ids[here], shapes.take(here))
         good = verified(fits, camera.noise)
-        return fits.take(good), not good.all()
+        return fits.take(good), not (here.all() and good.all())
 
     def _search(self, image: Image, camera: Camera, known: Shapes) -> Fits:
         """Markers anywhere in the image but where they are known to be."""

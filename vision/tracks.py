@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from skyherd.geometry import BoolArray, ComplexArray, IntArray
-from skyherd.vision.shapes import CORNERS, Shapes
+from skyherd.vision.shapes import Shapes
 
 
 @dataclass(frozen=True)
@@ -62,8 +62,7 @@ def no_tracks() -> Tracks:
 
 
 def in_view(shapes: Shapes, image_shape: tuple[int, ...]) -> BoolArray:
-    """Which markers (N,) lie in an image (height, width) with all their corners."""
-    corners = shapes.images(CORNERS)
-    inside = (corners.real > -0.5) & (corners.real < image_shape[1] - 0.5)
-    inside &= (corners.imag > -0.5) & (corners.imag < image_shape[0] - 0.5)
-    return np.asarray(inside.all(axis=1))
+    """Which markers (N,) have their centres in an image (height, width)."""
+    height, width = image_shape
+    from_middle = shapes.centers - complex(width - 1, height - 1) / 2
+    return np.asarray((np.abs(from_middle.real) < width / 2) & (np.abs(from_middle.imag) < height / 2))

@@ -106,6 +106,20 @@ def test_what_noise_adds_to_unknowns_that_are_none_is_chi_squared():
     assert (growth / 9.0).mean() == pytest.approx(2.0, abs=5 * 2 / np.sqrt(400))
 
 
+@pytest.mark.parametrize("rows", [1, 3, 7, 11, 20])
+def test_too_few_pixels_leave_no_negative_squares(rows):
+    """Fewer pixels than unknowns, summed in single precision as the fit does: noise stays a real number."""
+    rng = np.random.default_rng([5, rows])
+    both = rng.normal(0, 100, (200, PIXELS + 1, rows)).astype(np.float32)
+    both[:, BLACK] = 1.0
+    both[:, CONTRAST] = both[:, SQUEEZE[0]]
+    solved = Solved.of((both @ both.transpose(0, 2, 1)).astype(float))
+    held = solved.holding(LIGHT, np.zeros((200, 2))).holding(SQUEEZE, rng.normal(size=(200, 2)))
+    for some in (solved, held):
+        assert (some.squares > 0).all() and np.isfinite(some.noises()).all()
+    assert (solved.growth([*LIGHT, *SQUEEZE], np.ones((200, 4))) >= 0).all()
+
+
 def test_a_marker_without_contrast_or_ground_is_still_solved():
     """Columns that are zero throughout make no singular matrix, and contrast is not divided by."""
     both = np.zeros((1, PIXELS + 1, ROWS))

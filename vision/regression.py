@@ -57,9 +57,12 @@ class Solved:
         return cls(values, inverses, squares, pixels)
 
     def growth(self, rows: list[int], at: Array) -> Array:
-        """(N,) by how much the squares grow if the unknowns `rows` are held at values (N, len(rows))."""
+        """(N,) by how much the squares grow if the unknowns `rows` are held at values (N, len(rows)).
+
+        Never less than 0, which rounding may make it where pixels are too few to tell the unknowns.
+        """
         off = self.values[:, rows] - at
-        return np.asarray(np.einsum("ni,nij,nj->n", off, self._blocks(rows), off))
+        return np.maximum(np.einsum("ni,nij,nj->n", off, self._blocks(rows), off), 0.0)
 
     def holding(self, rows: list[int], at: Array) -> "Solved":
         """The same with the unknowns `rows` held at values (N, len(rows))."""

@@ -63,7 +63,10 @@ def test_recall_is_as_stated_at_one_setting(place_markers, draw_markers, side_px
 
 
 def clutter(rng, size=(960, 720), count=150):
-    """Dark quadrilaterals of 8-60 px, a third with squares inside, under blur and noise of any amount."""
+    """Dark quadrilaterals of 8-60 px, a third with light squares inside, under blur and noise of any amount.
+
+    The light squares are smaller than a third of the side: with one so wide it is marker 17 of 4X4_50.
+    """
     image = np.full(size[::-1], rng.uniform(90, 200), np.float32)
     for _ in range(count):
         center, side = rng.uniform(0, size), rng.uniform(8, 60)
@@ -80,10 +83,10 @@ def clutter(rng, size=(960, 720), count=150):
             fill(rng.uniform(1.2, 1.6) * bent, ground)
         fill(bent, dark)
         if rng.uniform() < 0.35:
-            cells = rng.choice([4, 5, 6, 8])
-            for row, column in np.argwhere(rng.uniform(size=(cells, cells)) < rng.uniform(0.1, 0.6)):
-                at = (column + 0.5 - cells / 2 + 1j * (row + 0.5 - cells / 2)) / cells
-                fill(side * (0.75 * turn * at + square / cells * 0.8), ground)
+            for _ in range(rng.integers(1, 4)):
+                at = rng.uniform(-0.28, 0.28) + 1j * rng.uniform(-0.28, 0.28)
+                other = np.exp(2j * np.pi * rng.uniform())
+                fill(side * (turn * at + rng.uniform(0.1, 0.28) * other * square), ground)
     image = cv2.GaussianBlur(image, (0, 0), rng.uniform(0.5, 1.5))
     image += rng.uniform(1, 10) * rng.standard_normal(image.shape, dtype=np.float32)
     return np.clip(np.rint(image), 0, 255).astype(np.uint8)

@@ -48,6 +48,9 @@ USUAL_RATIO = 0.15
 LARGEST_STEP = 0.15
 """Steps are cut to this, in marker sides, radians and logarithms of scale."""
 
+LEAST_PIXELS = 2 * PIXELS
+"""A marker that is seen by fewer has no say on the plane: its noise is not known."""
+
 UNEVEN = 8.0
 """Light is taken as uneven once the markers' mean chi-squared exceeds its mean by so many deviations."""
 
@@ -144,7 +147,7 @@ def fit_markers(
         contrasts=solved.values[:, CONTRAST],
         noises=solved.noises(),
         log_blurs=solved.values[:, BLUR] / solved.contrasts(),
-        blurs_cells=sigma_px / sides_px * n_cells,
+        blurs_cells=sigma_px / shapes.sides_px() * n_cells,
         pixels=solved.pixels,
         cell_means=_cell_means(taken, solved, n_cells),
     ), plane
@@ -192,6 +195,7 @@ def _common_plane(solved: Solved, shapes: Shapes, middle: complex) -> tuple[Plan
     contrasts = solved.contrasts()
     found = solved.values[:, SQUEEZE] @ np.array([1, 1j]) / contrasts
     spread = np.einsum("nii->n", solved.inverses[:, SQUEEZE][:, :, SQUEEZE]) / 2
+    spread = np.where((spread > 0) & (solved.pixels > LEAST_PIXELS), spread, np.inf)
     points = shapes.centers - middle
     squeezes = (shapes.squeezes + shapes.arms * found) / shapes.arms.conj()
     plane = fit_plane(points, squeezes, spread * (solved.noises() / contrasts) ** 2)

@@ -21,7 +21,7 @@ from skyherd.vision.pyramid import fit_all_sizes
 from skyherd.vision.quads import find_quads
 from skyherd.vision.shapes import CORNERS, Shapes
 from skyherd.vision.tracks import Tracks, in_view, no_tracks
-from skyherd.vision.verify import bits_are_right, verified
+from skyherd.vision.verify import FIRST_SHARE, bits_are_right, image_noise, verified
 
 START_SIGMA_PX = total_sigma_px(0.8)
 SIGMA_LIMITS_PX = (0.35, 4.0)
@@ -97,7 +97,7 @@ class PhotometricDetector:
         if not here.any():
             return self._none, False
         fits = self._fit(image, camera, camera.tracks.ids[here], shapes.take(here))
-        good = verified(fits, camera.noise)
+        good = _verified(fits, camera, image)
         return fits.take(good), not (here.all() and good.all())
 
     def _search(self, image: Image, camera: Camera, known: Shapes) -> Fits:
@@ -116,7 +116,7 @@ class PhotometricDetector:
             return self._none
         shapes = _on_plane(Shapes.of_corners(candidates.corners_px), camera.plane, image.shape)
         fits = self._fit(image, camera, candidates.ids, shapes)
-        return fits.take(verified(fits, camera.noise))
+        return fits.take(_verified(fits, camera, image))
 
     def _fit(self, image: Image, camera: Camera, ids: IntArray, shapes: Shapes) -> Fits:
         sigma_px = camera.sigma_px or START_SIGMA_PX
@@ -159,6 +159,13 @@ def _on_plane(shapes: Shapes, plane: Plane, image_shape: tuple[int, ...]) -> Sha
     squeezes = plane.squeezes(shapes.centers - middle) * shapes.arms.conj()
     near = np.abs(squeezes - shapes.squeezes) < CORNERS_TELL_PX
     return replace(shapes, squeezes=np.where(near, squeezes, shapes.squeezes))
+
+
+def _verified(fits: Fits, camera: Camera, image: Image) -> BoolArray:
+    """Which fits (N,) show their marker, by the noise that the camera's markers told, or else its image."""
+    if camera.noise is None:
+        return verified(fits, image_noise(image), FIRST_SHARE)
+    return verified(fits, camera.noise)
 
 
 def _elsewhere(quads_px: Array, known: Shapes) -> BoolArray:

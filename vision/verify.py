@@ -10,6 +10,7 @@ from scipy.special import ndtr
 
 from skyherd.geometry import Array, BoolArray
 from skyherd.vision.fit import Fits
+from skyherd.vision.grey import Image
 
 WRONG_CELL, WRONG_CELL_SIGMAS, WRONG_CELL_LIMIT = 0.2, 4.0, 0.4
 """A cell is wrong if it leaves more than the first share of what a wrong colour would leave and so many
@@ -24,9 +25,15 @@ MAX_SQUEEZE = 0.2
 MAX_BLUR_CELLS = 0.75
 """Largest blur, in cells: beyond it other markers, and even texture, can pass for one."""
 
-NOISE_FACTOR, WRONG_BIT_SHARE = 1.25, 0.4
+MIN_SEEN = 0.6
+"""Least share of a marker's area that its pixels must cover: it may be cut by the image's border."""
+
+NOISE_FACTOR, WRONG_BIT_SHARE, FIRST_SHARE = 1.25, 0.4, 0.75
 """A fit may leave this many times the camera's noise and, for what the model lacks, this share of the root
-mean square that one wrong bit would leave."""
+mean square that one wrong bit would leave; the last while only the image itself tells the noise."""
+
+SATURATED, LEAST_TOLD = 5, 50
+"""Pixels so near to black or white are clipped and tell no noise; so many others are needed to tell it."""
 
 READINGS = 8
 """Points of a cell along each side in the integrals."""
@@ -39,18 +46,27 @@ def bits_are_right(fits: Fits) -> BoolArray:
     worst = np.abs(fits.cell_means).max(axis=(1, 2)) / mean
     allowed = np.minimum(WRONG_CELL + WRONG_CELL_SIGMAS * fits.noises / (mean * cells_px), WRONG_CELL_LIMIT)
     plain = (fits.contrasts >= MIN_CONTRAST) & (fits.blurs_cells <= MAX_BLUR_CELLS)
+    plain &= fits.pixels >= MIN_SEEN * fits.shapes.sides_px() ** 2
     plain &= np.abs(fits.shapes.squeezes) <= MAX_SQUEEZE * np.abs(fits.shapes.arms)
     return np.asarray(plain & (worst < allowed))
 
 
-def verified(fits: Fits, noise: float | None) -> BoolArray:
-    """Which fits (N,) show their marker and leave little more than the camera's noise, if it is known."""
-    right = bits_are_right(fits)
-    if not right.any():
-        return right
-    usual = float(np.median(fits.noises[right])) if noise is None else noise
+def verified(fits: Fits, noise: float, share: float = WRONG_BIT_SHARE) -> BoolArray:
+    """Which fits (N,) show their marker and leave little more than the camera's noise."""
     _, wrong = _wrong_cell(fits)
-    return right & (fits.noises <= np.hypot(NOISE_FACTOR * usual, WRONG_BIT_SHARE * wrong))
+    return bits_are_right(fits) & (fits.noises <= np.hypot(NOISE_FACTOR * noise, share * wrong))
+
+
+def image_noise(image: Image) -> float:
+    """Noise of an image in which no marker is known, in grey levels, texture and edges being the smaller part.
+
+    The median of `|I(u - 1) - 2 I(u) + I(u + 1)|` is `0.6745 √6` deviations of white noise. Every fourth line
+    and column is read, and no saturated pixel; infinite if too few are left.
+    """
+    lines = image[::4].astype(np.int16)
+    before, here, after = lines[:, :-2:4], lines[:, 1:-1:4], lines[:, 2::4]
+    told = np.abs(before - 2 * here + after)[(here > SATURATED) & (here < 255 - SATURATED)]
+    return float(np.median(told)) / (0.6745 * 6**0.5) if told.size >= LEAST_TOLD else np.inf
 
 
 def _cells_px(fits: Fits) -> Array:

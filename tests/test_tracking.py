@@ -297,7 +297,7 @@ def trials(event, count, place_markers, draw_markers):
         detector = PhotometricDetector(DICTIONARY)
         for step in range(2):
             before = look(detector, view, rng, 0.1 * step)
-            assert set(before.ids) == set(view.ids), f"trial {trial}: {before.ids} of {view.ids}"
+            faults += [f"trial {trial}, image {step}: {fault}" for fault in wrong(before, view)]
             view = View(view.ids, view.centers + steps, view.headings + 0.02, view.sides)
         view = event(view, rng)
         for step in (2, 3):

@@ -162,10 +162,11 @@ def _on_plane(shapes: Shapes, plane: Plane, image_shape: tuple[int, ...]) -> Sha
 
 
 def _verified(fits: Fits, camera: Camera, image: Image) -> BoolArray:
-    """Which fits (N,) show their marker, by the noise that the camera's markers told, or else its image."""
-    if camera.noise is None:
-        return verified(fits, image_noise(image), FIRST_SHARE)
-    return verified(fits, camera.noise)
+    """Which fits (N,) show their marker, by the camera's noise: the image tells it until markers have."""
+    if camera.noise is not None:
+        return verified(fits, camera.noise)
+    first = verified(fits, image_noise(image), FIRST_SHARE)
+    return first & verified(fits, float(np.median(fits.noises[first]))) if first.any() else first
 
 
 def _elsewhere(quads_px: Array, known: Shapes) -> BoolArray:

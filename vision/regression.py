@@ -62,7 +62,7 @@ class Solved:
         Never less than 0, which rounding may make it where pixels are too few to tell the unknowns.
         """
         off = self.values[:, rows] - at
-        return np.maximum(np.einsum("ni,nij,nj->n", off, self._blocks(rows), off), 0.0)
+        return np.asarray(np.maximum(np.einsum("ni,nij,nj->n", off, self._blocks(rows), off), 0.0))
 
     def holding(self, rows: list[int], at: Array) -> "Solved":
         """The same with the unknowns `rows` held at values (N, len(rows))."""

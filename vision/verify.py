@@ -16,8 +16,11 @@ WRONG_CELL, WRONG_CELL_SIGMAS, WRONG_CELL_LIMIT = 0.2, 4.0, 0.4
 """A cell is wrong if it leaves more than the first share of what a wrong colour would leave and so many
 deviations of what noise does, or the last share in any case."""
 
-MIN_CONTRAST = 12.0
-"""Least grey levels from black to white."""
+CONTRAST_LIMITS = 12.0, 280.0
+"""Grey levels from black to white: least that is looked at, and most, a tenth more than there can be."""
+
+MAX_CELL_NOISE = 0.12
+"""Largest noise of a cell's mean, as a share of what a wrong colour would leave: an eighth."""
 
 MAX_SQUEEZE = 0.2
 """Largest difference of a marker's image from a square: that of a tilt of 48 degrees."""
@@ -25,8 +28,8 @@ MAX_SQUEEZE = 0.2
 MAX_BLUR_CELLS = 0.75
 """Largest blur, in cells: beyond it other markers, and even texture, can pass for one."""
 
-MIN_SEEN = 0.6
-"""Least share of a marker's area that its pixels must cover: it may be cut by the image's border."""
+MIN_SEEN = 0.8
+"""Least share of a marker's area that its pixels must cover: an image may cut off its border, not bits."""
 
 NOISE_FACTOR, WRONG_BIT_SHARE, FIRST_SHARE = 1.25, 0.4, 0.75
 """A fit may leave this many times the camera's noise and, for what the model lacks, this share of the root
@@ -44,8 +47,11 @@ def bits_are_right(fits: Fits) -> BoolArray:
     mean, _ = _wrong_cell(fits)
     cells_px = _cells_px(fits)
     worst = np.abs(fits.cell_means).max(axis=(1, 2)) / mean
-    allowed = np.minimum(WRONG_CELL + WRONG_CELL_SIGMAS * fits.noises / (mean * cells_px), WRONG_CELL_LIMIT)
-    plain = (fits.contrasts >= MIN_CONTRAST) & (fits.blurs_cells <= MAX_BLUR_CELLS)
+    cell_noises = fits.noises / (mean * cells_px)
+    allowed = np.minimum(WRONG_CELL + WRONG_CELL_SIGMAS * cell_noises, WRONG_CELL_LIMIT)
+    least, most = CONTRAST_LIMITS
+    plain = (fits.contrasts >= least) & (fits.contrasts <= most) & (fits.blurs_cells <= MAX_BLUR_CELLS)
+    plain &= cell_noises <= MAX_CELL_NOISE
     plain &= fits.pixels >= MIN_SEEN * fits.shapes.sides_px() ** 2
     plain &= np.abs(fits.shapes.squeezes) <= MAX_SQUEEZE * np.abs(fits.shapes.arms)
     return np.asarray(plain & (worst < allowed))
@@ -58,7 +64,7 @@ def verified(fits: Fits, noise: float, share: float = WRONG_BIT_SHARE) -> BoolAr
 
 
 def image_noise(image: Image) -> float:
-    """Noise of an image in which no marker is known, in grey levels, texture and edges being the smaller part.
+    """Noise of an image in which no marker is known, grey levels; texture and edges being its lesser part.
 
     The median of `|I(u - 1) - 2 I(u) + I(u + 1)|` is `0.6745 √6` deviations of white noise. Every fourth line
     and column is read, and no saturated pixel; infinite if too few are left.

@@ -86,7 +86,7 @@ def test_the_plane_is_recovered_from_what_it_does_to_the_markers(seed):
     found = fit_plane(POINTS, plane.squeezes(POINTS), np.full(POINTS.size, 1e-6))
     assert found.shared
     reach = np.abs(plane.horizon * POINTS).max()
-    left = reach * (reach / 2) ** 6
+    left = reach * (reach / 2) ** 6 + 1e-8  # a ridge of 1e-12 of the trace, |p|² = 1e5 of the rest
     assert left < 1e-5
     assert abs(found.squeeze - plane.squeeze) < left
     assert abs(found.horizon - plane.horizon) * np.abs(POINTS).max() < left
@@ -98,19 +98,18 @@ def noise(rng, sigma, count=POINTS.size):
 
 
 def chance(unknowns):
-    """That noise alone exceeds what is taken as explained, by chi-squared's own distribution."""
-    freedom = 2 * POINTS.size - unknowns
-    return chi2.sf(freedom + SIGNIFICANT * np.sqrt(2 * freedom), freedom)
+    """That noise alone earns further unknowns their place: two at a time, each pair by chi-squared of 2
+    degrees, or of 4 for both at once; a bound, as these have chances in common."""
+    return (2 if unknowns < 2 else 1) * chi2.sf(SIGNIFICANT, 2) + chi2.sf(SIGNIFICANT, 4)
 
 
 def test_noise_alone_is_rarely_taken_for_a_plane():
-    """Over 1000 seeds, as often as chi-squared says, to the 1e-6 quantiles of the binomial."""
+    """Over 1000 seeds, no more often than chi-squared says, to the 1e-6 quantile of the binomial."""
     rng, sigma = np.random.default_rng(3), 1e-3
     found = [fit_plane(POINTS, noise(rng, sigma), np.full(POINTS.size, sigma**2)) for _ in range(1000)]
     alarms = sum(plane != Plane() for plane in found)
-    low, high = binom.ppf([1e-6, 1 - 1e-6], 1000, chance(0))
-    assert low <= alarms <= high, alarms
-    assert sum(not plane.shared for plane in found) <= high
+    assert alarms <= binom.ppf(1 - 1e-6, 1000, chance(0)), alarms
+    assert all(plane.shared for plane in found)
 
 
 @pytest.mark.parametrize(("horizon", "unknowns"), [(0j, 2), (2e-4 - 1e-4j, 4)])

@@ -62,8 +62,11 @@ def fit_plane(points: ComplexArray, squeezes: ComplexArray, variances: Array) ->
     A camera that looks straight down is given up for one squeeze common to all, and that for a tilted plane,
     where the chi-squared falls by more than `SIGNIFICANT`; if more than `EXCESS` of it a degree of freedom
     is left, no plane explains the squeezes and each marker is squeezed in its own way. `variances` (N,) are
-    those of each of the squeezes' two components; what they leave out is taken from the fit itself.
+    those of each of the squeezes' two components, infinite for markers that tell nothing; what they leave out
+    is taken from the fit itself.
     """
+    if not np.isfinite(variances).any():
+        return Plane()
     best, least = Plane(), _chi_squared(Plane(), points, squeezes, variances)
     per_freedom = least / (2 * points.size)
     for unknowns in (2, 4):

@@ -7,7 +7,6 @@ from skyherd.vision.columns import BLACK, CONTRAST, GROUND, LIGHT, PIXELS, SQUEE
 from skyherd.vision.regression import GROUND_RIDGE, LEAST_CONTRAST, SINGLE_PRECISION, Solved
 
 MARKERS, ROWS = 12, 300
-COUNTS = np.full(MARKERS, ROWS)
 HELD = [LIGHT, SQUEEZE, [GROUND], [*SQUEEZE, *LIGHT]]
 
 
@@ -22,6 +21,10 @@ def problem():
     )
     both = np.concatenate([columns, pixels[:, None]], axis=1)
     return columns, pixels, both @ both.transpose(0, 2, 1)
+
+
+def solve(grams, pixels=ROWS):
+    return Solved.of(grams, np.full(len(grams), float(pixels)))
 
 
 def ridge_of(columns):
@@ -48,7 +51,7 @@ def least_squares(columns, pixels, held=(), at=()):
 
 def test_solutions_are_those_of_least_squares(problem):
     columns, pixels, grams = problem
-    solved = Solved.of(grams, COUNTS)
+    solved = solve(grams)
     for row in range(MARKERS):
         values, squares = least_squares(columns[row], pixels[row])
         np.testing.assert_allclose(solved.values[row], values, atol=1e-8)
@@ -62,7 +65,7 @@ def test_solutions_are_those_of_least_squares(problem):
 def test_holding_is_solving_without_those_columns(problem, held):
     columns, pixels, grams = problem
     at = np.random.default_rng(1).normal(size=(MARKERS, len(held)))
-    solved = Solved.of(grams, COUNTS).holding(held, at)
+    solved = solve(grams).holding(held, at)
     free = [i for i in range(PIXELS) if i not in held]
     for row in range(MARKERS):
         values, squares = least_squares(columns[row], pixels[row], held, at[row])
@@ -80,8 +83,8 @@ def test_holding_is_solving_without_those_columns(problem, held):
 def test_holding_twice_is_holding_both(problem):
     _, _, grams = problem
     at = np.random.default_rng(2).normal(size=(MARKERS, 4))
-    one = Solved.of(grams, COUNTS).holding(SQUEEZE, at[:, :2]).holding(LIGHT, at[:, 2:])
-    both = Solved.of(grams, COUNTS).holding([*SQUEEZE, *LIGHT], at)
+    one = solve(grams).holding(SQUEEZE, at[:, :2]).holding(LIGHT, at[:, 2:])
+    both = solve(grams).holding([*SQUEEZE, *LIGHT], at)
     np.testing.assert_allclose(one.values, both.values, atol=1e-10)
     np.testing.assert_allclose(one.squares, both.squares, rtol=1e-10)
     assert one.free == both.free == PIXELS - 4
@@ -91,7 +94,7 @@ def test_holding_twice_is_holding_both(problem):
 def test_growth_is_the_difference_of_the_squares(problem, held):
     columns, pixels, grams = problem
     at = np.random.default_rng(3).normal(size=(MARKERS, len(held)))
-    growth = Solved.of(grams, COUNTS).growth(held, at)
+    growth = solve(grams).growth(held, at)
     for row in range(MARKERS):
         without, with_all = (
             least_squares(columns[row], pixels[row], held, at[row])[1],
@@ -107,9 +110,7 @@ def test_what_noise_adds_to_unknowns_that_are_none_is_chi_squared():
     columns[:, BLACK] = 1.0
     pixels = rng.normal(0, 3.0, (400, 1, ROWS))
     both = np.concatenate([columns, pixels], axis=1)
-    growth = Solved.of(both @ both.transpose(0, 2, 1), np.full(len(both), both.shape[2])).growth(
-        LIGHT, np.zeros((400, 2))
-    )
+    growth = solve(both @ both.transpose(0, 2, 1)).growth(LIGHT, np.zeros((400, 2)))
     assert (growth / 9.0).mean() == pytest.approx(2.0, abs=5 * 2 / np.sqrt(400))
 
 
@@ -120,7 +121,7 @@ def test_too_few_pixels_leave_no_negative_squares(rows):
     both = rng.normal(0, 100, (200, PIXELS + 1, rows)).astype(np.float32)
     both[:, BLACK] = 1.0
     both[:, CONTRAST] = both[:, SQUEEZE[0]]
-    solved = Solved.of((both @ both.transpose(0, 2, 1)).astype(float), np.full(len(both), both.shape[2]))
+    solved = solve((both @ both.transpose(0, 2, 1)).astype(float), rows)
     held = solved.holding(LIGHT, np.zeros((200, 2))).holding(SQUEEZE, rng.normal(size=(200, 2)))
     for some in (solved, held):
         assert (some.squares > 0).all() and np.isfinite(some.noises()).all()
@@ -131,7 +132,7 @@ def test_a_marker_without_contrast_or_ground_is_still_solved():
     """Columns that are zero throughout make no singular matrix, and contrast is not divided by."""
     both = np.zeros((1, PIXELS + 1, ROWS))
     both[:, BLACK], both[:, PIXELS] = 1.0, 7.0
-    solved = Solved.of(both @ both.transpose(0, 2, 1), np.full(len(both), both.shape[2]))
+    solved = solve(both @ both.transpose(0, 2, 1))
     assert (
         solved.values[0, BLACK] == pytest.approx(7.0, rel=2 * SINGLE_PRECISION)
         and abs(solved.values[0, CONTRAST]) < 1e-9

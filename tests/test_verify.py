@@ -90,6 +90,20 @@ def test_markers_seen_by_few_pixels_have_no_say_on_the_plane(place_markers, draw
     assert plane == Plane()
 
 
+def test_a_marker_blurred_unlike_the_others_is_none(place_markers, draw_markers):
+    """Of nine, one whose blur comes out a third wider than the others'; a common change of focus is none."""
+    rng = np.random.default_rng(8)
+    homes = 50 + 50j + 70 * (np.arange(9) % 3 + 1j * (np.arange(9) // 3))
+    image = draw_markers(place_markers(homes, np.zeros(9), 30.0), range(9), (240, 240), rng)
+    arms = np.full(9, 30j)
+    start = Shapes(homes, arms, 0 * arms, 0 * arms)
+    fits, _ = fit_markers(image, DICTIONARY, np.arange(9), start, SIGMA_PX, Plane())
+    assert verified(fits, 5.0).all()
+    assert verified(replace(fits, log_blurs=fits.log_blurs + 0.35), 5.0).all()
+    odd = fits.log_blurs + 0.45 * (np.arange(9) == 4)
+    assert verified(replace(fits, log_blurs=odd), 5.0).tolist() == [i != 4 for i in range(9)]
+
+
 # --- large markers ---
 
 
@@ -98,7 +112,7 @@ def test_what_a_wrong_bit_leaves_does_not_depend_on_the_shrinking(place_markers,
     rng = np.random.default_rng(7)
     image = draw_markers(place_markers(200 + 200j, 0.4, 280.0), [11], (400, 400), rng)
     start = one_shape(200 + 200j, 280j * np.exp(0.4j))
-    fits, _ = fit_all_sizes(image, DICTIONARY, np.array([11]), start, SIGMA_PX, Plane())
+    fits, _ = fit_all_sizes(image, DICTIONARY, np.array([11]), start, SIGMA_PX, Plane(), 5.0)
     whole, _ = fit_markers(image, DICTIONARY, np.array([11]), start, SIGMA_PX, Plane())
     assert fits.pixels[0] == pytest.approx(whole.pixels[0], rel=0.02)
     assert verified(fits, 5.0)[0] and not verified(replace(fits, pixels=fits.pixels / 4), 5.0)[0]

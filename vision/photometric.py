@@ -34,9 +34,6 @@ CORNERS_TELL_PX = 1.0
 LEAST_NOISE = 0.3
 """Rounding to whole grey levels leaves as much in any image."""
 
-BLUR_ALIKE = 0.35
-"""Blurs of markers in one image differ by less than this, in logarithms."""
-
 SEARCH_INTERVAL = 10
 """While all markers are followed, the whole image is searched in every tenth."""
 
@@ -167,20 +164,9 @@ def _on_plane(shapes: Shapes, plane: Plane, image_shape: tuple[int, ...]) -> Sha
 def _verified(fits: Fits, camera: Camera, image: Image) -> BoolArray:
     """Which fits (N,) show their marker, by the camera's noise: the image tells it until markers have."""
     if camera.noise is not None:
-        return _alike_in_blur(fits, verified(fits, camera.noise))
+        return verified(fits, camera.noise)
     first = verified(fits, image_noise(image), FIRST_SHARE)
-    if not first.any():
-        return first
-    noise = float(np.average(fits.noises[first], weights=fits.pixels[first]))
-    return _alike_in_blur(fits, first & verified(fits, noise))
-
-
-def _alike_in_blur(fits: Fits, good: BoolArray) -> BoolArray:
-    """Those of the good fits (N,) whose blur is the image's: the mean of theirs, by pixels."""
-    if not good.any():
-        return good
-    usual = np.average(fits.log_blurs[good], weights=fits.pixels[good])
-    return np.asarray(good & (np.abs(fits.log_blurs - usual) < BLUR_ALIKE))
+    return first & verified(fits, float(np.median(fits.noises[first]))) if first.any() else first
 
 
 def _elsewhere(quads_px: Array, known: Shapes) -> BoolArray:

@@ -62,8 +62,11 @@ def fit_plane(points: ComplexArray, squeezes: ComplexArray, variances: Array) ->
     A camera that looks straight down is given up for one squeeze common to all, and that for a tilted plane,
     where the chi-squared falls by more than `SIGNIFICANT`; if more than `EXCESS` of it a degree of freedom
     is left, no plane explains the squeezes and each marker is squeezed in its own way. `variances` (N,) are
-    those of each of the squeezes' two components; what they leave out is taken from the fit itself.
+    those of each of the squeezes' two components, infinite for markers that tell nothing; what they leave out
+    is taken from the fit itself.
     """
+    if not np.isfinite(variances).any():
+        return Plane()
     best, least = Plane(), _chi_squared(Plane(), points, squeezes, variances)
     per_freedom = least / (2 * points.size)
     for unknowns in (2, 4):
@@ -88,14 +91,19 @@ def _solve(points: ComplexArray, squeezes: ComplexArray, variances: Array, *, ti
     weighted = columns.conj().T / variances
     covariance = np.zeros((2, 2), dtype=complex)
     normal = weighted @ columns
-    # Markers in one place tell no horizon: a grain of ridge keeps the matrix from being singular.
-    covariance[:unknowns, :unknowns] = np.linalg.inv(normal + 1e-12 * np.diag(np.diag(normal)))
+    # Markers in one place tell no horizon: a grain of ridge keeps it at zero.
+    covariance[:unknowns, :unknowns] = np.linalg.inv(
+        normal + 1e-12 * np.trace(normal).real * np.eye(unknowns)
+    )
     plane = Plane()
     for _ in range(ROUNDS):
         a, h = plane.squeeze, plane.horizon
         second = (a * points * np.conj(h) - squeezes * points.conj() * (h + np.conj(h) * a)) / 2
         solution = covariance[:, :unknowns] @ (weighted @ (squeezes + second))
         plane = Plane(complex(solution[0]), complex(solution[1]))
+        if abs(plane.squeeze) > 1 or abs(plane.horizon) * np.abs(points).max() > 1:
+            # Turned over, or a horizon among the markers: no camera sees a plane so.
+            return Plane()
         if abs(plane.squeeze - a) + abs(plane.horizon - h) * np.abs(points).max() < SOLVED:
             break
     return replace(plane, covariance=covariance)

@@ -35,6 +35,10 @@ NOISE_FACTOR, WRONG_BIT_SHARE, FIRST_SHARE = 1.25, 0.4, 0.75
 """A fit may leave this many times the camera's noise and, for what the model lacks, this share of the root
 mean square that one wrong bit would leave; the last while only the image itself tells the noise."""
 
+LARGEST_BLUR_STEP = 0.3
+"""A marker's blur may differ from that of the others by this, in its logarithm. At 12 px and noise 10 it is
+measured to 0.05; what passes for a marker between others mostly asks for half as much blur again."""
+
 SATURATED, LEAST_TOLD = 5, 50
 """Pixels so near to black or white are clipped and tell no noise; so many others are needed to tell it."""
 
@@ -58,9 +62,14 @@ def bits_are_right(fits: Fits) -> BoolArray:
 
 
 def verified(fits: Fits, noise: float, share: float = WRONG_BIT_SHARE) -> BoolArray:
-    """Which fits (N,) show their marker and leave little more than the camera's noise."""
+    """Which fits (N,) show their marker, as blurred as the others, and leave little more than the noise."""
     _, wrong = _wrong_cell(fits)
-    return bits_are_right(fits) & (fits.noises <= np.hypot(NOISE_FACTOR * noise, share * wrong))
+    right = bits_are_right(fits) & (fits.noises <= np.hypot(NOISE_FACTOR * noise, share * wrong))
+    # The median over all pixels of markers that seem right: large ones tell the blur best.
+    order = np.argsort(fits.log_blurs)
+    told = np.cumsum((fits.pixels * right)[order])
+    common = fits.log_blurs[order][np.searchsorted(told, told[-1] / 2)] if right.any() else 0.0
+    return np.asarray(right & (np.abs(fits.log_blurs - common) <= LARGEST_BLUR_STEP))
 
 
 def image_noise(image: Image) -> float:

@@ -193,9 +193,10 @@ def _check_truth(dataset: Dataset, chosen: list[int]) -> Iterator[str]:
             yield f"{dataset.path / 'truth.csv'}: {image.name} has {what}"
             continue
         pairs = zip(_numbers(image.labels), _numbers(wanted), strict=True)
-        off = [int(i) for i, (a, b) in zip(wanted.ids, pairs, strict=True) if np.abs(a - b).max() > 1e-4]
-        if off:
-            yield f"{dataset.path / 'truth.csv'}: {image.name}: markers {off} are not where the seed puts them"
+        far = [np.abs(here - there).max() > PLACE_TOLERANCE_PX for here, there in pairs]
+        if any(far):
+            moved = wanted.ids[far].tolist()
+            yield f"{dataset.path / 'truth.csv'}: {image.name}: markers {moved} are not as the seed puts them"
 
 
 def _numbers(labels: Labels) -> Array:
@@ -233,6 +234,8 @@ def _look(images: list[LabelledImage], dictionary: str) -> tuple[Agreement, list
         errors.append(np.column_stack([away, turned])[kept])
         if strays := labels.ids[here][~near & clear[here]].tolist():
             doubts.append(f"{image.path}: markers {strays} are not where their labels are")
+        elif (strangers := np.setdiff1d(found.ids, labels.ids).tolist()) and len(strangers) > near.sum():
+            doubts.append(f"{image.path}: markers {strangers} are seen in it, which have no label")
         elif clear.sum() >= 2 and kept.sum() < LEAST_RECALL * clear.sum():
             doubts.append(f"{image.path}: {kept.sum()} of {clear.sum()} clear markers are found in it")
     table = np.concatenate(errors)

@@ -46,6 +46,8 @@ def make_dataset(
         OutputError: something cannot be written.
     """
     folder = claim_folder(path, file)
+    for part in path.rglob(".*.part"):  # of a process that was killed
+        part.unlink(missing_ok=True)
     for split in folder.splits():
         for kind in ("images", "labels"):
             (path / kind / split).mkdir(parents=True, exist_ok=True)

@@ -20,7 +20,7 @@ from skyherd.datasets.folder import Folder, claim_folder
 from skyherd.datasets.labels import Labels, make_labels
 from skyherd.datasets.preview import write_preview
 from skyherd.datasets.read import Dataset, read_dataset
-from skyherd.datasets.scenes import make_scene, station_number
+from skyherd.datasets.sampling import make_scene, station_number
 from skyherd.datasets.spec import SpecFile
 from skyherd.datasets.truth_table import TRUTH_COLUMNS, Row, image_row, table_text, truth_rows
 from skyherd.datasets.yolo import folder_yaml, yolo_text
@@ -71,7 +71,7 @@ def _make_image(file: SpecFile, folder: Folder, index: int) -> Made:
     labels, target = make_labels(scene), folder.image(index)
     write_text(folder.yolo(index), yolo_text(labels, file.spec.size_px))
     if not target.exists():
-        _, data = cv2.imencode(".png", scene.render(file))
+        _, data = cv2.imencode(".png", scene.render(file.folder))
         write_whole(target, lambda part: part.write_bytes(data.tobytes()))
     return labels, image_row(folder.image_name(index), folder.split(index), scene)
 

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import fields, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from skyherd.datasets.labels import COVERED, OUTSIDE, SEEN, make_labels
 from skyherd.datasets.make import make_dataset
 from skyherd.datasets.outlines import area, bounding_box, visible_outline
 from skyherd.datasets.ranges import draw, draw_whole
-from skyherd.datasets.scenes import make_scene
+from skyherd.datasets.sampling import make_scene
 from skyherd.datasets.spec import SpecFile, load_spec, make_spec, spec_names
 from skyherd.errors import InputError
 from skyherd.markers import card_side
@@ -59,7 +60,7 @@ def test_another_seed_is_another_set(made):
     """Negative control: the equality of the other tests is not that of constants."""
     first, other = (make_scene(spec_of(seed=seed).spec, 0) for seed in (5, 6))
     assert first.pose != other.pose
-    assert not np.array_equal(first.render(spec_of()), other.render(spec_of(seed=6)))
+    assert not np.array_equal(first.render(Path()), other.render(Path()))
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
@@ -84,7 +85,7 @@ def test_resumed_equals_uninterrupted(made, tmp_path, jobs):
 def test_an_image_does_not_depend_on_how_many_there_are():
     few, many = (make_scene(spec_of(images=images).spec, 3) for images in (4, 4000))
     np.testing.assert_array_equal(few.positions_m, many.positions_m)
-    np.testing.assert_array_equal(few.render(spec_of(images=4)), many.render(spec_of(images=4000)))
+    np.testing.assert_array_equal(few.render(Path()), many.render(Path()))
 
 
 def test_a_failing_worker_leaves_no_half_written_image(made, tmp_path, monkeypatch):
@@ -106,7 +107,7 @@ def test_read_back_is_what_was_drawn(made):
         labels = make_labels(make_scene(made.spec, index))
         for field in fields(labels):
             np.testing.assert_array_equal(getattr(image.labels, field.name), getattr(labels, field.name))
-        np.testing.assert_array_equal(image.read(), make_scene(made.spec, index).render(spec_of()))
+        np.testing.assert_array_equal(image.read(), make_scene(made.spec, index).render(Path()))
 
 
 def test_truth_and_bound_agree_with_what_is_detected():
@@ -125,7 +126,7 @@ def test_truth_and_bound_agree_with_what_is_detected():
     detector, ratios, off = create_detector("photometric"), [], []
     for index in range(25):
         scene = make_scene(file.spec, index)
-        labels, found = make_labels(scene), detector.detect(scene.render(file))
+        labels, found = make_labels(scene), detector.detect(scene.render(Path()), unit_id=index)
         _, here, there = np.intersect1d(labels.ids, found.ids, return_indices=True)
         away = found.centers_px[there] - labels.centers_px[here]
         ratios.append((away / labels.crb_stds[here, :2]).ravel())
@@ -225,7 +226,7 @@ def test_visibilities_are_what_the_image_shows():
     counts = dict.fromkeys((OUTSIDE, COVERED, SEEN), 0)
     for index in range(12):
         scene = make_scene(file.spec, index)
-        labels, image = make_labels(scene), scene.render(file)
+        labels, image = make_labels(scene), scene.render(Path())
         inside = ((labels.keypoints_px > -0.5) & (labels.keypoints_px < (319.5, 239.5))).all(axis=2)
         np.testing.assert_array_equal(labels.visibilities == OUTSIDE, ~inside)
         shrunk = [

@@ -53,7 +53,7 @@ def make(
 @dataset_app.command()
 def check(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="What `make` left.")],
-    sample: Annotated[int, typer.Option(help="Images in which markers are looked for.")] = 50,
+    sample: Annotated[int, typer.Option(help="Images drawn again, and looked at by the detector.")] = 24,
 ) -> int:
     """Check a set: exit code 0 if all is well, 1 for problems, a line each, 2 if it is no data set."""
     if sample < 0:

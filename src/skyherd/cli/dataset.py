@@ -21,7 +21,7 @@ dataset_app = typer.Typer(help="Make labelled image sets, and check them.", rich
 @dataset_app.command()
 def make(
     spec: Annotated[str, typer.Argument(metavar="SPEC", help="A TOML file or a built-in spec.")],
-    out_dir: Annotated[Path | None, typer.Option("--out", help="Folder; datasets/NAME if left out.")] = None,
+    out_dir: Annotated[Path | None, typer.Option("--out", help="Folder; labelled/NAME if left out.")] = None,
     jobs: Annotated[int | None, typer.Option(help="Processes; one a core if left out.")] = None,
     seed: Annotated[int | None, typer.Option(help="Put over the spec's.")] = None,
     images: Annotated[int | None, typer.Option(help="Number of images, put over the spec's.")] = None,
@@ -30,7 +30,7 @@ def make(
     if jobs is not None and jobs < 1:
         raise InputError("--jobs", str(jobs), "1 or more")
     file = load_spec(spec, seed=seed, images=images)
-    folder = out_dir or Path("datasets") / Path(spec).stem
+    folder = out_dir or Path("labelled") / Path(spec).stem
     try:
         with _bar() as progress:
             task = progress.add_task("images", total=file.spec.images)

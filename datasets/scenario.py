@@ -3,7 +3,6 @@
 import tomllib
 from collections.abc import Iterable
 from dataclasses import dataclass
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -14,32 +13,25 @@ from skyherd.control import Template
 from skyherd.datasets.models import RobotsModel, ScatterModel, Scenario, TemplateModel
 from skyherd.datasets.shapes import shape_points
 from skyherd.datasets.template_image import read_template_image
+from skyherd.datasets.toml_files import built_in_names, built_in_text, first_error, parse, read_text
 from skyherd.errors import DegenerateSetError, InputError
 from skyherd.geometry import Array, IntArray
 from skyherd.image_files import Grey, read_grey
 from skyherd.markers import dictionary_size
 from skyherd.vision import detector_names
 
+BUILT_IN = "skyherd.datasets.scenarios"
 SCATTER_TRIES = 2000
 
 
 def scenario_names() -> list[str]:
     """Names of the built-in scenarios."""
-    folder = files("skyherd.datasets.scenarios")
-    return sorted(
-        entry.name.removesuffix(".toml") for entry in folder.iterdir() if entry.name.endswith(".toml")
-    )
+    return built_in_names(BUILT_IN)
 
 
 def scenario_text(name: str) -> str:
     """TOML text of a built-in scenario."""
-    if name not in scenario_names():
-        raise InputError(
-            f"scenario {name!r}",
-            "no such file, nor a built-in of that name",
-            f"a TOML file or one of {', '.join(scenario_names())}",
-        )
-    return files("skyherd.datasets.scenarios").joinpath(f"{name}.toml").read_text("utf-8")
+    return built_in_text(BUILT_IN, name, "scenario")
 
 
 @dataclass(frozen=True)
@@ -72,7 +64,8 @@ def load_mission(name_or_file: str, settings: Iterable[str] = (), *, seed: int |
     path = Path(name_or_file)
     is_file = path.suffix == ".toml" or path.is_file()
     where = str(path) if is_file else f"scenario {name_or_file}"
-    tree = _parse(_read(path) if is_file else scenario_text(name_or_file), where)
+    text = read_text(path, "scenario") if is_file else scenario_text(name_or_file)
+    tree = parse(text, where, "skyherd scenario show star")
     for setting in settings:
         _apply_setting(tree, setting)
     if seed is not None:
@@ -85,31 +78,13 @@ def make_mission(tree: dict[str, Any], *, where: str = "scenario", folder: Path 
     try:
         scenario = Scenario.model_validate(tree)
     except ValidationError as error:
-        raise _first_error(error, where) from None
+        raise first_error(error, where, "scenario") from None
     try:
         return _complete(scenario, folder or Path())
     except InputError as error:
         raise InputError(f"{where}: {error.where}", error.what, error.allowed) from None
     except DegenerateSetError as error:
         raise InputError(f"{where}: template", str(error), "at least two distinct points") from None
-
-
-def _read(path: Path) -> str:
-    try:
-        return path.read_text("utf-8")
-    except UnicodeDecodeError:
-        raise InputError(str(path), "not a text file", "a scenario in TOML, UTF-8") from None
-    except OSError as error:
-        raise InputError(str(path), error.strerror or str(error), "a readable scenario in TOML") from None
-
-
-def _parse(text: str, where: str) -> dict[str, Any]:
-    try:
-        return tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(
-            where, f"malformed TOML: {error}", "see `skyherd scenario show star` for a good one"
-        ) from None
 
 
 def _apply_setting(tree: dict[str, Any], setting: str) -> None:
@@ -137,22 +112,6 @@ def _item(node: Any, index: str, setting: str) -> Any:
         allowed = f"0 to {len(node) - 1}" if isinstance(node, list) else "see `skyherd scenario schema`"
         raise InputError(f"--set {setting}", f"nothing there called {index!r}", allowed)
     return node[int(index)]
-
-
-def _first_error(error: ValidationError, where: str) -> InputError:
-    """The first complaint as one line, and how many more there are."""
-    first, *others = error.errors()
-    key = ".".join(str(part) for part in first["loc"]) or "scenario"
-    value = first["input"]
-    shown = (
-        ""
-        if isinstance(value, dict | list) and first["type"] != "extra_forbidden"
-        else f" (given: {value!r})"
-    )
-    allowed = f"{first['msg']}{shown}"
-    more = f" — and {len(others)} more" if others else ""
-    what = {"missing": "missing", "extra_forbidden": "unknown key"}.get(first["type"], "wrong value")
-    return InputError(f"{where}: {key}", what, f"{allowed}{more}; see `skyherd scenario schema`")
 
 
 def _complete(scenario: Scenario, folder: Path) -> Mission:

@@ -16,7 +16,7 @@ from skyherd.vision.reasons import Reason
 FOUND_COLOR, REJECTED_COLOR, PLAIN_COLOR = rgb(UNIT_COLORS[0]), rgb(UNIT_COLORS[1]), rgb(UNIT_COLORS[6])
 
 LEAST_SIDE_PX = 640
-"""Smaller pictures are enlarged by a whole factor until their longer side has so many pixels."""
+"""What the longer side of an annotated picture has at least, unless asked otherwise."""
 
 FULL_SIDE_PX = 1280
 """Beyond this, lines and letters grow with the longer side."""
@@ -29,11 +29,12 @@ class Annotator:
 
     Args:
         size_px: width and height of the pictures to be annotated.
+        least_side_px: smaller pictures are enlarged by a whole factor until their longer side has so many.
     """
 
-    def __init__(self, size_px: tuple[int, int]) -> None:
+    def __init__(self, size_px: tuple[int, int], *, least_side_px: int = LEAST_SIDE_PX) -> None:
         longer = max(size_px)
-        self.zoom = max(1, -(-LEAST_SIDE_PX // longer))
+        self.zoom = max(1, -(-least_side_px // longer))
         self.scale = max(1.0, longer * self.zoom / FULL_SIDE_PX)
         self.font_px, self.line_px = round(FONT_PX * self.scale), round(LINE_PX * self.scale)
 

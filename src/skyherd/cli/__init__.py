@@ -1,7 +1,7 @@
 """The command line: one file a verb, each thin: parse, check, one call.
 
-Exit codes: 0 done; 1 the run did not reach its goal, or `detect --require` found a file without a marker; 2
-bad input or output; 130 interrupted.
+Exit codes: 0 done; 1 the run did not reach its goal, `detect --require` found a file without a marker, or
+`dataset check` a problem; 2 bad input or output; 130 interrupted.
 """
 
 import sys
@@ -12,6 +12,7 @@ import typer
 from skyherd import __version__
 from skyherd.cli.bench import bench_app
 from skyherd.cli.console import complain
+from skyherd.cli.dataset import dataset_app
 from skyherd.cli.detect import detect
 from skyherd.cli.markers import markers
 from skyherd.cli.report import report
@@ -34,6 +35,7 @@ app.command()(detect)
 app.command()(markers)
 app.add_typer(scenario_app, name="scenario")
 app.add_typer(bench_app, name="bench")
+app.add_typer(dataset_app, name="dataset")
 
 
 def _version(show: bool) -> None:

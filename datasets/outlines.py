@@ -1,0 +1,42 @@
+"""The part of a marker's outline that is in the image, and the box around it."""
+
+import numpy as np
+
+from skyherd.geometry import Array
+
+
+def visible_outline(corners_px: Array, size_px: tuple[int, int]) -> Array:
+    """The square (4, 2) cut to the image, (K, 2), from the image's upper left corner.
+
+    Pixel centres, integers in `corners_px`, become halves. Cut by one border after the other (Sutherland and
+    Hodgman 1974).
+    """
+    points = corners_px + 0.5
+    for axis, sign, limit in ((0, 1, 0), (1, 1, 0), (0, -1, -size_px[0]), (1, -1, -size_px[1])):
+        points = _cut(points, sign * points[:, axis] - limit)
+    return points
+
+
+def _cut(points: Array, inside: Array) -> Array:
+    """Polygon (K, 2) without what is where the affine function, given at its corners (K,), is negative."""
+    kept: list[Array] = []
+    for point, following, here, there in zip(
+        points, np.roll(points, -1, axis=0), inside, np.roll(inside, -1), strict=True
+    ):
+        if here >= 0:
+            kept.append(point)
+        if (here < 0) != (there < 0):
+            kept.append(point + (following - point) * here / (here - there))
+    return np.array(kept).reshape(-1, 2)
+
+
+def bounding_box(outline: Array) -> tuple[float, float, float, float]:
+    """Left, top, width, height."""
+    low, high = outline.min(axis=0), outline.max(axis=0)
+    return float(low[0]), float(low[1]), float(high[0] - low[0]), float(high[1] - low[1])
+
+
+def area(outline: Array) -> float:
+    """Area of a polygon (K, 2), by the shoelace formula."""
+    x, y = outline.T
+    return float(abs(x @ np.roll(y, -1) - y @ np.roll(x, -1)) / 2)

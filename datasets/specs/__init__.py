@@ -1,0 +1,1 @@
+"""Built-in specs of labelled image sets, one TOML file each."""

@@ -27,8 +27,9 @@ from skyherd.datasets.yolo import folder_yaml, yolo_text
 from skyherd.errors import OutputError
 from skyherd.files import write_text, write_whole
 
-BATCH = 16
-"""Most images that a worker is given at a time, all of one camera, whose ground is dear to make."""
+BATCH = 8
+"""Most images that a worker is given at a time, all of one camera, whose ground is dear to make; an
+interrupt waits for no more."""
 
 OnImages = Callable[[int], None]
 """Told of how many images more are done."""

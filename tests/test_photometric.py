@@ -143,3 +143,22 @@ def test_the_plane_of_a_tilted_camera_is_found():
     # Each squeeze is known to 2 / 200 / 30 or so over 16 markers: 1e-4; the horizon to that over 200 px.
     assert abs(abs(plane.horizon) - np.tan(tilt) / focal) < 5e-6
     assert abs(abs(plane.squeeze) - (1 - np.cos(tilt)) / (1 + np.cos(tilt))) < 5e-4
+
+
+@pytest.mark.parametrize("following", [False, True])
+def test_a_camera_whose_images_change_is_learned_anew(following):
+    """From sharp and clean to blurred twice as much and ten times as noisy, and back: all are found."""
+    detector, ids = PhotometricDetector(DICTIONARY, following=following), np.arange(6)
+    positions = np.array([[-5, 3], [0, 3], [5, 3], [-5, -3], [0, -3], [5, -3]])
+    for psf_px, noise in ((0.6, 0.5), (1.3, 8.0), (0.6, 0.5)):
+        rng = np.random.default_rng(3)
+        ground = Ground(4, sigma_px=total_sigma_px(psf_px))
+        renderer = Renderer(DICTIONARY, 1.0, ground, Sensor(noise, rng), psf_px=psf_px)
+        image = renderer.render(
+            Camera((640, 480), focal_px=300.0),
+            CameraPose((0, 0), 10.0),
+            ids,
+            positions,
+            rng.uniform(-3, 3, 6),
+        )
+        np.testing.assert_array_equal(detector.detect(image).ids, ids)

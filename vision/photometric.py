@@ -48,6 +48,7 @@ class Camera:
         plane: that the markers lie on.
         tracks: markers being followed.
         unsearched: images since a whole one was searched.
+        found: markers in the last image.
     """
 
     sigma_px: float | None = None
@@ -55,6 +56,7 @@ class Camera:
     plane: Plane = field(default_factory=Plane)
     tracks: Tracks = field(default_factory=no_tracks)
     unsearched: int = 0
+    found: int = 0
 
 
 class PhotometricDetector:
@@ -87,8 +89,19 @@ class PhotometricDetector:
         if lost or not len(found.ids) or camera.unsearched >= SEARCH_INTERVAL:
             found = _unambiguous(found.joined(self._search(image, camera, found.shapes)))
             camera.unsearched = 0
+        if 2 * len(found.ids) < camera.found:
+            camera, found = self._look_anew(image, unit_id, camera, found)
         self._learn(camera, found, time_s)
         return _detections(found, image, time_s, unit_id)
+
+    def _look_anew(self, image: Image, unit_id: int, camera: Camera, found: Fits) -> tuple[Camera, Fits]:
+        """When most markers are gone: lamps go on and lenses change, so that what was known may not hold."""
+        fresh = Camera()
+        anew = _unambiguous(self._search(image, fresh, self._none.shapes))
+        if len(anew.ids) <= len(found.ids):
+            return camera, found
+        self.cameras[unit_id] = fresh
+        return fresh, anew
 
     def _follow(self, image: Image, camera: Camera, time_s: float) -> tuple[Fits, bool]:
         """Markers still where they should be by now, and whether one is not, or should have left the view."""
@@ -135,6 +148,7 @@ class PhotometricDetector:
 
     def _learn(self, camera: Camera, found: Fits, time_s: float) -> None:
         """Take over the blur, the noise and, if they are to be followed, the places of the markers found."""
+        camera.found = len(found.ids)
         if len(found.ids):
             _learn_blur(camera, found, BLUR_RATE)
             noise = float(np.median(found.noises))

@@ -115,7 +115,8 @@ def test_a_perfect_fit_recovers_the_pose_from_two_pixels_away():
     assert abs(fits.shapes.centers[0] - center) < 0.0015
     assert abs(fits.shapes.headings_rad()[0] - heading) < 5 * np.radians(0.0087) * 0.29 / 2 + 2e-4
     assert abs(fits.shapes.sides_px()[0] - 30.0) < 0.01
-    assert plane == Plane()
+    assert abs(fits.shapes.squeezes[0]) < 0.02, "px: no more than a side is off"
+    assert not plane.horizon
 
 
 def test_a_fit_of_the_wrong_marker_is_refused():

@@ -21,7 +21,14 @@ from skyherd.vision.pyramid import fit_all_sizes
 from skyherd.vision.quads import find_quads
 from skyherd.vision.shapes import CORNERS, Shapes
 from skyherd.vision.tracks import Tracks, in_view, no_tracks
-from skyherd.vision.verify import FIRST_SHARE, bits_are_right, image_noise, verified
+from skyherd.vision.verify import (
+    FIRST_SHARE,
+    LARGEST_BLUR_STEP,
+    bits_are_right,
+    border_is_covered,
+    image_noise,
+    verified,
+)
 
 START_SIGMA_PX = total_sigma_px(0.8)
 SIGMA_LIMITS_PX = (0.35, 4.0)
@@ -34,6 +41,12 @@ CORNERS_TELL_PX = 1.0
 LEAST_NOISE = 0.3
 """Rounding to whole grey levels leaves as much in any image."""
 
+LEAST_OF_CONTRAST = 0.2
+"""Least share of the other markers' contrast, even in a shadow."""
+
+NEAR_SIDES, COVERED_NOISE = 0.1, 1.5
+"""A marker whose border is covered counts if it is so near to where it should be; it tells no noise."""
+
 SEARCH_INTERVAL = 10
 """While all markers are followed, the whole image is searched in every tenth."""
 
@@ -45,6 +58,7 @@ class Camera:
     Attributes:
         sigma_px: blur of lens and pixel together; None until markers have been seen.
         noise: standard deviation of a pixel, grey levels; None likewise.
+        contrast: of its markers, grey levels.
         plane: that the markers lie on.
         tracks: markers being followed.
         unsearched: images since a whole one was searched.
@@ -53,6 +67,7 @@ class Camera:
 
     sigma_px: float | None = None
     noise: float | None = None
+    contrast: float = 0.0
     plane: Plane = field(default_factory=Plane)
     tracks: Tracks = field(default_factory=no_tracks)
     unsearched: int = 0
@@ -109,8 +124,11 @@ class PhotometricDetector:
         here = in_view(shapes, image.shape)
         if not here.any():
             return self._none, False
-        fits = self._fit(image, camera, camera.tracks.ids[here], shapes.take(here))
+        near = shapes.take(here)
+        fits = self._fit(image, camera, camera.tracks.ids[here], near)
+        stayed = np.abs(fits.shapes.centers - near.centers[_rows(fits.ids, camera.tracks.ids[here])])
         good = _verified(fits, camera, image)
+        good |= border_is_covered(fits) & (stayed < NEAR_SIDES * fits.shapes.sides_px())
         return fits.take(good), not (here.all() and good.all())
 
     def _search(self, image: Image, camera: Camera, known: Shapes) -> Fits:
@@ -149,14 +167,21 @@ class PhotometricDetector:
     def _learn(self, camera: Camera, found: Fits, time_s: float) -> None:
         """Take over the blur, the noise and, if they are to be followed, the places of the markers found."""
         camera.found = len(found.ids)
-        if len(found.ids):
-            _learn_blur(camera, found, BLUR_RATE)
-            noise = float(np.median(found.noises))
+        told = found if camera.noise is None else found.take(found.noises < COVERED_NOISE * camera.noise)
+        if len(told.ids):
+            _learn_blur(camera, told, BLUR_RATE)
+            noise, camera.contrast = float(np.median(told.noises)), float(np.median(told.contrasts))
             camera.noise = (
                 noise if camera.noise is None else camera.noise + BLUR_RATE * (noise - camera.noise)
             )
         if self.following:
             camera.tracks = camera.tracks.seen(time_s, found.ids, found.shapes)
+
+
+def _rows(ids: IntArray, among: IntArray) -> IntArray:
+    """Where each of the ids (N,) stands among (N,) the same ids in another order."""
+    order = np.argsort(among)
+    return np.asarray(order[np.searchsorted(among, ids, sorter=order)])
 
 
 def _learn_blur(camera: Camera, found: Fits, rate: float) -> float:
@@ -178,7 +203,9 @@ def _on_plane(shapes: Shapes, plane: Plane, image_shape: tuple[int, ...]) -> Sha
 def _verified(fits: Fits, camera: Camera, image: Image) -> BoolArray:
     """Which fits (N,) show their marker, by the camera's noise: the image tells it until markers have."""
     if camera.noise is not None:
-        return verified(fits, camera.noise)
+        alike = np.abs(fits.log_blurs) <= LARGEST_BLUR_STEP
+        alike &= fits.contrasts >= LEAST_OF_CONTRAST * camera.contrast
+        return verified(fits, camera.noise) & alike
     first = verified(fits, image_noise(image), FIRST_SHARE)
     return first & verified(fits, float(np.median(fits.noises[first]))) if first.any() else first
 

@@ -42,6 +42,10 @@ measured to 0.05; what passes for a marker between others mostly asks for half a
 SATURATED, LEAST_TOLD = 5, 50
 """Pixels so near to black or white are clipped and tell no noise; so many others are needed to tell it."""
 
+MOST_COVERED, MOST_LEFT = 8, 2.0
+"""Of a marker that is being followed so many cells of the border may be covered, as by a neighbour's card,
+while the bits within are all seen; it may then leave this many times what one wrong bit would."""
+
 READINGS = 8
 """Points of a cell along each side in the integrals."""
 
@@ -49,16 +53,29 @@ READINGS = 8
 def bits_are_right(fits: Fits) -> BoolArray:
     """Which fits (N,) show every cell of their marker, plainly enough."""
     mean, _ = _wrong_cell(fits)
-    cells_px = _cells_px(fits)
+    cell_noises = fits.noises / (mean * _cells_px(fits))
     worst = np.abs(fits.cell_means).max(axis=(1, 2)) / mean
-    cell_noises = fits.noises / (mean * cells_px)
     allowed = np.minimum(WRONG_CELL + WRONG_CELL_SIGMAS * cell_noises, WRONG_CELL_LIMIT)
+    return np.asarray(_are_plain(fits, cell_noises) & (worst < allowed))
+
+
+def border_is_covered(fits: Fits) -> BoolArray:
+    """Which fits (N,) show all the bits of their marker, and enough of its border."""
+    mean, wrong = _wrong_cell(fits)
+    is_wrong = np.abs(fits.cell_means) > WRONG_CELL_LIMIT * mean[:, None, None]
+    bits_wrong = is_wrong[:, 1:-1, 1:-1].sum(axis=(1, 2))
+    few = (bits_wrong == 0) & (is_wrong.sum(axis=(1, 2)) <= MOST_COVERED)
+    return np.asarray(few & _are_plain(fits, np.zeros(len(mean))) & (fits.noises <= MOST_LEFT * wrong))
+
+
+def _are_plain(fits: Fits, cell_noises: Array) -> BoolArray:
+    """Which fits (N,) have contrast, sharpness, pixels and a shape such as markers have."""
     least, most = CONTRAST_LIMITS
     plain = (fits.contrasts >= least) & (fits.contrasts <= most) & (fits.blurs_cells <= MAX_BLUR_CELLS)
     plain &= cell_noises <= MAX_CELL_NOISE
     plain &= fits.pixels >= MIN_SEEN * fits.shapes.sides_px() ** 2
     plain &= np.abs(fits.shapes.squeezes) <= MAX_SQUEEZE * np.abs(fits.shapes.arms)
-    return np.asarray(plain & (worst < allowed))
+    return np.asarray(plain)
 
 
 def verified(fits: Fits, noise: float, share: float = WRONG_BIT_SHARE) -> BoolArray:

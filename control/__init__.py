@@ -4,8 +4,11 @@ from skyherd.control.flight import Follow, Hover, Perimeter
 from skyherd.control.fusion import Inboxes
 from skyherd.control.goals import motion_goals
 from skyherd.control.robot_law import MarkerGains, PixelGains, robot_commands
+from skyherd.control.roster import Roster
 from skyherd.control.selection import ControlSet, SafetyRadius
+from skyherd.control.serve import Serve
 from skyherd.control.similarity import Similarity, desired_points, fit_similarity
+from skyherd.control.standing import TreeRule
 from skyherd.control.template import Template
 from skyherd.control.unit import AerialController, Decision
 
@@ -19,9 +22,12 @@ __all__ = [
     "MarkerGains",
     "Perimeter",
     "PixelGains",
+    "Roster",
     "SafetyRadius",
+    "Serve",
     "Similarity",
     "Template",
+    "TreeRule",
     "desired_points",
     "fit_similarity",
     "motion_goals",

@@ -43,6 +43,7 @@ class ControlSet:
     """S_j^c of one unit as it evolves."""
 
     rule: SafetyRadius
+    ready: bool = field(default=True, init=False)
     ids: IntArray = field(default_factory=lambda: NO_ROBOTS, init=False)
     _slot: int | None = field(default=None, init=False)
     _last_seen: dict[int, tuple[float, float]] = field(default_factory=dict, init=False)
@@ -61,6 +62,9 @@ class ControlSet:
     def secure(self, seen: Detections) -> IntArray:
         """Robots of the set that are well held now: detected inside the radius."""
         return np.intersect1d(self.ids, self._inside(seen))
+
+    def word(self, time_s: float) -> None:
+        """No word of a tree: sets overlap as they will."""
 
     def _inside(self, seen: Detections) -> IntArray:
         return np.sort(seen.ids[centre_distances(seen) < self.rule.radius])

@@ -3,11 +3,16 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from skyherd.control.flight import Flight
 from skyherd.control.goals import motion_goals
+from skyherd.control.roster import Roster
 from skyherd.control.selection import ControlSet, SafetyRadius
+from skyherd.control.standing import TreeRule
 from skyherd.control.template import Template
 from skyherd.errors import DegenerateSetError
+from skyherd.geometry import IntArray
 from skyherd.messages import Detections, FlightCommand, MotionGoals, UnitReport, shared_ids
 
 
@@ -25,7 +30,7 @@ class AerialController:
 
     Args:
         template: the whole shape, by robot.
-        selection: which robots it controls.
+        selection: which robots it controls, by the safety radius alone or by agreement with its neighbours.
         flight: how it flies.
         nearest: neighbours whose distances it tells each robot.
         report_lifetime_s: a report older than this counts no more: its sender may be gone.
@@ -34,7 +39,7 @@ class AerialController:
     def __init__(
         self,
         template: Template,
-        selection: SafetyRadius,
+        selection: SafetyRadius | TreeRule,
         flight: Flight,
         *,
         nearest: int = 3,
@@ -42,23 +47,13 @@ class AerialController:
     ) -> None:
         self.template, self.flight, self.nearest = template, flight, nearest
         self.report_lifetime_s = report_lifetime_s
-        self.control_set = ControlSet(selection)
+        self.control_set = _begin(selection, template)
 
     def step(self, detections: Detections, reports: Sequence[UnitReport] = ()) -> Decision:
         """Decide on one image, given the last report heard from each other unit."""
         seen = detections.select(self.template.ids)
         reports = [r for r in reports if r.time_s >= detections.time_s - self.report_lifetime_s]
         controlled = self.control_set.update(seen, reports)
-        try:
-            goals = motion_goals(
-                seen,
-                controlled,
-                self.template,
-                shared_ids=shared_ids(controlled, reports),
-                nearest=self.nearest,
-            )
-        except DegenerateSetError:
-            goals = None
         report = UnitReport(
             unit_id=seen.unit_id,
             time_s=seen.time_s,
@@ -67,5 +62,27 @@ class AerialController:
             points_px=seen.centers_px,
             controlled_ids=controlled,
             secure_ids=self.control_set.secure(seen),
+            tree=self.control_set.word(seen.time_s),
         )
-        return Decision(goals, report, self.flight.command(seen, controlled, reports))
+        goals = self._goals(seen, controlled, reports) if self.control_set.ready else None
+        keep = controlled if self.control_set.ready else np.union1d(controlled, seen.ids)
+        return Decision(goals, report, self.flight.command(seen, keep, reports))
+
+    def _goals(
+        self, seen: Detections, controlled: IntArray, reports: Sequence[UnitReport]
+    ) -> MotionGoals | None:
+        try:
+            return motion_goals(
+                seen,
+                controlled,
+                self.template,
+                shared_ids=shared_ids(controlled, reports),
+                nearest=self.nearest,
+            )
+        except DegenerateSetError:
+            return None
+
+
+def _begin(selection: SafetyRadius | TreeRule, template: Template) -> ControlSet | Roster:
+    """The set of a unit that has seen and heard nothing yet."""
+    return Roster(selection, template) if isinstance(selection, TreeRule) else ControlSet(selection)

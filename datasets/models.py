@@ -74,25 +74,38 @@ class ControlModel(Model):
 
 
 class SelectionModel(Model):
-    """Which robots a unit controls."""
+    """Which robots a unit controls: all inside its safety radius, or by agreement along a tree of units."""
 
+    kind: Literal["radius", "tree"] = Field(
+        "radius", description="free overlaps, or TC1-TC5 kept by the units' protocol"
+    )
+    share: Literal["leverage", "nearest"] = Field(
+        "leverage", description="tree: two neighbours share the pair that binds them best, or the nearest"
+    )
     radius: Annotated[FiniteFloat, Field(gt=0, le=1.5)] = Field(
         0.85, description="safety radius, in halves of the image's shorter side"
     )
     hysteresis: NotNegative = Field(0.06, description="a robot leaves at radius (1 + hysteresis)")
     dwell_s: Positive = Field(2.0, description="least time between changes of topology")
+    silence_s: Positive = Field(3.0, description="tree: a unit not heard for so long is dead")
 
 
 class FlightModel(Model):
     """How a unit flies; lengths are in halves of the image's shorter side."""
 
-    kind: Literal["follow", "perimeter", "hover"] = "follow"
+    kind: Literal["follow", "perimeter", "hover", "serve"] = "follow"
     desired_radius: Annotated[FiniteFloat, Field(gt=0, le=1.5)] = Field(
         0.7, description="image distance of the farthest robot to be kept"
     )
     lateral_gain_mps: NotNegative = Field(1.0, description="speed for half an image")
     climb_gain_mps: NotNegative = Field(1.0, description="climb for half an image")
-    dead_band: NotNegative = Field(0.02, description="follow: errors of radius below this do not climb")
+    dead_band: NotNegative = Field(
+        0.02, description="follow, serve: errors of radius below this do not climb"
+    )
+    zoom_gain_ps: NotNegative = Field(0.3, description="serve: relative change of zoom for half an image")
+    separation_sides: NotNegative = Field(
+        6.0, description="serve: least distance between two units' image centres, in marker sides"
+    )
     speed_mps: NotNegative = Field(0.1, description="perimeter: speed along it")
     yaw_rate_degps: FiniteFloat = Field(
         0.0, description="perimeter, hover: turn, counter-clockwise from above"
@@ -114,6 +127,13 @@ class UnitModel(Model):
         min_length=1,
         description="[time_s, factor on the focal length] points, linear between",
     )
+    zoom_range: tuple[Positive, Positive] = Field(
+        (1.0, 1.0), description="least and largest factor that the unit itself may zoom by"
+    )
+    outages: list[tuple[NotNegative, Positive]] = Field(
+        [],
+        description="[from_s, to_s] in which the unit is dead: no images, no messages, no memory of before",
+    )
     flight: FlightModel = FlightModel()
     frame_rate_hz: Positive = 10.0
     latency_s: NotNegative = Field(
@@ -125,6 +145,10 @@ class UnitModel(Model):
         times = [time for time, _ in self.zoom]
         if times != sorted(times):
             raise ValueError("zoom: times must ascend")
+        if self.zoom_range[0] > self.zoom_range[1]:
+            raise ValueError("zoom_range: the least factor comes first")
+        if any(start >= end for start, end in self.outages):
+            raise ValueError("outages: each must end after it begins")
         return self
 
 
@@ -145,10 +169,14 @@ class AutopilotModel(Model):
 
 
 class NetworkModel(Model):
-    """Seeded losses."""
+    """What goes wrong with images and messages, from the seed."""
 
     frame_loss: Fraction = Field(0.0, description="share of images lost")
     message_loss: Fraction = Field(0.0, description="share of messages lost, for each receiver")
+    delay_s: NotNegative = Field(
+        0.0, description="largest random delay of a message, for each receiver; later ones may overtake"
+    )
+    repeats: Fraction = Field(0.0, description="share of messages that arrive twice")
 
 
 class GoalModel(Model):
@@ -177,7 +205,7 @@ class Scenario(Model):
     marker: MarkerModel
     control: ControlModel = ControlModel()
     selection: SelectionModel = SelectionModel()
-    units: list[UnitModel] = Field(min_length=1, max_length=16)
+    units: list[UnitModel] = Field(min_length=1, max_length=256)
     autopilot: AutopilotModel = AutopilotModel()
     network: NetworkModel = NetworkModel()
     sensor: SensorModel = SensorModel()

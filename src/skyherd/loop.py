@@ -14,6 +14,9 @@ from skyherd.control import (
     Perimeter,
     PixelGains,
     SafetyRadius,
+    Serve,
+    Template,
+    TreeRule,
     robot_commands,
 )
 from skyherd.control.flight import Flight
@@ -21,12 +24,13 @@ from skyherd.control.robot_law import Gains
 from skyherd.control.selection import NO_ROBOTS
 from skyherd.control.unit import Decision
 from skyherd.datasets import Mission, Scenario
-from skyherd.datasets.models import FlightModel
+from skyherd.datasets.models import FlightModel, SelectionModel
 from skyherd.geometry import IntArray
-from skyherd.messages import VelocityCommand
+from skyherd.messages import FlightCommand, VelocityCommand
+from skyherd.network import Network
 from skyherd.observer import Observation, Observer
 from skyherd.perception import Perception, Sight, make_perception
-from skyherd.world import Fleet, Network, World
+from skyherd.world import Fleet, World
 
 REPORT_LIFETIME_S = 2.0
 REPORTS_MISSED = 5
@@ -60,7 +64,7 @@ class Step:
     observation: Observation
 
 
-def make_flight(model: FlightModel) -> Flight:
+def make_flight(model: FlightModel, template: Template) -> Flight:
     """The motion law a scenario asks for."""
     yaw_rate = float(np.radians(model.yaw_rate_degps))
     if model.kind == "hover":
@@ -68,6 +72,16 @@ def make_flight(model: FlightModel) -> Flight:
     if model.kind == "perimeter":
         return Perimeter(
             model.desired_radius, model.speed_mps, model.lateral_gain_mps, model.climb_gain_mps, yaw_rate
+        )
+    if model.kind == "serve":
+        return Serve(
+            template,
+            model.desired_radius,
+            model.lateral_gain_mps,
+            model.climb_gain_mps,
+            model.zoom_gain_ps,
+            model.dead_band,
+            model.separation_sides,
         )
     return Follow(model.desired_radius, model.lateral_gain_mps, model.climb_gain_mps, model.dead_band)
 
@@ -80,21 +94,24 @@ def make_gains(scenario: Scenario) -> Gains:
     return MarkerGains(control.k, control.k_omega, control.b_th, scenario.marker.side_m)
 
 
-def make_crew(mission: Mission) -> list[AerialController]:
-    """One controller for each unit of a mission."""
-    scenario = mission.scenario
-    selection = SafetyRadius(**scenario.selection.model_dump())
-    slowest_s = max(unit.latency_s + REPORTS_MISSED / unit.frame_rate_hz for unit in scenario.units)
-    return [
-        AerialController(
-            mission.template,
-            selection,
-            make_flight(unit.flight),
-            nearest=scenario.control.neighbors,
-            report_lifetime_s=max(REPORT_LIFETIME_S, slowest_s),
-        )
-        for unit in scenario.units
-    ]
+def make_selection(model: SelectionModel) -> SafetyRadius | TreeRule:
+    """The rule by which a scenario's units choose their sets."""
+    if model.kind == "tree":
+        return TreeRule(model.share, model.radius, model.hysteresis, model.dwell_s, silence_s=model.silence_s)
+    return SafetyRadius(model.radius, model.hysteresis, model.dwell_s)
+
+
+def make_controller(mission: Mission, unit: int) -> AerialController:
+    """The mind of one unit of a mission, knowing nothing yet."""
+    scenario, template = mission.scenario, mission.template
+    slowest_s = max(model.latency_s + REPORTS_MISSED / model.frame_rate_hz for model in scenario.units)
+    return AerialController(
+        template,
+        make_selection(scenario.selection),
+        make_flight(scenario.units[unit].flight, template),
+        nearest=scenario.control.neighbors,
+        report_lifetime_s=max(REPORT_LIFETIME_S, slowest_s),
+    )
 
 
 def run_steps(mission: Mission, perception: Perception | None = None) -> Iterator[Step]:
@@ -104,15 +121,21 @@ def run_steps(mission: Mission, perception: Perception | None = None) -> Iterato
     """
     scenario = mission.scenario
     sight_rng, network_rng, frame_rng = (np.random.default_rng([scenario.seed, part]) for part in (1, 2, 3))
-    world, observer, crew = World(mission), Observer(mission.template, mission.ids), make_crew(mission)
+    world, observer = World(mission), Observer(mission.template, mission.ids)
+    crew = [make_controller(mission, unit) for unit in range(len(scenario.units))]
     perception = perception or make_perception(mission, sight_rng)
-    network = Network(scenario.network.message_loss, network_rng, len(crew))
+    network = Network(scenario.network, network_rng, len(crew))
     inboxes = Inboxes(mission.ids, np.arange(len(crew)), scenario.robots.timeout_s)
     gains, sets = make_gains(scenario), {unit: NO_ROBOTS for unit in range(len(crew))}
     for tick in range(round(scenario.duration_s / scenario.step_s) + 1):
         time_s = tick * scenario.step_s
         frames = {}
-        for unit in _due(scenario, tick):
+        dead = _dead(scenario, time_s)
+        for unit in dead:
+            crew[unit], sets[unit] = make_controller(mission, unit), NO_ROBOTS
+            network.forget(unit)
+            world.fly(FlightCommand(unit, np.zeros(2), 0.0, 0.0))
+        for unit in _due(scenario, tick, dead):
             if frame_rng.random() < scenario.network.frame_loss:
                 continue
             sight = perception.look(world, unit, time_s)
@@ -132,13 +155,22 @@ def run_steps(mission: Mission, perception: Perception | None = None) -> Iterato
             command=command,
             commanded_ids=mission.ids[inboxes.fresh(time_s).any(axis=0)],
             control_sets=dict(sets),
-            observation=observer.observe(world.positions_m, sets),
+            observation=observer.observe(world.positions_m, sets, dead),
         )
         world.advance(command, time_s, scenario.step_s)
 
 
-def _due(scenario: Scenario, tick: int) -> list[int]:
-    """Units whose next image falls in this tick: each keeps its own frame rate."""
+def _dead(scenario: Scenario, time_s: float) -> list[int]:
+    """Units that are in an outage now."""
+    return [
+        unit
+        for unit, model in enumerate(scenario.units)
+        if any(start <= time_s < end for start, end in model.outages)
+    ]
+
+
+def _due(scenario: Scenario, tick: int, dead: list[int]) -> list[int]:
+    """Living units whose next image falls in this tick: each keeps its own frame rate."""
     step = scenario.step_s
 
     def shots(ticks: int, rate_hz: float) -> int:
@@ -147,5 +179,6 @@ def _due(scenario: Scenario, tick: int) -> list[int]:
     return [
         unit
         for unit, model in enumerate(scenario.units)
-        if tick == 0 or shots(tick, model.frame_rate_hz) > shots(tick - 1, model.frame_rate_hz)
+        if unit not in dead
+        and (tick == 0 or shots(tick, model.frame_rate_hz) > shots(tick - 1, model.frame_rate_hz))
     ]

@@ -11,31 +11,9 @@ import numpy as np
 import numpy.typing as npt
 
 from skyherd.errors import MessageError
+from skyherd.frozen import freeze, freeze_ids
 from skyherd.geometry import Array, IntArray
-
-
-def _frozen(owner: object, name: str, shape: tuple[int | None, ...], *, integer: bool = False) -> None:
-    """Replace a field by a checked, read-only copy of itself."""
-    array = np.array(getattr(owner, name), dtype=np.int64 if integer else np.float64)
-    if array.size == 0 and 0 in [want for want in shape if want is not None]:
-        array = array.reshape([want or 0 for want in shape])
-    if array.ndim != len(shape) or any(
-        want is not None and want != have for want, have in zip(shape, array.shape, strict=True)
-    ):
-        raise MessageError(f"{type(owner).__name__}.{name}: shape {array.shape}, expected {shape}")
-    if not integer and not np.isfinite(array).all():
-        raise MessageError(f"{type(owner).__name__}.{name}: every value must be finite")
-    array.setflags(write=False)
-    object.__setattr__(owner, name, array)
-
-
-def _frozen_ids(owner: object, name: str) -> int:
-    """Freeze a field of robot ids and refuse a repeated one; returns their number."""
-    _frozen(owner, name, (None,), integer=True)
-    ids = getattr(owner, name)
-    if np.unique(ids).size != ids.size:
-        raise MessageError(f"{type(owner).__name__}.{name}: repeated id in {ids.tolist()}")
-    return int(ids.size)
+from skyherd.tree_messages import TreeWord
 
 
 @dataclass(frozen=True)
@@ -65,13 +43,13 @@ class Detections:
     covariances: Array
 
     def __post_init__(self) -> None:
-        n = _frozen_ids(self, "ids")
-        _frozen(self, "image_size_px", (2,))
-        _frozen(self, "centers_px", (n, 2))
-        _frozen(self, "headings_rad", (n,))
-        _frozen(self, "sides_px", (n,))
-        _frozen(self, "corners_px", (n, 4, 2))
-        _frozen(self, "covariances", (n, 3, 3))
+        n = freeze_ids(self, "ids")
+        freeze(self, "image_size_px", (2,))
+        freeze(self, "centers_px", (n, 2))
+        freeze(self, "headings_rad", (n,))
+        freeze(self, "sides_px", (n,))
+        freeze(self, "corners_px", (n, 4, 2))
+        freeze(self, "covariances", (n, 3, 3))
         if (self.sides_px <= 0).any():
             raise MessageError("Detections.sides_px: every side must be positive")
 
@@ -134,12 +112,12 @@ class MotionGoals:
     neighbor_distances_px: Array
 
     def __post_init__(self) -> None:
-        n = _frozen_ids(self, "ids")
-        _frozen(self, "rho_px", (n,))
-        _frozen(self, "bearings_rad", (n,))
-        _frozen(self, "sides_px", (n,))
-        _frozen(self, "neighbor_ids", (n, None), integer=True)
-        _frozen(self, "neighbor_distances_px", (n, self.neighbor_ids.shape[1]))
+        n = freeze_ids(self, "ids")
+        freeze(self, "rho_px", (n,))
+        freeze(self, "bearings_rad", (n,))
+        freeze(self, "sides_px", (n,))
+        freeze(self, "neighbor_ids", (n, None), integer=True)
+        freeze(self, "neighbor_distances_px", (n, self.neighbor_ids.shape[1]))
         if (self.rho_px < 0).any() or (self.sides_px <= 0).any():
             raise MessageError("MotionGoals: rho_px must not be negative, sides_px must be positive")
 
@@ -174,9 +152,9 @@ class VelocityCommand:
     omega_radps: Array
 
     def __post_init__(self) -> None:
-        n = _frozen_ids(self, "ids")
-        _frozen(self, "v_mps", (n,))
-        _frozen(self, "omega_radps", (n,))
+        n = freeze_ids(self, "ids")
+        freeze(self, "v_mps", (n,))
+        freeze(self, "omega_radps", (n,))
 
 
 @dataclass(frozen=True)
@@ -191,6 +169,7 @@ class UnitReport:
         points_px: (N, 2) where it sees them.
         controlled_ids: (M,) robots it controls.
         secure_ids: (L,) those of them that it sees inside its safety radius now.
+        tree: its standing in the tree of units; None where sets come from the safety radius alone.
     """
 
     unit_id: int
@@ -200,13 +179,14 @@ class UnitReport:
     points_px: Array
     controlled_ids: IntArray
     secure_ids: IntArray
+    tree: TreeWord | None = None
 
     def __post_init__(self) -> None:
-        n = _frozen_ids(self, "ids")
-        _frozen(self, "image_size_px", (2,))
-        _frozen(self, "points_px", (n, 2))
-        _frozen_ids(self, "controlled_ids")
-        _frozen_ids(self, "secure_ids")
+        n = freeze_ids(self, "ids")
+        freeze(self, "image_size_px", (2,))
+        freeze(self, "points_px", (n, 2))
+        freeze_ids(self, "controlled_ids")
+        freeze_ids(self, "secure_ids")
 
 
 @dataclass(frozen=True)
@@ -218,17 +198,19 @@ class FlightCommand:
         lateral_mps: (2,) along the image's +u and +v.
         climb_mps: upwards.
         yaw_rate_radps: counter-clockwise seen from above.
+        zoom_rate_ps: relative change of the focal length, 1/s.
     """
 
     unit_id: int
     lateral_mps: Array
     climb_mps: float
     yaw_rate_radps: float
+    zoom_rate_ps: float = 0.0
 
     def __post_init__(self) -> None:
-        _frozen(self, "lateral_mps", (2,))
-        if not (np.isfinite(self.climb_mps) and np.isfinite(self.yaw_rate_radps)):
-            raise MessageError("FlightCommand: climb_mps and yaw_rate_radps must be finite")
+        freeze(self, "lateral_mps", (2,))
+        if not np.isfinite([self.climb_mps, self.yaw_rate_radps, self.zoom_rate_ps]).all():
+            raise MessageError("FlightCommand: climb_mps, yaw_rate_radps and zoom_rate_ps must be finite")
 
 
 def centred(points_px: Array, image_size_px: Array) -> Array:

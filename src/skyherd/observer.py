@@ -3,6 +3,7 @@
 For plots and tests; nothing here reaches `control`.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -69,8 +70,8 @@ class Observer:
         self.ids = ids
         self.template_ground = template.points_of(ids).conj()
 
-    def observe(self, positions_m: Array, sets: ControlSets) -> Observation:
-        """Judge robots at positions (N, 2) under the topology `sets`."""
+    def observe(self, positions_m: Array, sets: ControlSets, dead: Sequence[int] = ()) -> Observation:
+        """Judge robots at positions (N, 2) under the topology `sets`, in which dead units have no part."""
         positions = to_complex(positions_m)
         controlled = control_matrix(sets, self.ids)
         partial = np.full((len(controlled), 3), np.nan)
@@ -85,7 +86,7 @@ class Observer:
             V_units=partial[:, 0],
             scales=partial[:, 1],
             rotations_rad=partial[:, 2],
-            conditions=check_conditions(controlled),
+            conditions=check_conditions(np.delete(controlled, list(dead), axis=0)),
             shape=fit_shape(self.template_ground, positions),
             min_separation_m=float(pdist(positions_m).min()),
         )

@@ -27,9 +27,11 @@ def to_plain(value: Any) -> Any:
 
 
 def from_plain(kind: type[T], record: Mapping[str, Any], **made: Any) -> T:
-    """A dataclass from what `to_plain` made of it; fields in `made` are taken as they are."""
+    """A dataclass from what `to_plain` made of it; `made` holds fields to take as they are."""
     values = {}
     for field in fields(kind):  # type: ignore[arg-type]
+        if field.name not in made and field.name not in record:
+            continue
         value = made.get(field.name, record.get(field.name))
         if isinstance(value, list):
             value = _array(value)

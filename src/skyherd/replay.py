@@ -23,6 +23,7 @@ from skyherd.messages import Detections, FlightCommand, MotionGoals, UnitReport,
 from skyherd.observer import Observation, ShapeFit
 from skyherd.perception import Sight
 from skyherd.plain import from_plain
+from skyherd.tree_messages import TreeWord
 from skyherd.world import Fleet
 
 
@@ -174,10 +175,15 @@ def _read_frame(topic: str, records: dict[str, Any]) -> UnitFrame:
     )
     decision = Decision(
         goals=None if goals is None else from_plain(MotionGoals, goals),
-        report=from_plain(UnitReport, records[f"{topic}/report"]),
+        report=_read_report(records[f"{topic}/report"]),
         flight=from_plain(FlightCommand, records[f"{topic}/flight"]),
     )
     return UnitFrame(sight, decision)
+
+
+def _read_report(record: dict[str, Any]) -> UnitReport:
+    tree = record.get("tree")
+    return from_plain(UnitReport, record, tree=None if tree is None else from_plain(TreeWord, tree))
 
 
 def _decode(data: str) -> Any:

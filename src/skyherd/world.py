@@ -1,15 +1,15 @@
-"""The truth: unicycle robots, aerial units with their autopilots, and the network between them."""
+"""The truth: unicycle robots, and aerial units with their autopilots."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
 from skyherd.datasets import Mission, Scenario
 from skyherd.datasets.models import AutopilotModel, UnitModel
 from skyherd.datasets.scene_models import CameraModel
-from skyherd.geometry import Array, BoolArray, to_complex, to_points, wrap_angle
-from skyherd.messages import FlightCommand, MotionGoals, UnitReport, VelocityCommand
+from skyherd.geometry import Array, to_complex, to_points, wrap_angle
+from skyherd.messages import FlightCommand, VelocityCommand
 from skyherd.render import Camera, CameraPose, Motion
 
 
@@ -54,7 +54,7 @@ def _fly(fleet: Fleet, commands: Sequence[FlightCommand], limits: AutopilotModel
         positions_m=fleet.positions_m + moved,
         heights_m=np.clip(fleet.heights_m + climb * step_s, limits.min_height_m, limits.max_height_m),
         yaws_rad=wrap_angle(fleet.yaws_rad + yaw_rate * step_s),
-        zooms=fleet.zooms,
+        zooms=fleet.zooms * np.exp(np.array([c.zoom_rate_ps for c in commands]) * step_s),
     )
 
 
@@ -79,7 +79,7 @@ class World:
             positions_m=np.array([unit.position_m for unit in units]),
             heights_m=np.array([unit.height_m for unit in units]),
             yaws_rad=np.radians([unit.yaw_deg for unit in units]),
-            zooms=self._zooms(0.0),
+            zooms=self._limited(np.ones(len(units)), 0.0),
         )
         self._rates = (np.zeros_like(self.positions_m), np.zeros_like(self.headings_rad))
         self._fleet_before, self._step_s = self.fleet, 1.0
@@ -127,51 +127,16 @@ class World:
         self._rates = command.v_mps[:, None] * forward, command.omega_radps
         self._fleet_before, self._step_s = self.fleet, step_s
         fleet = _fly(self.fleet, self._commands, self.scenario.autopilot, step_s)
-        self.fleet = Fleet(fleet.positions_m, fleet.heights_m, fleet.yaws_rad, self._zooms(time_s + step_s))
+        zooms = self._limited(fleet.zooms / self._scripted(time_s), time_s + step_s)
+        self.fleet = Fleet(fleet.positions_m, fleet.heights_m, fleet.yaws_rad, zooms)
 
-    def _zooms(self, time_s: float) -> Array:
+    def _scripted(self, time_s: float) -> Array:
+        """Zooms that the scenario prescribes."""
         return np.array(
             [np.interp(time_s, *np.array(unit.zoom, dtype=float).T) for unit in self.scenario.units]
         )
 
-
-@dataclass
-class Network:
-    """Messages on their way: late by their sender's latency, lost at random for each receiver.
-
-    Attributes:
-        loss: share of messages lost.
-        rng: what decides.
-        reports: by receiving unit, the last report heard from each other one.
-    """
-
-    loss: float
-    rng: np.random.Generator
-    units: int
-    reports: list[dict[int, UnitReport]] = field(init=False)
-    _waiting: list[tuple[float, MotionGoals | None, UnitReport]] = field(default_factory=list, init=False)
-
-    def __post_init__(self) -> None:
-        self.reports = [{} for _ in range(self.units)]
-
-    def send(self, goals: MotionGoals | None, report: UnitReport, arrival_s: float) -> None:
-        """Send one unit's goals to its robots and its report to the other units."""
-        self._waiting.append((arrival_s, goals, report))
-
-    def deliver(self, time_s: float) -> list[tuple[MotionGoals, BoolArray]]:
-        """Goals that arrive by now, each with (N,) which of its robots heard it; reports are kept."""
-        arrived = [item for item in self._waiting if item[0] <= time_s + 1e-9]
-        self._waiting = [item for item in self._waiting if item[0] > time_s + 1e-9]
-        delivered = []
-        for _, goals, report in arrived:
-            for unit in range(self.units):
-                if unit != report.unit_id and self._heard(1)[0]:
-                    self.reports[unit][report.unit_id] = report
-            if goals is not None:
-                delivered.append((goals, self._heard(len(goals))))
-        return delivered
-
-    def _heard(self, count: int) -> BoolArray:
-        if self.loss == 0:
-            return np.ones(count, dtype=bool)
-        return self.rng.random(count) >= self.loss
+    def _limited(self, flown: Array, time_s: float) -> Array:
+        """Zooms as scripted, times what the units ask for within their lenses' ranges."""
+        low, high = np.array([unit.zoom_range for unit in self.scenario.units], dtype=float).T
+        return np.asarray(self._scripted(time_s) * np.clip(flown, low, high))

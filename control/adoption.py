@@ -1,0 +1,53 @@
+"""Robots that nobody controls find a unit; robots that two units claim lose one."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from skyherd.control.standing import Standing
+
+
+@dataclass
+class Orphans:
+    """Robots that a unit sees and that no member controls.
+
+    After half a dwell time in which nobody took them, so that reports on their way have arrived, each becomes
+    the own of the member that sees it nearest to its image centre, by what all were told last.
+    """
+
+    since_s: dict[int, float] = field(default_factory=dict, init=False)
+    _told: dict[int, float] = field(default_factory=dict, init=False)
+
+    def adopt(self, unit: Standing, time_s: float, at_slot: bool) -> None:
+        """Watch orphans, and at a slot adopt those that are the unit's to adopt."""
+        members = unit.heard.members(time_s)
+        held = unit.controlled.union(*(heard.controlled for heard in members))
+        orphans = unit.distances.keys() - held
+        self.since_s = {robot: self.since_s.get(robot, time_s) for robot in orphans}
+        told, self._told = self._told, unit.distances
+        if not at_slot:
+            return
+        for robot in orphans:
+            nearest = (
+                min((heard.distances.get(robot, np.inf), heard.report.unit_id) for heard in members)
+                if members
+                else (np.inf, unit.unit_id)
+            )
+            waited_s = time_s - self.since_s[robot]
+            if waited_s >= unit.rule.dwell_s / 2 and (told.get(robot, np.inf), unit.unit_id) <= nearest:
+                unit.own.add(robot)
+
+
+def disown(unit: Standing, time_s: float) -> None:
+    """Leave robots that were carried off to the members that see them."""
+    secured = set().union(*(heard.near(unit.rule.radius) for heard in unit.heard.members(time_s)))
+    for robot in (unit.own & secured) - unit.lent():
+        if unit.unseen_s(robot, time_s) > unit.rule.silence_s:
+            unit.own.discard(robot)
+
+
+def yield_claims(unit: Standing, time_s: float) -> None:
+    """Drop own robots that a lower unit controls as well, or that an edge of other units shares."""
+    for heard in unit.heard.fresh(time_s):
+        contested = unit.own & heard.controlled
+        unit.own -= contested if heard.report.unit_id < unit.unit_id else contested & heard.paired

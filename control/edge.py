@@ -1,0 +1,104 @@
+"""One edge of the tree: two units share two robots, and take turns in choosing which.
+
+Whoever has the turn may exchange the pair for two other robots that the neighbour lends it; it alone
+changes its set then, at one instant, and the neighbour's set stays as it is. It hands the turn over with a
+report that names the pair and the robots that it lends in return, and may not give those away before the
+turn is back. A turn is held by one unit at most however messages are lost, delayed, repeated or reordered,
+since it ends where it is handed over before it begins at the other end. So both sets have exactly the pair
+in common at every instant, with no agreement on when to change; what one unit says of the pair is at most
+one turn old.
+"""
+
+from dataclasses import dataclass
+
+from skyherd.messages import UnitReport
+
+Robots = frozenset[int]
+NO_ROBOTS: Robots = frozenset()
+NO_TURN = -1
+"""Of an edge whose other end has yet to tell."""
+
+
+@dataclass
+class Edge:
+    """An edge as one of its two units knows it.
+
+    Attributes:
+        unit_id: the unit itself.
+        neighbor_id: the unit at the other end.
+        since_s: when this end came to be.
+        turn: turns taken so far, of which the lower unit holds the even ones; NO_TURN before the first word.
+        pair: the shared robots, none or two.
+        lent: robots of the unit's own that the neighbour may take while it has the turn.
+        reach: robots that the unit may take while it has the turn.
+        wished: those that the neighbour would rather lose.
+        giving: robots that the unit would rather lose, and lent for that.
+        considered: slot and reach when the unit last looked for a better pair,
+        wants: and whether there was one.
+    """
+
+    unit_id: int
+    neighbor_id: int
+    since_s: float
+    turn: int = NO_TURN
+    pair: Robots = NO_ROBOTS
+    lent: Robots = NO_ROBOTS
+    reach: Robots = NO_ROBOTS
+    wished: Robots = NO_ROBOTS
+    giving: Robots = NO_ROBOTS
+    considered: tuple[int, Robots] = (-1, NO_ROBOTS)
+    wants: bool = False
+
+    @property
+    def mine(self) -> bool:
+        """Whether the unit has the turn."""
+        return self.turn != NO_TURN and holds(self.turn, self.unit_id, self.neighbor_id)
+
+    def hear(self, report: UnitReport) -> None:
+        """Take the turn if the neighbour's report hands it over; older and repeated words change nothing."""
+        word = word_of(report, self.unit_id)
+        if word is None or (self.turn != NO_TURN and (self.mine or word.turn != self.turn + 1)):
+            return
+        self.turn, self.pair = word.turn, word.pair
+        self.lent, self.reach, self.wished = NO_ROBOTS, word.lent, word.wished
+
+    def hand_over(self, lent: Robots, giving: Robots) -> None:
+        """End the turn; what is lent is promised until the turn is back."""
+        self.turn += 1
+        self.lent, self.giving = lent, giving
+        self.reach = self.wished = NO_ROBOTS
+
+
+def holds(turn: int, unit_id: int, neighbor_id: int) -> bool:
+    """Whether `unit_id` has the turn on its edge to `neighbor_id`: the lower unit holds the even ones."""
+    return (turn % 2 == 0) == (unit_id < neighbor_id)
+
+
+def first_turn(after: int, holder_id: int, other_id: int) -> int:
+    """The first turn later than `after` that `holder_id` holds: a new edge starts beyond all old words."""
+    turn = after + 1
+    return turn if holds(turn, holder_id, other_id) else turn + 1
+
+
+@dataclass(frozen=True)
+class EdgeWord:
+    """What a report says of the edge to one unit."""
+
+    turn: int
+    pair: Robots
+    lent: Robots
+    wished: Robots
+
+
+def word_of(report: UnitReport, unit_id: int) -> EdgeWord | None:
+    """What the report says of the edge to `unit_id`; None if it names no such edge."""
+    tree = report.tree
+    if tree is None:
+        return None
+    for row, neighbor in enumerate(tree.neighbor_ids.tolist()):
+        if neighbor == unit_id:
+            pair = frozenset(robot for robot in tree.pairs[row].tolist() if robot >= 0)
+            lent = frozenset(tree.lent_ids[tree.lent_to_ids == unit_id].tolist())
+            wished = lent.intersection(tree.wished_ids.tolist())
+            return EdgeWord(int(tree.turns[row]), pair, lent, wished)
+    return None

@@ -1,0 +1,58 @@
+"""How units become one tree: found it, ask to be admitted, grant an edge; and when it is complete."""
+
+from skyherd.control.edge import NO_ROBOTS, Edge, word_of
+from skyherd.control.hearsay import Heard
+from skyherd.control.standing import Standing
+from skyherd.tree_messages import NOBODY
+
+
+def seek(unit: Standing, time_s: float, at_slot: bool) -> None:
+    """Without a tree: ask one to be admitted to it, or found it if there is none and no lower unit."""
+    members = unit.heard.members(time_s)
+    if members:
+        _ask(unit, members, time_s)
+        return
+    is_first = all(unit.unit_id < heard.report.unit_id for heard in unit.heard.fresh(time_s))
+    if at_slot and is_first and time_s - unit.since_s >= unit.rule.dwell_s:
+        unit.tree_id, unit.own = unit.unit_id, unit.visible
+
+
+def _ask(unit: Standing, members: list[Heard], time_s: float) -> None:
+    """Ask the member with most own robots in common; open the edge that the one asked grants."""
+    if unit.edges:
+        return
+    for heard in members:
+        asked, word = heard.report.unit_id, word_of(heard.report, unit.unit_id)
+        if asked == unit.asks_id and word and not word.pair and not unit.knows_turn(asked, word.turn):
+            unit.edges[asked] = Edge(unit.unit_id, asked, time_s)
+            unit.edges[asked].hear(heard.report)
+            return
+    visible = unit.visible
+    common = {
+        heard.report.unit_id: len(visible.intersection(heard.report.secure_ids.tolist()) - heard.paired)
+        for heard in members
+    }
+    best = max(common, key=lambda member: (common[member], -member))
+    unit.asks_id = best if common[best] >= 2 else NOBODY
+
+
+def admit(unit: Standing, time_s: float) -> None:
+    """Grant an edge, yet without a pair, to each unit that asks for one."""
+    for heard in unit.heard.fresh(time_s):
+        asking = heard.report.unit_id
+        if heard.is_member or heard.tree.asks_id != unit.unit_id or asking in unit.edges:
+            continue
+        lent = unit.lendable(asking)
+        if len(lent) >= 2:
+            unit.open_edge(asking, time_s, mine=False, pair=NO_ROBOTS, lent=lent)
+
+
+def is_complete(unit: Standing, time_s: float) -> bool:
+    """Whether all units heard belong to the tree and all robots to a unit, or waiting has lasted too long."""
+    if not unit.is_member:
+        return False
+    fresh = unit.heard.fresh(time_s)
+    if any(heard.tree.ready for heard in fresh) or time_s - unit.since_s > unit.rule.patience_s:
+        return True
+    held = unit.controlled.union(*(heard.controlled for heard in fresh))
+    return all(heard.is_member for heard in fresh) and held.issuperset(unit.template.ids.tolist())

@@ -1,0 +1,109 @@
+"""S_j^c of one unit as an assignment that keeps TC1-TC5: its own robots, and a pair on each edge of a tree.
+
+Every robot is one unit's own or in the pair of one edge; the edges form a tree. Then TC1-TC5 hold whatever
+the assignment is. It changes only
+
+- by turns (control/turns.py, edge.py): a unit exchanges the pair of an edge, at a slot of the common clock, a
+  dwell time apart; a robot goes from one unit to another by being shared in between;
+- by joining (control/joining.py): a unit asks a member of the tree, which grants an edge without a pair; the
+  new unit takes its first pair as its first turn;
+- by succession (control/succession.py): each unit names an heir among its neighbours. When it falls silent
+  the heir takes its robots and its edges; the other neighbours turn to the heir and have the first turn;
+- by adoption (control/adoption.py): a robot that nobody controls becomes the own of the unit that sees it
+  nearest to its image centre.
+
+Turns are safe however messages are lost, late, repeated or reordered. Joining, succession and adoption rest
+on what was heard: should two units hold one robot after a loss the higher one drops it, and a unit that
+learns that it was given up for dead starts anew. docs/topology.md proves what holds.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from skyherd.control.adoption import Orphans, disown, yield_claims
+from skyherd.control.hearsay import Hearsay
+from skyherd.control.joining import admit, is_complete, seek
+from skyherd.control.standing import Standing, TreeRule
+from skyherd.control.succession import name_heir, succeed
+from skyherd.control.template import Template
+from skyherd.control.turns import take_turns
+from skyherd.geometry import IntArray
+from skyherd.messages import Detections, UnitReport
+from skyherd.tree_messages import NOBODY, TreeWord
+
+
+@dataclass
+class Roster:
+    """One unit's part of the assignment."""
+
+    rule: TreeRule
+    template: Template
+    unit: Standing = field(init=False)
+    _orphans: Orphans = field(default_factory=Orphans, init=False)
+    _heir_id: int = field(default=NOBODY, init=False)
+
+    def __post_init__(self) -> None:
+        self.unit = Standing(self.rule, self.template, Hearsay(self.rule.silence_s))
+
+    @property
+    def ready(self) -> bool:
+        """Whether robots may move."""
+        return self.unit.ready
+
+    def update(self, seen: Detections, reports: Sequence[UnitReport]) -> IntArray:
+        """S_j^c after an image, ascending, given the last report heard from each other unit."""
+        unit, time_s = self.unit, seen.time_s
+        at_slot = unit.look(seen)
+        self._hear(reports)
+        succeed(unit, time_s)
+        yield_claims(unit, time_s)
+        if unit.is_member:
+            admit(unit, time_s)
+            self._orphans.adopt(unit, time_s, at_slot)
+            if at_slot:
+                disown(unit, time_s)
+        else:
+            seek(unit, time_s, at_slot)
+        take_turns(unit, at_slot)
+        unit.ready = unit.ready or is_complete(unit, time_s)
+        self._heir_id = name_heir(unit, self._heir_id)
+        return np.array(sorted(unit.controlled), dtype=np.int64)
+
+    def secure(self, seen: Detections) -> IntArray:
+        """Robots of the set that are seen inside the radius now."""
+        return np.array(sorted(self.unit.controlled & self.unit.visible), dtype=np.int64)
+
+    def word(self, time_s: float) -> TreeWord:
+        """What the unit says of its standing."""
+        unit = self.unit
+        edges = list(unit.edges.values())
+        lent = [(robot, edge.neighbor_id) for edge in edges for robot in sorted(edge.lent)]
+        wished = set().union(*(edge.giving & edge.lent for edge in edges))
+        missing = [robot for robot in unit.own if unit.unseen_s(robot, time_s) > self.rule.silence_s]
+        return TreeWord(
+            tree_id=unit.tree_id,
+            asks_id=unit.asks_id,
+            heir_id=self._heir_id,
+            ready=unit.ready,
+            neighbor_ids=np.array([edge.neighbor_id for edge in edges], dtype=np.int64),
+            turns=np.array([edge.turn for edge in edges], dtype=np.int64),
+            pairs=np.array([sorted(edge.pair) or [NOBODY, NOBODY] for edge in edges], dtype=np.int64),
+            lent_ids=np.array([robot for robot, _ in lent], dtype=np.int64),
+            lent_to_ids=np.array([neighbor for _, neighbor in lent], dtype=np.int64),
+            wished_ids=np.array(sorted(wished), dtype=np.int64),
+            missing_ids=np.array(sorted(missing), dtype=np.int64),
+        )
+
+    def _hear(self, reports: Sequence[UnitReport]) -> None:
+        """Take the turns that are handed over; of two trees the one with the lower number stays."""
+        unit = self.unit
+        for heard in unit.heard.take(reports):
+            edge = unit.edges.get(heard.report.unit_id)
+            if edge is not None:
+                before = edge.pair
+                edge.hear(heard.report)
+                unit.own = (unit.own | (before - edge.pair)) - edge.pair
+            if NOBODY < heard.tree.tree_id < unit.tree_id:
+                unit.resign()

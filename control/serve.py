@@ -1,0 +1,89 @@
+"""Flight that serves the topology: keep in view, with margin, all robots that the unit has a duty to."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from skyherd.control.memory import ImageMemory
+from skyherd.control.template import Template
+from skyherd.geometry import Array, IntArray
+from skyherd.messages import Detections, FlightCommand, UnitReport, centred
+
+
+@dataclass
+class Serve:
+    """Fly so that the whole control set lies within `desired_radius` of the image centre.
+
+    Towards the middle of the set, `v = gain c`, with c the centre of its bounding box in the image; up, and
+    the zoom out, in proportion to how much farther than `desired_radius` the farthest robot is; down and in
+    if it is nearer. Robots that the unit does not see count where memory has them (control/memory.py), so
+    that a unit that takes over robots outside its view flies to where they are; one that is not found there
+    makes it climb. A unit without robots keeps in view all that it sees, and climbs to see more. Units that
+    come too near to one another, measured between image centres in marker sides, part. Of several units
+    with the same set, all but the first stay.
+
+    Attributes:
+        template: names the team.
+        desired_radius: image distance of the farthest robot, in halves of the image's shorter side.
+        lateral_gain_mps: speed for a centre half an image off.
+        climb_gain_mps: climb for a farthest robot half an image too far out.
+        zoom_gain_ps: relative change of zoom for the same, 1/s.
+        dead_band: errors of radius below this change nothing.
+        separation_sides: least distance between the image centres of two units, in marker sides.
+        search_s: a robot that should be in view and was not seen for so long makes the unit climb.
+    """
+
+    template: Template
+    desired_radius: float = 0.75
+    lateral_gain_mps: float = 1.0
+    climb_gain_mps: float = 1.0
+    zoom_gain_ps: float = 0.3
+    dead_band: float = 0.02
+    separation_sides: float = 6.0
+    search_s: float = 2.0
+    memory: ImageMemory = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.memory = ImageMemory(self.template)
+
+    def command(self, seen: Detections, controlled: IntArray, reports: Sequence[UnitReport]) -> FlightCommand:
+        """Velocity and zoom for the robots in duty, seen or remembered."""
+        self.memory.update(seen, reports)
+        if any(
+            report.unit_id < seen.unit_id and np.array_equal(report.controlled_ids, controlled)
+            for report in reports
+            if controlled.size
+        ):
+            return FlightCommand(seen.unit_id, self._part(seen), 0.0, 0.0)
+        points = self.memory.centred(controlled if controlled.size else seen.ids, seen.image_size_px)
+        if not len(points):
+            return FlightCommand(seen.unit_id, self._part(seen), self.climb_gain_mps / 2, 0.0)
+        middle = (points.min(axis=0) + points.max(axis=0)) / 2
+        excess = float(np.linalg.norm(points, axis=1).max()) - self.desired_radius
+        if self._is_searching(seen, controlled) or not controlled.size:
+            excess = max(excess, self.desired_radius / 2)
+        excess -= float(np.clip(excess, -self.dead_band, self.dead_band))
+        lateral = self.lateral_gain_mps * middle + self._part(seen)
+        return FlightCommand(
+            seen.unit_id, lateral, self.climb_gain_mps * excess, 0.0, -self.zoom_gain_ps * excess
+        )
+
+    def _is_searching(self, seen: Detections, controlled: IntArray) -> bool:
+        """Whether a robot in duty should be in view and has not been seen for some time, if it ever was."""
+        rows = self.memory.rows(np.setdiff1d(controlled, seen.ids))
+        unseen = seen.time_s - self.memory.seen_s[rows] > self.search_s
+        return bool((unseen & ~self.memory.known[rows]).any())
+
+    def _part(self, seen: Detections) -> Array:
+        """Velocity (2,) away from units that are too near."""
+        away = np.zeros(2)
+        if not len(seen):
+            return away
+        centers = np.array([[c.real, c.imag] for c in self.memory.centers_px.values()]).reshape(-1, 2)
+        least = self.separation_sides * float(np.median(seen.sides_px)) / (seen.image_size_px.min() / 2)
+        for offset in centred(centers, seen.image_size_px):
+            distance = float(np.linalg.norm(offset))
+            if distance < least:
+                away -= self.lateral_gain_mps * (1 - distance / least) * offset / max(distance, 1e-6)
+        return away

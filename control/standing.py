@@ -1,0 +1,149 @@
+"""A unit's standing in the tree: its own robots, its edges, and what it knows."""
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from skyherd.control.edge import Edge, Robots, first_turn, word_of
+from skyherd.control.hearsay import Hearsay
+from skyherd.control.selection import centre_distances
+from skyherd.control.template import Template
+from skyherd.messages import Detections
+from skyherd.tree_messages import NOBODY
+
+Share = Literal["leverage", "nearest"]
+
+
+@dataclass(frozen=True)
+class TreeRule:
+    """Settings of the protocol (control/roster.py).
+
+    Attributes:
+        share: which pair two neighbours share.
+        radius: robots are given and taken inside this distance, in halves of the image's shorter side.
+        hysteresis: a unit wishes to lose a robot outside `radius (1 + hysteresis)`.
+        dwell_s: sets change at multiples of this, but for succession.
+        gain: a new pair must be better by this factor.
+        balance: robots more than a neighbour has before a unit wishes to lose some.
+        silence_s: a unit that was not heard for so long is dead, a robot not seen for so long is missing.
+        patience_s: robots move after this even if some unit or robot has not been found.
+    """
+
+    share: Share = "leverage"
+    radius: float = 0.92
+    hysteresis: float = 0.06
+    dwell_s: float = 2.0
+    gain: float = 1.25
+    balance: int = 6
+    silence_s: float = 3.0
+    patience_s: float = 60.0
+
+
+@dataclass
+class Standing:
+    """All that a unit's part in the protocol goes by.
+
+    Attributes:
+        rule: settings.
+        template: the whole shape.
+        heard: the other units' reports.
+        unit_id: the unit itself, once it has seen an image.
+        since_s: when it saw the first one.
+        own: robots that only this unit controls.
+        edges: by neighbour.
+        tree_id: the tree it belongs to, or NOBODY.
+        asks_id: the unit that it asks to be admitted by, or NOBODY.
+        ready: whether the tree is known to be complete, so that robots may move.
+        slot: the dwell time that it is in, counted on the common clock.
+        distances: of the robots seen now from the image centre.
+        seen_s: when each robot was seen last.
+    """
+
+    rule: TreeRule
+    template: Template
+    heard: Hearsay
+    unit_id: int = NOBODY
+    since_s: float = np.inf
+    own: set[int] = field(default_factory=set)
+    edges: dict[int, Edge] = field(default_factory=dict)
+    tree_id: int = NOBODY
+    asks_id: int = NOBODY
+    ready: bool = False
+    slot: int = -1
+    distances: dict[int, float] = field(default_factory=dict)
+    seen_s: dict[int, float] = field(default_factory=dict)
+    _turns: dict[int, int] = field(default_factory=dict)
+
+    @property
+    def controlled(self) -> set[int]:
+        """S_j^c: the unit's own robots and the pairs of its edges."""
+        return self.own.union(*(edge.pair for edge in self.edges.values()))
+
+    @property
+    def is_member(self) -> bool:
+        """Whether the unit belongs to a tree."""
+        return self.tree_id != NOBODY
+
+    @property
+    def visible(self) -> set[int]:
+        """Robots seen inside the radius."""
+        return {robot for robot, distance in self.distances.items() if distance < self.rule.radius}
+
+    def look(self, seen: Detections) -> bool:
+        """Take in an image; whether it is the first one of a slot."""
+        self.unit_id, self.since_s = seen.unit_id, min(self.since_s, seen.time_s)
+        self.distances = dict(zip(seen.ids.tolist(), centre_distances(seen).tolist(), strict=True))
+        self.seen_s.update(dict.fromkeys(self.distances, seen.time_s))
+        slot, before = int(np.floor(seen.time_s / self.rule.dwell_s + 1e-9)), self.slot
+        self.slot = slot
+        return slot != before
+
+    def unseen_s(self, robot: int, time_s: float) -> float:
+        """How long a robot has not been seen; counted from now on if it never was."""
+        return time_s - self.seen_s.setdefault(robot, time_s)
+
+    def lent(self, but: int = NOBODY) -> set[int]:
+        """Robots promised to neighbours, but for one of them."""
+        return set().union(*(edge.lent for unit, edge in self.edges.items() if unit != but))
+
+    def lendable(self, unit: int) -> Robots:
+        """Own robots that a unit sees and that are lent to nobody else.
+
+        A robot that several neighbours see is each one's in turn, slot by slot, so that none is left out.
+        """
+        free = self.own.intersection(self.heard.seen_by(unit)) - self.lent(but=unit)
+        sharers: dict[int, list[int]] = {robot: [] for robot in free}
+        for other in sorted(self.edges.keys() | {unit}):
+            for robot in free.intersection(self.heard.seen_by(other)):
+                sharers[robot].append(other)
+        return frozenset(r for r, units in sharers.items() if units[(r + self.slot) % len(units)] == unit)
+
+    def open_edge(
+        self, neighbor: int, time_s: float, *, mine: bool, pair: Robots, lent: Robots = frozenset()
+    ) -> Edge:
+        """A new edge whose first turn is this unit's or the neighbour's, beyond all turns known before."""
+        heard = self.heard.newest.get(neighbor)
+        word = None if heard is None else word_of(heard.report, self.unit_id)
+        last = max(self._turns.get(neighbor, -1), -1 if word is None else word.turn)
+        holder, other = (self.unit_id, neighbor) if mine else (neighbor, self.unit_id)
+        edge = Edge(self.unit_id, neighbor, time_s, first_turn(last, holder, other), pair, lent)
+        self.edges[neighbor] = edge
+        return edge
+
+    def close_edge(self, neighbor: int) -> Edge:
+        """Remove an edge, remembering its turns."""
+        edge = self.edges.pop(neighbor)
+        self._turns[neighbor] = max(self._turns.get(neighbor, -1), edge.turn)
+        return edge
+
+    def knows_turn(self, neighbor: int, turn: int) -> bool:
+        """Whether a turn belongs to an edge that was closed."""
+        return turn <= self._turns.get(neighbor, -1)
+
+    def resign(self) -> None:
+        """Leave the tree, to join it anew."""
+        for neighbor in list(self.edges):
+            self.close_edge(neighbor)
+        self.own, self.ready = set(), False
+        self.tree_id = self.asks_id = NOBODY

@@ -1,0 +1,81 @@
+"""A unit's turn on an edge: exchange the pair if that is worth while, then hand the turn over."""
+
+import numpy as np
+
+from skyherd.control.edge import NO_ROBOTS, Edge, Robots
+from skyherd.control.pairing import choose_pair
+from skyherd.control.standing import Standing
+from skyherd.tree_messages import NOBODY
+
+MUCH_NEARER = 0.8
+"""A surplus robot goes to a neighbour that sees it nearer to its centre by this factor."""
+
+SURPLUS = 2
+"""Surplus robots offered at a time: as many as a pair can carry."""
+
+
+def take_turns(unit: Standing, at_slot: bool) -> None:
+    """Take the turn on each edge where it is the unit's.
+
+    A unit that has nothing to change hands the turn over at once; else it waits for the next slot, changes
+    the pair there if that is still better, and hands over. It looks again only in a new slot or with new
+    robots in reach.
+    """
+    for edge in unit.edges.values():
+        if not edge.mine:
+            continue
+        at_hand = (unit.slot, edge.reach)
+        if at_slot:
+            edge.wants, pair = False, _better_pair(unit, edge)
+            if pair is not None:
+                _exchange(unit, edge, pair)
+        elif edge.considered != at_hand:
+            edge.wants = _better_pair(unit, edge) is not None
+        edge.considered = at_hand
+        if not edge.wants:
+            lent = unit.lendable(edge.neighbor_id)
+            edge.hand_over(lent, _unwanted(unit, edge, lent))
+
+
+def _exchange(unit: Standing, edge: Edge, pair: Robots) -> None:
+    """Share `pair` instead of the present one, which the neighbour keeps; a first pair makes a member."""
+    edge.pair = pair
+    if not unit.is_member:
+        tree = unit.heard.newest[edge.neighbor_id].tree
+        unit.tree_id, unit.ready, unit.asks_id = tree.tree_id, tree.ready, NOBODY
+
+
+def _better_pair(unit: Standing, edge: Edge) -> Robots | None:
+    """The pair to exchange the present one for, if any is better."""
+    there = unit.heard.newest[edge.neighbor_id]
+    ours = unit.controlled - edge.pair
+    return choose_pair(
+        unit.rule.share,
+        unit.template,
+        candidates=((edge.pair | edge.reach) & unit.visible & there.near(unit.rule.radius)) - ours,
+        distances=unit.distances,
+        present=edge.pair,
+        theirs=there.report.controlled_ids,
+        ours=np.array(sorted(ours), dtype=np.int64),
+        wanted=edge.wished,
+        unwanted=edge.pair & edge.giving,
+        gain=unit.rule.gain,
+    )
+
+
+def _unwanted(unit: Standing, edge: Edge, lent: Robots) -> Robots:
+    """Of the robots lent those that the unit would rather lose: leaving its view, or its surplus.
+
+    None, if it could take none of the neighbour's in return: the pair would only change about.
+    """
+    there = unit.heard.newest[edge.neighbor_id]
+    if len((there.controlled - there.paired) & unit.visible & there.near(unit.rule.radius)) < 2:
+        return NO_ROBOTS
+    here = {robot: unit.distances.get(robot, np.inf) for robot in lent & there.near(unit.rule.radius)}
+    leaving = unit.rule.radius * (1 + unit.rule.hysteresis)
+    out = [robot for robot, distance in here.items() if distance > leaving]
+    if len(unit.controlled) - len(there.controlled) < unit.rule.balance:
+        return frozenset(out)
+    nearer = [robot for robot, distance in here.items() if there.distances[robot] < MUCH_NEARER * distance]
+    nearer.sort(key=lambda robot: there.distances[robot] - here[robot])
+    return frozenset(out + nearer[:SURPLUS])

@@ -5,8 +5,7 @@ from dataclasses import dataclass, field
 
 from skyherd.control.edge import NO_ROBOTS, Robots
 from skyherd.control.selection import centre_distances
-from skyherd.messages import UnitReport
-from skyherd.tree_messages import NOBODY, TreeWord
+from skyherd.messages import NOBODY, TreeWord, UnitReport
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from skyherd.control.edge import NO_ROBOTS, Edge, word_of
 from skyherd.control.hearsay import Heard
 from skyherd.control.standing import Standing
-from skyherd.tree_messages import NOBODY
+from skyherd.messages import NOBODY
 
 
 def seek(unit: Standing, time_s: float, at_slot: bool) -> None:

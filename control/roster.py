@@ -30,8 +30,7 @@ from skyherd.control.succession import name_heir, succeed
 from skyherd.control.template import Template
 from skyherd.control.turns import take_turns
 from skyherd.geometry import IntArray
-from skyherd.messages import Detections, UnitReport
-from skyherd.tree_messages import NOBODY, TreeWord
+from skyherd.messages import NOBODY, Detections, TreeWord, UnitReport
 
 
 @dataclass

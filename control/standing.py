@@ -9,8 +9,7 @@ from skyherd.control.edge import Edge, Robots, first_turn, word_of
 from skyherd.control.hearsay import Hearsay
 from skyherd.control.selection import centre_distances
 from skyherd.control.template import Template
-from skyherd.messages import Detections
-from skyherd.tree_messages import NOBODY
+from skyherd.messages import NOBODY, Detections
 
 Share = Literal["leverage", "nearest"]
 

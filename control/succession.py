@@ -8,7 +8,7 @@ import numpy as np
 from skyherd.control.edge import Edge, word_of
 from skyherd.control.hearsay import Heard
 from skyherd.control.standing import Standing
-from skyherd.tree_messages import NOBODY
+from skyherd.messages import NOBODY
 
 GRACE = 2
 """Silences after which the other end of a new edge must know of it."""

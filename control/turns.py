@@ -5,7 +5,7 @@ import numpy as np
 from skyherd.control.edge import NO_ROBOTS, Edge, Robots
 from skyherd.control.pairing import choose_pair
 from skyherd.control.standing import Standing
-from skyherd.tree_messages import NOBODY
+from skyherd.messages import NOBODY
 
 MUCH_NEARER = 0.8
 """A surplus robot goes to a neighbour that sees it nearer to its centre by this factor."""

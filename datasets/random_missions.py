@@ -8,7 +8,8 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import pdist
 
 from skyherd.control import fit_similarity
-from skyherd.geometry import Array, ComplexArray, to_points
+from skyherd.datasets.shapes import shape_points
+from skyherd.geometry import Array, ComplexArray, to_complex, to_points
 
 SIDE_M = 0.2
 IN_COMMON = 4
@@ -43,9 +44,7 @@ def random_mission(seed: int, crowd: Crowd | None = None) -> dict[str, Any]:
         centers, parents = _tree(rng, crowd)
         cameras = [_camera(rng) for _ in centers]
         heights = rng.uniform(8.0, 12.0, crowd.units)
-        radii = np.array(
-            [h * np.tan(np.radians(c["half_angle_deg"])) for h, c in zip(heights, cameras, strict=True)]
-        )
+        radii = _radii(heights, cameras)
         robots = _robots(rng, crowd, centers, parents, 0.85 * radii)
         if robots is None:
             continue
@@ -54,6 +53,37 @@ def random_mission(seed: int, crowd: Crowd | None = None) -> dict[str, Any]:
             break
     else:
         raise RuntimeError(f"seed {seed}: no start in {TRIES} tries")
+    return _scenario(seed, rng, centers, heights, cameras, robots, template)
+
+
+def star_mission(seed: int) -> dict[str, Any]:
+    """A star of 16 under three units in a line, from a random start with roles by best fit."""
+    rng = np.random.default_rng([seed, 73])
+    robots = None
+    while robots is None:
+        centers, heights = np.array([-5.0, 0.0, 5.0], dtype=np.complex128), np.full(3, 10.0)
+        cameras = [_camera(rng) for _ in centers]
+        radii = _radii(heights, cameras)
+        robots = _robots(rng, Crowd(3, 5), centers, [-1, 0, 1], 0.85 * radii, extra=1)
+    spread = 1.3 * np.abs(robots - robots.mean()).std() + np.abs(robots - robots.mean()).mean()
+    shape = to_complex(shape_points("star", 16)) * spread
+    return _scenario(seed, rng, centers, heights, cameras, robots, _assign(shape, robots))
+
+
+def _radii(heights_m: Array, cameras: list[dict[str, Any]]) -> Array:
+    """Half the width, m, that each unit sees on the ground."""
+    return np.asarray(heights_m * np.tan(np.radians([camera["half_angle_deg"] for camera in cameras])))
+
+
+def _scenario(
+    seed: int,
+    rng: np.random.Generator,
+    centers: ComplexArray,
+    heights: Array,
+    cameras: list[dict[str, Any]],
+    robots: ComplexArray,
+    template: ComplexArray,
+) -> dict[str, Any]:
     units = [
         {
             "position_m": to_points(center).tolist(),
@@ -68,7 +98,7 @@ def random_mission(seed: int, crowd: Crowd | None = None) -> dict[str, Any]:
     return {
         "name": f"random-{seed}",
         "seed": seed,
-        "duration_s": 600.0 if crowd.units <= 5 else 1800.0,
+        "duration_s": 600.0 if len(units) <= 5 else 1800.0,
         "step_s": 0.2,
         "perception": "noisy",
         "template": {"points": to_points(template).tolist()},
@@ -109,7 +139,12 @@ def _camera(rng: np.random.Generator) -> dict[str, Any]:
 
 
 def _robots(
-    rng: np.random.Generator, crowd: Crowd, centers: ComplexArray, parents: list[int], radii_m: Array
+    rng: np.random.Generator,
+    crowd: Crowd,
+    centers: ComplexArray,
+    parents: list[int],
+    radii_m: Array,
+    extra: int = 0,
 ) -> ComplexArray | None:
     """Places of the robots, m, three sides apart: first what neighbours share, then around each unit."""
     places: list[complex] = []
@@ -132,7 +167,7 @@ def _robots(
         have = int(np.count_nonzero(both[0] & both[1])) if places else 0
         if not put(max(IN_COMMON - have, 0), [unit, parent]):
             return None
-    total = crowd.units * crowd.robots_a_unit
+    total = crowd.units * crowd.robots_a_unit + extra
     if len(places) > total:
         return None
     return (

@@ -13,7 +13,8 @@ import numpy.typing as npt
 from skyherd.errors import MessageError
 from skyherd.frozen import freeze, freeze_ids
 from skyherd.geometry import Array, IntArray
-from skyherd.tree_messages import TreeWord
+from skyherd.tree_messages import NOBODY as NOBODY
+from skyherd.tree_messages import TreeWord as TreeWord
 
 
 @dataclass(frozen=True)

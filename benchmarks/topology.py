@@ -1,0 +1,281 @@
+"""Many starts: does the protocol keep TC1-TC5, and does the shape come as fast as its slowest mode says?
+
+    export OPENBLAS_NUM_THREADS=1
+    python benchmarks/topology.py --missions 100 --jobs 2 --json tree.jsonl  # random trees of units
+    python benchmarks/topology.py --share nearest --json nearest.jsonl       # the paper's choice of pairs
+    python benchmarks/topology.py --network lossy --json lossy.jsonl         # 30 % lost, up to 0.5 s late
+    python benchmarks/topology.py --kill --json killed.jsonl                 # one unit dies, for good
+    python benchmarks/topology.py --start star --json star.jsonl             # star of 16 under three units
+    python benchmarks/topology.py --compare tree.jsonl nearest.jsonl         # times of one over the other
+
+One row a mission, as it ends, as a line of JSON; a file that is there is gone on with, so that an interrupted
+run resumes. Times count from when the tree is ready: robots hold still before. `predicted_s` is when
+`k ∫ λ dt`, over the topologies that were, reaches `log(error at the start / 0.01)`: exact for robots that are
+points without limits and an error that is all in the slowest mode.
+"""
+
+import argparse
+import json
+import os
+import sys
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from skyherd.control.rate import slowest_rate
+from skyherd.datasets import make_mission
+from skyherd.datasets.random_missions import random_crowd, random_mission, star_mission
+from skyherd.loop import Step, run_steps
+
+GOAL = 0.01
+LOSSY = {"message_loss": 0.3, "delay_s": 0.5, "repeats": 0.2}
+AFTER_DEATH_S = 300.0
+
+
+def mission_tree(seed: int, options: argparse.Namespace) -> dict[str, Any]:
+    """The scenario of one mission."""
+    rng = np.random.default_rng([seed, 72])
+    if options.start == "star":
+        tree = star_mission(seed)
+    else:
+        tree = random_mission(seed, random_crowd(rng, (3, 8)) if options.kill else None)
+    tree["selection"]["share"] = options.share
+    tree["perception"] = options.perception
+    if options.network == "lossy":
+        tree["network"] = LOSSY
+        tree["robots"]["timeout_s"] = 2.0
+    if options.kill:
+        victim, at_s = int(rng.integers(len(tree["units"]))), float(rng.uniform(15, 60))
+        tree["units"][victim]["outages"] = [[at_s, 1e6]]
+    return tree
+
+
+class Watch:
+    """Accounts for a mission, step by step, from truth."""
+
+    def __init__(self, gain: float, points: Any, ids: Any, death_s: float | None) -> None:
+        self.gain, self.points, self.ids, self.death_s = gain, points, ids, death_s
+        self.ready_s: float | None = None
+        self.reached_s: float | None = None
+        self.back_s: float | None = None
+        self.covered_s: float | None = None
+        self.violated_s = dict.fromkeys(("p", "tc1", "tc2"), 0.0)
+        self.longest_s, self._since_s = 0.0, 0.0
+        self.switches, self._sets, self._rate = 0, {}, 0.0
+        self.log_need = self.log_have = 0.0
+        self.predicted_s: float | None = None
+        self.last_s = 0.0
+
+    def see(self, step: Step) -> None:
+        """Take in one step."""
+        passed_s, self.last_s = step.time_s - self.last_s, step.time_s
+        words = [frame.decision.report.tree for frame in step.frames.values()]
+        if self.ready_s is None:
+            if any(word is not None and word.ready for word in words):
+                self.ready_s = step.time_s
+                self.log_need = float(np.log(step.observation.shape.error / GOAL))
+            return
+        if self.predicted_s is None:
+            self.log_have += self.gain * self._rate * passed_s
+            if self.log_have >= self.log_need:
+                self.predicted_s = step.time_s - self.ready_s
+        conditions = step.observation.conditions
+        holds = {"p": conditions.in_p, "tc1": conditions.tc1, "tc2": conditions.tc2}
+        for name, hold in holds.items():
+            self.violated_s[name] += 0.0 if hold else passed_s
+        self._since_s = 0.0 if conditions.in_p else self._since_s + passed_s
+        self.longest_s = max(self.longest_s, self._since_s)
+        sets = {unit: members.tobytes() for unit, members in step.control_sets.items()}
+        if sets != self._sets:
+            self.switches += bool(self._sets)
+            self._sets = sets
+            rows = [np.searchsorted(self.ids, members) for members in step.control_sets.values()]
+            self._rate = slowest_rate(self.points, rows)
+        if self.death_s is not None and step.time_s > self.death_s:
+            self._recover(step, conditions.in_q)
+        if self.reached_s is None and step.observation.shape.error < GOAL:
+            self.reached_s = step.time_s - self.ready_s
+
+    def _recover(self, step: Step, in_q: bool) -> None:
+        """When TC1-TC2 hold after a death, and when each robot is seen by a unit that controls it."""
+        assert self.death_s is not None
+        if self.back_s is None and in_q:
+            self.back_s = step.time_s - self.death_s
+        held = [
+            np.intersect1d(frame.decision.report.controlled_ids, frame.sight.detections.ids)
+            for frame in step.frames.values()
+        ]
+        if self.covered_s is None and in_q and np.unique(np.concatenate(held)).size == self.ids.size:
+            self.covered_s = step.time_s - self.death_s
+
+    def done(self, step: Step) -> bool:
+        """Whether nothing more is to be learned."""
+        if self.death_s is None:
+            return self.reached_s is not None and self.predicted_s is not None
+        converged = step.observation.shape.error < GOAL
+        return step.time_s > self.death_s and (
+            (converged and self.covered_s is not None) or step.time_s > self.death_s + 2 * AFTER_DEATH_S
+        )
+
+
+def run_mission(seed: int, options: argparse.Namespace) -> dict[str, Any]:
+    """One mission to its end; one row."""
+    started = perf_counter()
+    try:
+        tree = mission_tree(seed, options)
+        mission = make_mission(tree)
+    except RuntimeError as error:
+        return {"seed": seed, "error": str(error)}
+    deaths = [unit.outages[0][0] for unit in mission.scenario.units if unit.outages]
+    watch = Watch(
+        mission.scenario.control.k, mission.template.points_px, mission.ids, min(deaths, default=None)
+    )
+    step = None
+    for step in run_steps(mission):
+        watch.see(step)
+        if watch.done(step):
+            break
+        if watch.reached_s is not None and not deaths and step.time_s > 3 * (watch.reached_s + 60):
+            break
+    assert step is not None
+    error = step.observation.shape.error
+    row = {
+        "seed": seed,
+        "units": len(mission.scenario.units),
+        "robots": int(mission.ids.size),
+        "converged": bool(watch.reached_s is not None and (not deaths or error < GOAL)),
+        "time_to_1pct_s": watch.reached_s,
+        "predicted_s": watch.predicted_s,
+        "ready_s": watch.ready_s,
+        "p_violation_s": watch.violated_s["p"],
+        "tc1_violation_s": watch.violated_s["tc1"],
+        "tc2_violation_s": watch.violated_s["tc2"],
+        "longest_violation_s": watch.longest_s,
+        "switches": watch.switches,
+        "shape_error": error,
+        "simulated_s": step.time_s,
+        "wall_s": perf_counter() - started,
+    }
+    if deaths:
+        row |= {"death_s": watch.death_s, "tc12_back_s": watch.back_s, "covered_s": watch.covered_s}
+    return {key: round(value, 4) if isinstance(value, float) else value for key, value in row.items()}
+
+
+def read_rows(path: Path) -> list[dict[str, Any]]:
+    """Rows of a file; an unfinished last line is left out."""
+    rows = []
+    for line in path.read_text().splitlines() if path.exists() else []:
+        try:
+            rows.append(json.loads(line))
+        except json.JSONDecodeError:
+            break
+    return rows
+
+
+def new_rows(seeds: list[int], options: argparse.Namespace) -> Iterator[dict[str, Any]]:
+    """Rows of missions, as they end."""
+    run = partial(run_mission, options=options)
+    if options.jobs == 1:
+        yield from map(run, seeds)
+        return
+    with ProcessPoolExecutor(options.jobs) as pool:
+        yield from pool.map(run, seeds)
+
+
+def summarize(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """What all rows come to."""
+    good = [row for row in rows if "error" not in row]
+    times = np.array([row["time_to_1pct_s"] for row in good if row["time_to_1pct_s"] is not None])
+    ratios = np.array(
+        [
+            row["time_to_1pct_s"] / row["predicted_s"]
+            for row in good
+            if row["time_to_1pct_s"] is not None and row["predicted_s"]
+        ]
+    )
+    summary = {
+        "missions": len(good),
+        "no_start": len(rows) - len(good),
+        "converged": sum(row["converged"] for row in good),
+        "inside_p_throughout": sum(row["p_violation_s"] == 0 for row in good),
+        "longest_violation_s": max((row["longest_violation_s"] for row in good), default=0.0),
+        "switches_median": float(np.median([row["switches"] for row in good])),
+    }
+    if times.size:
+        summary |= {"time_median_s": float(np.median(times)), "time_max_s": float(times.max())}
+    if ratios.size:
+        summary |= {
+            "time_over_predicted_median": float(np.median(ratios)),
+            "time_over_predicted_max": float(ratios.max()),
+        }
+    deaths = [row for row in good if "death_s" in row]
+    if deaths:
+        back = [np.inf if row["tc12_back_s"] is None else row["tc12_back_s"] for row in deaths]
+        covered = [np.inf if row["covered_s"] is None else row["covered_s"] for row in deaths]
+        summary |= {
+            "tc12_back_within_30s": int(np.sum(np.array(back) <= 30)),
+            "covered_within_30s": int(np.sum(np.array(covered) <= 30)),
+            "covered_median_s": float(np.median(covered)),
+        }
+    return summary
+
+
+def compare(ours: list[dict[str, Any]], theirs: list[dict[str, Any]]) -> dict[str, Any]:
+    """Times of the second file over those of the first, by seed; unfinished ones at their duration."""
+
+    def times(rows: list[dict[str, Any]]) -> dict[int, float]:
+        return {
+            row["seed"]: row["simulated_s"] if row["time_to_1pct_s"] is None else row["time_to_1pct_s"]
+            for row in rows
+            if "error" not in row
+        }
+
+    first, second = times(ours), times(theirs)
+    ratios = np.array([second[seed] / first[seed] for seed in sorted(first.keys() & second.keys())])
+    quantiles = np.quantile(ratios, [0.0, 0.05, 0.25, 0.5, 0.75, 0.95, 1.0])
+    return {
+        "missions": int(ratios.size),
+        "ratio_quantiles_0_5_25_50_75_95_100": [round(float(value), 2) for value in quantiles],
+        "slower_by_over_1.2": int(np.sum(ratios < 1 / 1.2)),
+    }
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--missions", type=int, default=20)
+    parser.add_argument("--seed", type=int, default=0, help="of the first mission")
+    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("--json", type=Path, help="file of rows, gone on with if it is there")
+    parser.add_argument("--share", choices=["leverage", "nearest"], default="leverage")
+    parser.add_argument("--network", choices=["perfect", "lossy"], default="perfect")
+    parser.add_argument("--perception", choices=["noisy", "ideal", "rendered"], default="noisy")
+    parser.add_argument("--start", choices=["random", "star"], default="random")
+    parser.add_argument("--kill", action="store_true", help="one unit dies at a random time")
+    parser.add_argument("--compare", nargs=2, type=Path, metavar=("OURS", "THEIRS"))
+    options = parser.parse_args()
+    if options.compare:
+        print(json.dumps(compare(*(read_rows(path) for path in options.compare)), indent=1))
+        return
+    rows = read_rows(options.json) if options.json else []
+    have = {row["seed"] for row in rows}
+    seeds = [seed for seed in range(options.seed, options.seed + options.missions) if seed not in have]
+    for row in new_rows(seeds, options):
+        rows.append(row)
+        line = json.dumps(row)
+        if options.json:
+            with options.json.open("a") as file:
+                file.write(line + "\n")
+        print(line, file=sys.stderr)
+    print(json.dumps(summarize(rows), indent=1))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,6 +1,7 @@
 """Detections to motion goals to robot commands; nothing here sees truth or calibration."""
 
 from skyherd.control.flight import Follow, Hover, Perimeter
+from skyherd.control.free import FreeRule, FreeThenTree
 from skyherd.control.fusion import Inboxes
 from skyherd.control.goals import motion_goals
 from skyherd.control.robot_law import MarkerGains, PixelGains, robot_commands
@@ -10,13 +11,15 @@ from skyherd.control.serve import Serve
 from skyherd.control.similarity import Similarity, desired_points, fit_similarity
 from skyherd.control.standing import TreeRule
 from skyherd.control.template import Template
-from skyherd.control.unit import AerialController, Decision
+from skyherd.control.unit import AerialController, Decision, Selection
 
 __all__ = [
     "AerialController",
     "ControlSet",
     "Decision",
     "Follow",
+    "FreeRule",
+    "FreeThenTree",
     "Hover",
     "Inboxes",
     "MarkerGains",
@@ -24,6 +27,7 @@ __all__ = [
     "PixelGains",
     "Roster",
     "SafetyRadius",
+    "Selection",
     "Serve",
     "Similarity",
     "Template",

@@ -95,6 +95,9 @@ class Roster:
             missing_ids=np.array(sorted(missing), dtype=np.int64),
         )
 
+    def note(self, time_s: float, own: UnitReport, reports: Sequence[UnitReport]) -> None:
+        """V falls by itself where TC1-TC5 hold: nothing to watch."""
+
     def _hear(self, reports: Sequence[UnitReport]) -> None:
         """Take the turns that are handed over; of two trees the one with the lower number stays."""
         unit = self.unit

@@ -66,6 +66,9 @@ class ControlSet:
     def word(self, time_s: float) -> None:
         """No word of a tree: sets overlap as they will."""
 
+    def note(self, time_s: float, own: UnitReport, reports: Sequence[UnitReport]) -> None:
+        """Sets do not depend on V."""
+
     def _inside(self, seen: Detections) -> IntArray:
         return np.sort(seen.ids[centre_distances(seen) < self.rule.radius])
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from skyherd.control.flight import Flight
+from skyherd.control.free import FreeRule, FreeThenTree, cost_share
 from skyherd.control.goals import motion_goals
 from skyherd.control.roster import Roster
 from skyherd.control.selection import ControlSet, SafetyRadius
@@ -14,6 +15,8 @@ from skyherd.control.template import Template
 from skyherd.errors import DegenerateSetError
 from skyherd.geometry import IntArray
 from skyherd.messages import Detections, FlightCommand, MotionGoals, UnitReport, shared_ids
+
+Selection = SafetyRadius | TreeRule | FreeRule
 
 
 @dataclass(frozen=True)
@@ -39,7 +42,7 @@ class AerialController:
     def __init__(
         self,
         template: Template,
-        selection: SafetyRadius | TreeRule,
+        selection: Selection,
         flight: Flight,
         *,
         nearest: int = 3,
@@ -54,6 +57,7 @@ class AerialController:
         seen = detections.select(self.template.ids)
         reports = [r for r in reports if r.time_s >= detections.time_s - self.report_lifetime_s]
         controlled = self.control_set.update(seen, reports)
+        goals = self._goals(seen, controlled, reports) if self.control_set.ready else None
         report = UnitReport(
             unit_id=seen.unit_id,
             time_s=seen.time_s,
@@ -63,8 +67,9 @@ class AerialController:
             controlled_ids=controlled,
             secure_ids=self.control_set.secure(seen),
             tree=self.control_set.word(seen.time_s),
+            cost_sides2=cost_share(goals),
         )
-        goals = self._goals(seen, controlled, reports) if self.control_set.ready else None
+        self.control_set.note(seen.time_s, report, reports)
         keep = controlled if self.control_set.ready else np.union1d(controlled, seen.ids)
         return Decision(goals, report, self.flight.command(seen, keep, reports))
 
@@ -83,6 +88,10 @@ class AerialController:
             return None
 
 
-def _begin(selection: SafetyRadius | TreeRule, template: Template) -> ControlSet | Roster:
+def _begin(selection: Selection, template: Template) -> ControlSet | Roster | FreeThenTree:
     """The set of a unit that has seen and heard nothing yet."""
-    return Roster(selection, template) if isinstance(selection, TreeRule) else ControlSet(selection)
+    if isinstance(selection, TreeRule):
+        return Roster(selection, template)
+    if isinstance(selection, FreeRule):
+        return FreeThenTree(selection, template)
+    return ControlSet(selection)

@@ -76,8 +76,9 @@ class ControlModel(Model):
 class SelectionModel(Model):
     """Which robots a unit controls: all inside its safety radius, or by agreement along a tree of units."""
 
-    kind: Literal["radius", "tree"] = Field(
-        "radius", description="free overlaps, or TC1-TC5 kept by the units' protocol"
+    kind: Literal["radius", "tree", "radius-then-tree"] = Field(
+        "radius",
+        description="free overlaps, or TC1-TC5 kept by the units' protocol, or that once V has stalled",
     )
     share: Literal["leverage", "nearest"] = Field(
         "leverage", description="tree: two neighbours share the pair that binds them best, or the nearest"

@@ -8,12 +8,14 @@ import numpy as np
 from skyherd.control import (
     AerialController,
     Follow,
+    FreeRule,
     Hover,
     Inboxes,
     MarkerGains,
     Perimeter,
     PixelGains,
     SafetyRadius,
+    Selection,
     Serve,
     Template,
     TreeRule,
@@ -94,11 +96,12 @@ def make_gains(scenario: Scenario) -> Gains:
     return MarkerGains(control.k, control.k_omega, control.b_th, scenario.marker.side_m)
 
 
-def make_selection(model: SelectionModel) -> SafetyRadius | TreeRule:
+def make_selection(model: SelectionModel) -> Selection:
     """The rule by which a scenario's units choose their sets."""
-    if model.kind == "tree":
-        return TreeRule(model.share, model.radius, model.hysteresis, model.dwell_s, silence_s=model.silence_s)
-    return SafetyRadius(model.radius, model.hysteresis, model.dwell_s)
+    free = SafetyRadius(model.radius, model.hysteresis, model.dwell_s)
+    tree = TreeRule(model.share, model.radius, model.hysteresis, model.dwell_s, silence_s=model.silence_s)
+    rules: dict[str, Selection] = {"radius": free, "tree": tree, "radius-then-tree": FreeRule(free, tree)}
+    return rules[model.kind]
 
 
 def make_controller(mission: Mission, unit: int) -> AerialController:

@@ -60,6 +60,8 @@ class Detections:
     def select(self, ids: npt.ArrayLike) -> "Detections":
         """Keep only the robots named in `ids`, in the order found."""
         keep = np.isin(self.ids, ids)
+        if keep.all():
+            return self
         return Detections(
             unit_id=self.unit_id,
             time_s=self.time_s,
@@ -171,6 +173,7 @@ class UnitReport:
         controlled_ids: (M,) robots it controls.
         secure_ids: (L,) those of them that it sees inside its safety radius now.
         tree: its standing in the tree of units; None where sets come from the safety radius alone.
+        cost_sides2: its share V_j of the cost function, in marker sides squared.
     """
 
     unit_id: int
@@ -181,6 +184,7 @@ class UnitReport:
     controlled_ids: IntArray
     secure_ids: IntArray
     tree: TreeWord | None = None
+    cost_sides2: float = 0.0
 
     def __post_init__(self) -> None:
         n = freeze_ids(self, "ids")

@@ -9,7 +9,7 @@ from skyherd.vision.fit import fit_markers
 from skyherd.vision.plane import Plane
 from skyherd.vision.pyramid import fit_all_sizes
 from skyherd.vision.shapes import Shapes
-from skyherd.vision.verify import image_noise, verified
+from skyherd.vision.verify import bits_are_right, image_noise, verified
 
 DICTIONARY, SIGMA_PX = "4X4_50", 0.85
 
@@ -102,6 +102,55 @@ def test_a_marker_blurred_unlike_the_others_is_none(place_markers, draw_markers)
     assert verified(replace(fits, log_blurs=fits.log_blurs + 0.35), 5.0).all()
     odd = fits.log_blurs + 0.45 * (np.arange(9) == 4)
     assert verified(replace(fits, log_blurs=odd), 5.0).tolist() == [i != 4 for i in range(9)]
+
+
+def test_print_contrast_is_the_same_in_any_light(place_markers, draw_markers):
+    """Light that is five times less scales black and white alike: 200 / 230 of white, to 1 %."""
+    rng = np.random.default_rng(9)
+    image = draw_markers(place_markers(50 + 50j, 0.3, 30.0), [7], (100, 100), rng, noise=0.0)
+    for light in (1.0, 0.2):
+        shaded = np.rint(light * image).astype(np.uint8)
+        start = one_shape(50 + 50j, 30j * np.exp(0.3j))
+        fits, _ = fit_markers(shaded, DICTIONARY, np.array([7]), start, SIGMA_PX, Plane())
+        assert fits.print_contrasts()[0] == pytest.approx(200 / 230, rel=0.01)
+
+
+def nine_fits(place_markers, draw_markers):
+    rng = np.random.default_rng(10)
+    homes = 50 + 50j + 70 * (np.arange(9) % 3 + 1j * (np.arange(9) // 3))
+    image = draw_markers(place_markers(homes, np.zeros(9), 30.0), range(9), (240, 240), rng)
+    arms = np.full(9, 30j)
+    start = Shapes(homes, arms, 0 * arms, 0 * arms)
+    return fit_markers(image, DICTIONARY, np.arange(9), start, SIGMA_PX, Plane())[0]
+
+
+def test_what_is_printed_unlike_the_others_is_none(place_markers, draw_markers):
+    """Of nine, one as faint as ground between cards, whatever is left of it; shade on one is none."""
+    fits, fifth = nine_fits(place_markers, draw_markers), np.arange(9) == 4
+    grey = replace(fits, blacks=np.where(fifth, 120.0, fits.blacks))
+    grey = replace(grey, contrasts=np.where(fifth, 100.0, fits.contrasts))
+    assert verified(grey, 5.0).tolist() == (~fifth).tolist()
+    shade = np.where(fifth, 0.4, 1.0)
+    shaded = replace(fits, blacks=shade * fits.blacks, contrasts=shade * fits.contrasts)
+    assert verified(shaded, 5.0).all()
+
+
+def test_a_white_that_no_camera_gives_is_none(place_markers, draw_markers):
+    """Where blur takes most of a texture away, a fit may ask for any contrast to explain it."""
+    fits = nine_fits(place_markers, draw_markers)
+    brighter = np.linspace(0, 80, 9)
+    whites = fits.blacks + brighter + fits.contrasts
+    assert verified(replace(fits, blacks=fits.blacks + brighter), 5.0).tolist() == (whites <= 280).tolist()
+
+
+@pytest.mark.parametrize(("share", "passes"), [(0.05, True), (0.16, False)])
+def test_little_left_in_every_cell_is_as_bad_as_much_in_one(place_markers, draw_markers, share, passes):
+    """A wrong cell leaves about 150 levels, an RMS of 25 over all 36, half of which is allowed: 0.05 x 150 in
+    every cell passes, 0.16 x 150 does not, although no cell by itself is wrong below a fifth."""
+    fits = nine_fits(place_markers, draw_markers)
+    board = share * 150.0 * (-1.0) ** np.add.outer(np.arange(6), np.arange(6))
+    off = replace(fits, cell_means=board + 0 * fits.cell_means)
+    assert bits_are_right(off).all() and (verified(off, 5.0) == passes).all()
 
 
 # --- large markers ---

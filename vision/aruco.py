@@ -8,6 +8,7 @@ from skyherd.geometry import Array, IntArray
 from skyherd.markers import load_dictionary, pose_of_corners
 from skyherd.messages import Detections
 from skyherd.vision.accuracy import DetectorAccuracy, load_accuracy
+from skyherd.vision.corners import detections_of_corners
 from skyherd.vision.grey import check_grey
 
 MIN_SIDE_PX = 8.0
@@ -49,23 +50,22 @@ class ArucoDetector:
         Raises:
             InputError: the image is not a grey one of 8 bits.
         """
-        ids, corners = self._find(check_grey(image))
-        centers, headings, sides = pose_of_corners(corners)
+        image = check_grey(image)
+        ids, corners = self._find(image)
+        _, headings, sides = pose_of_corners(corners)
         covariances = np.zeros((ids.size, 3, 3))
         if self._accuracy is not None:
-            true_sides = self._accuracy.true_sides_px(sides)
-            corners = centers[:, None] + (corners - centers[:, None]) * (true_sides / sides)[:, None, None]
-            sides, covariances = true_sides, self._accuracy.covariances(true_sides)
-        return Detections(
-            unit_id=unit_id,
-            time_s=time_s,
-            image_size_px=np.array([image.shape[1], image.shape[0]]),
-            ids=ids,
-            centers_px=centers,
+            sides = self._accuracy.true_sides_px(sides)
+            covariances = self._accuracy.covariances(sides)
+        return detections_of_corners(
+            image,
+            ids,
+            corners,
             headings_rad=headings,
             sides_px=sides,
-            corners_px=corners,
             covariances=covariances,
+            time_s=time_s,
+            unit_id=unit_id,
         )
 
     def _find(self, image: npt.NDArray[np.uint8]) -> tuple[IntArray, Array]:

@@ -63,6 +63,7 @@ class Fits(Rows):
         ids: (N,).
         shapes: where they lie.
         covariances: (N, 3, 3) of (u, v, heading).
+        blacks: (N,) grey level of black.
         contrasts: (N,) grey levels from black to white.
         noises: (N,) standard deviation of what is left of the pixels, grey levels.
         log_blurs: (N,) by how much the blur differs from what it was taken for.
@@ -74,6 +75,7 @@ class Fits(Rows):
     ids: IntArray
     shapes: Shapes
     covariances: Array
+    blacks: Array
     contrasts: Array
     noises: Array
     log_blurs: Array
@@ -81,13 +83,17 @@ class Fits(Rows):
     pixels: Array
     cell_means: Array
 
+    def print_contrasts(self) -> Array:
+        """(N,) print contrast `(white - black) / white`: of the print alone, whatever light falls on it."""
+        return np.asarray(self.contrasts / np.maximum(self.blacks + self.contrasts, 1.0))
+
 
 def no_fits(dictionary: str) -> Fits:
     """None at all."""
     n, none, points = cells_per_side(dictionary), np.zeros(0), np.zeros(0, dtype=complex)
     shapes = Shapes(points, points, points, points)
     covariances, cells = np.zeros((0, 3, 3)), np.zeros((0, n, n))
-    return Fits(np.zeros(0, dtype=np.int64), shapes, covariances, none, none, none, none, none, cells)
+    return Fits(np.zeros(0, dtype=np.int64), shapes, covariances, none, none, none, none, none, none, cells)
 
 
 def fit_markers(
@@ -144,6 +150,7 @@ def fit_markers(
         ids=ids,
         shapes=shapes,
         covariances=_covariances(solved, shapes, plane.variances(shapes.centers - middle)),
+        blacks=solved.values[:, BLACK] + MIDDLE_GREY,
         contrasts=solved.values[:, CONTRAST],
         noises=solved.noises(),
         log_blurs=solved.values[:, BLUR] / solved.contrasts(),

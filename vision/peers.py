@@ -30,6 +30,8 @@ from skyherd.errors import InputError
 from skyherd.geometry import Array, IntArray, to_complex
 from skyherd.markers import CORNERS, load_dictionary, pose_of_corners
 from skyherd.messages import Detections
+from skyherd.vision.corners import detections_of_corners
+from skyherd.vision.grey import check_grey
 
 REFINEMENTS = {
     "opencv": cv2.aruco.CORNER_REFINE_NONE,
@@ -82,26 +84,21 @@ class PeerDetector:
         Raises:
             InputError: the image is not a grey one of 8 bits.
         """
-        if image.ndim != 2 or image.dtype != np.uint8 or min(image.shape) < 1:
-            raise InputError("image", f"shape {image.shape}, {image.dtype}", "grey, (height, width), uint8")
+        image = check_grey(image)
         ids, corners = _largest_of_each(*self._finder.find(image, corrected=self.corrected))
-        centers, _, sides = pose_of_corners(corners)
-        headings = headings_in_plane(corners)
+        sides, headings = pose_of_corners(corners)[2], headings_in_plane(corners)
         if self.corrected:
             bias = load_bias(self.name)
-            true_sides = np.maximum(sides - bias.side_px, 1.0)
-            corners = centers[:, None] + (corners - centers[:, None]) * (true_sides / sides)[:, None, None]
-            centers, corners, sides = centers - bias.position_px, corners - bias.position_px, true_sides
-        return Detections(
-            unit_id=unit_id,
-            time_s=time_s,
-            image_size_px=np.array([image.shape[1], image.shape[0]]),
-            ids=ids,
-            centers_px=centers,
+            sides, corners = np.maximum(sides - bias.side_px, 1.0), corners - bias.position_px
+        return detections_of_corners(
+            image,
+            ids,
+            corners,
             headings_rad=headings,
             sides_px=sides,
-            corners_px=corners,
             covariances=np.zeros((ids.size, 3, 3)),
+            time_s=time_s,
+            unit_id=unit_id,
         )
 
 
@@ -183,7 +180,7 @@ class _AprilTag3:
         self._detector = _apriltag_library_detector(FAMILIES[dictionary])
 
     def find(self, image: npt.NDArray[np.uint8], *, corrected: bool) -> tuple[IntArray, Array]:
-        tags = self._detector.detect(np.ascontiguousarray(image))
+        tags = self._detector.detect(image)
         corners = np.array([tag.corners for tag in tags], dtype=float).reshape(-1, 4, 2)
         order = OUR_CORNERS if corrected else OWN_CORNERS
         return np.array([tag.tag_id for tag in tags], dtype=np.int64), corners[:, order]

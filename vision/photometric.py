@@ -23,7 +23,7 @@ from skyherd.vision.shapes import CORNERS, Shapes
 from skyherd.vision.tracks import Tracks, in_view, no_tracks
 from skyherd.vision.verify import (
     FIRST_SHARE,
-    LARGEST_BLUR_STEP,
+    are_alike,
     bits_are_right,
     border_is_covered,
     image_noise,
@@ -41,8 +41,8 @@ CORNERS_TELL_PX = 1.0
 LEAST_NOISE = 0.3
 """Rounding to whole grey levels leaves as much in any image."""
 
-LEAST_OF_CONTRAST = 0.2
-"""Least share of the other markers' contrast, even in a shadow."""
+WITNESSES = 3
+"""So many markers tell an image's noise better than it does itself; fewer would judge in their own case."""
 
 NEAR_SIDES, COVERED_NOISE = 0.1, 1.5
 """A marker whose border is covered counts if it is so near to where it should be; it tells no noise."""
@@ -58,7 +58,7 @@ class Camera:
     Attributes:
         sigma_px: blur of lens and pixel together; None until markers have been seen.
         noise: standard deviation of a pixel, grey levels; None likewise.
-        contrast: of its markers, grey levels.
+        print_contrast: of its markers.
         plane: that the markers lie on.
         tracks: markers being followed.
         unsearched: images since a whole one was searched.
@@ -67,7 +67,7 @@ class Camera:
 
     sigma_px: float | None = None
     noise: float | None = None
-    contrast: float = 0.0
+    print_contrast: float = 0.0
     plane: Plane = field(default_factory=Plane)
     tracks: Tracks = field(default_factory=no_tracks)
     unsearched: int = 0
@@ -141,13 +141,17 @@ class PhotometricDetector:
 
     def _identify(self, image: Image, camera: Camera, quads_px: Array) -> Fits:
         """The markers that quadrilaterals (N, 4, 2) show."""
+        fits = self._candidates(image, camera, quads_px)
+        return fits.take(_verified(fits, camera, image))
+
+    def _candidates(self, image: Image, camera: Camera, quads_px: Array) -> Fits:
+        """What quadrilaterals (N, 4, 2) most resemble, fitted."""
         sigma_px = camera.sigma_px or START_SIGMA_PX
         candidates = _best_of_each(decode_quads(image, quads_px, self.dictionary, sigma_px))
         if not candidates.ids.size:
             return self._none
         shapes = _on_plane(Shapes.of_corners(candidates.corners_px), camera.plane, image.shape)
-        fits = self._fit(image, camera, candidates.ids, shapes)
-        return fits.take(_verified(fits, camera, image))
+        return self._fit(image, camera, candidates.ids, shapes)
 
     def _fit(self, image: Image, camera: Camera, ids: IntArray, shapes: Shapes) -> Fits:
         sigma_px = camera.sigma_px or START_SIGMA_PX
@@ -158,9 +162,10 @@ class PhotometricDetector:
         return fits
 
     def _find_blur(self, image: Image, camera: Camera, quads_px: Array) -> None:
-        """Identify with the blur that the fits find, until it is found right."""
+        """Fit with the blur that the fits find, until it is found right."""
         for _ in range(BLUR_ROUNDS):
-            found = self._identify(image, camera, quads_px)
+            found = self._candidates(image, camera, quads_px)
+            found = found.take(_seem_right(found, image))
             if not len(found.ids) or abs(_learn_blur(camera, found, 1.0)) < BLUR_SETTLED:
                 return
 
@@ -170,7 +175,8 @@ class PhotometricDetector:
         told = found if camera.noise is None else found.take(found.noises < COVERED_NOISE * camera.noise)
         if len(told.ids):
             _learn_blur(camera, told, BLUR_RATE)
-            noise, camera.contrast = float(np.median(told.noises)), float(np.median(told.contrasts))
+            noise = float(np.median(told.noises))
+            camera.print_contrast = float(np.median(told.print_contrasts()))
             camera.noise = (
                 noise if camera.noise is None else camera.noise + BLUR_RATE * (noise - camera.noise)
             )
@@ -200,14 +206,19 @@ def _on_plane(shapes: Shapes, plane: Plane, image_shape: tuple[int, ...]) -> Sha
     return replace(shapes, squeezes=np.where(near, squeezes, shapes.squeezes))
 
 
+def _seem_right(fits: Fits, image: Image) -> BoolArray:
+    """Which fits (N,) show their marker at a first look, by what the image itself tells of its noise."""
+    return verified(fits, max(image_noise(image), LEAST_NOISE), FIRST_SHARE)
+
+
 def _verified(fits: Fits, camera: Camera, image: Image) -> BoolArray:
     """Which fits (N,) show their marker, by the camera's noise: the image tells it until markers have."""
     if camera.noise is not None:
-        alike = np.abs(fits.log_blurs) <= LARGEST_BLUR_STEP
-        alike &= fits.contrasts >= LEAST_OF_CONTRAST * camera.contrast
-        return verified(fits, camera.noise) & alike
-    first = verified(fits, image_noise(image), FIRST_SHARE)
-    return first & verified(fits, float(np.median(fits.noises[first]))) if first.any() else first
+        return verified(fits, camera.noise) & are_alike(fits, 0.0, camera.print_contrast)
+    first = _seem_right(fits, image)
+    several = np.count_nonzero(first) >= WITNESSES
+    noise = float(np.median(fits.noises[first])) if several else max(image_noise(image), LEAST_NOISE)
+    return first & verified(fits, noise)
 
 
 def _elsewhere(quads_px: Array, known: Shapes) -> BoolArray:

@@ -110,52 +110,52 @@ def _lacks_quiet(reading: Reading) -> Array:
     return np.asarray(share < QUIET_SHARE)
 
 
+WORDS = {
+    Reason.NO_BITS: "a dark quadrilateral without bits",
+    Reason.CUT: "{seen} in the picture{known}: all of it must be, with its white margin",
+    Reason.LOW_CONTRAST: "white {white:.0f} is only {contrast:.0f} grey levels above black {black:.0f}, "
+    "at least {enough_contrast:.0f} are needed ({like}): more light, less glare, a better print",
+    Reason.MIRRORED: "the mirror image of id {id}: flip the picture left to right",
+    Reason.REPEATED: "id {id} is there more than once, so that none is trusted: use each id once",
+    Reason.OBLIQUE: "seen {tilt_deg:.0f} deg from straight above, {cell_px:.1f} px a cell the short way, "
+    "at least {enough_cell_px:.0f} are needed ({like}): look from above, or fly nearer",
+    Reason.FEW_PIXELS: "{cell_px:.1f} px a cell, at least {enough_cell_px:.0f} are needed ({like}): "
+    "fly lower, zoom in or print larger",
+    Reason.BLURRED: "blurred by {blur_px:.1f} px, {blur_cells:.1f} of a cell; at most {most_blur_cells:g} "
+    "can be read ({like}): focus, expose for less time, or print larger",
+    Reason.NO_QUIET_ZONE: "no white margin at {dark_edges} of its 4 edges ({like}): leave one cell, "
+    "{cell_percent:.0f} % of its side, white all around",
+    Reason.WRONG_BITS: "{wrong} of {cells} cells differ from the nearest marker, id {id}: covered "
+    "in part, dirty, or of another dictionary than {dictionary}",
+    Reason.OVERLOOKED: "reads as id {id} without a fault, {cell_px:.1f} px a cell: try another detector",
+}
+"""What is said of each reason, and what to do about it."""
+
+
 def describe(reason: Reason, reading: Reading, dictionary: str) -> str:
     """The reason with its numbers, and what to do about it."""
-    r, n, short = reading, cells_per_side(dictionary), reading.cell_px[0]
-    like = f"most like id {r.nearest_id}" + (
-        f", {r.wrong_bits} of {n * n} cells wrong" if r.wrong_bits else ""
+    r, n = reading, cells_per_side(dictionary)
+    like = f"most like id {r.nearest_id}"
+    if r.wrong_bits:
+        like += f", {r.wrong_bits} of {n * n} cells wrong"
+    return WORDS[reason].format(
+        like=like,
+        known=f" ({like})" if r.visible > KNOWN_SHARE else "",
+        seen=f"only {r.visible:.0%} of it is" if r.visible < 1 else "it touches the edge of what is",
+        id=r.nearest_id,
+        wrong=r.wrong_bits,
+        cells=n * n,
+        cell_percent=100 / n,
+        cell_px=r.cell_px[0],
+        enough_cell_px=ENOUGH_CELL_PX,
+        black=r.black,
+        white=r.white,
+        contrast=r.contrast,
+        enough_contrast=ENOUGH_CONTRAST,
+        blur_px=r.blur_cells * r.cell_px.mean(),
+        blur_cells=r.blur_cells,
+        most_blur_cells=BLUR_CELLS,
+        tilt_deg=r.tilt_deg,
+        dark_edges=int(_lacks_quiet(r).sum()),
+        dictionary=dictionary,
     )
-    match reason:
-        case Reason.NO_BITS:
-            return "a dark quadrilateral without bits"
-        case Reason.CUT:
-            seen = f"only {r.visible:.0%} of it is" if r.visible < 1 else "it touches the edge of what is"
-            known = f" ({like})" if r.visible > KNOWN_SHARE else ""
-            return f"{seen} in the picture{known}: all of it must be, with its white margin"
-        case Reason.LOW_CONTRAST:
-            return (
-                f"white {r.white:.0f} is only {r.contrast:.0f} grey levels above black {r.black:.0f}, at "
-                f"least {ENOUGH_CONTRAST:.0f} are needed ({like}): more light, less glare, a better print"
-            )
-        case Reason.MIRRORED:
-            return f"the mirror image of id {r.nearest_id}: flip the picture left to right"
-        case Reason.REPEATED:
-            return f"id {r.nearest_id} is there more than once, so that none is trusted: use each id once"
-        case Reason.OBLIQUE:
-            return (
-                f"seen {r.tilt_deg:.0f} deg from straight above, {short:.1f} px a cell the short way, at "
-                f"least {ENOUGH_CELL_PX:.0f} are needed ({like}): look from above, or fly nearer"
-            )
-        case Reason.FEW_PIXELS:
-            return (
-                f"{short:.1f} px a cell, at least {ENOUGH_CELL_PX:.0f} are needed ({like}): fly lower, zoom "
-                "in or print larger"
-            )
-        case Reason.BLURRED:
-            return (
-                f"blurred by {r.blur_cells * r.cell_px.mean():.1f} px, {r.blur_cells:.1f} of a cell; at "
-                f"most {BLUR_CELLS:g} can be read ({like}): focus, expose for less time, or print larger"
-            )
-        case Reason.NO_QUIET_ZONE:
-            return (
-                f"no white margin at {int(_lacks_quiet(r).sum())} of its 4 edges ({like}): leave one cell, "
-                f"{100 / n:.0f} % of its side, white all around"
-            )
-        case Reason.WRONG_BITS:
-            return (
-                f"{r.wrong_bits} of {n * n} cells differ from the nearest marker, id {r.nearest_id}: covered "
-                f"in part, dirty, or of another dictionary than {dictionary}"
-            )
-        case Reason.OVERLOOKED:
-            return f"reads as id {r.nearest_id} without a fault, {short:.1f} px a cell: try another detector"

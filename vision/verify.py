@@ -1,9 +1,14 @@
 """Whether a fit shows its marker: every bit read again, and nothing left but noise.
 
 A cell of the wrong colour leaves, along each axis, `E(x) = Φ((x + 1/2) / σ) - Φ((x - 1/2) / σ)` of the
-contrast, with x and the blur σ in cells: over the cell itself `(∫ E)²` on average, and over the image the
-squares `(∫ E²)²` for each pixel of the cell. What a fit leaves is measured by that.
+contrast, with x and the blur σ in cells: over the cell k cells further on `e_k = ∫ E` on average, and over
+the image the squares `(∫ E²)²` for each pixel of the cell. What a fit leaves is measured by that.
+
+Light falls on black and white alike, so that `(white - black) / white`, the print contrast, is the same in
+sun and shade: what has less of it than the camera's markers is no print of them, but ground between cards.
 """
+
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import ndtr
@@ -16,8 +21,8 @@ WRONG_CELL, WRONG_CELL_SIGMAS, WRONG_CELL_LIMIT = 0.2, 4.0, 0.4
 """A cell is wrong if it leaves more than the first share of what a wrong colour would leave and so many
 deviations of what noise does, or the last share in any case."""
 
-CONTRAST_LIMITS = 12.0, 280.0
-"""Grey levels from black to white: least that is looked at, and most, a tenth more than there can be."""
+LEAST_CONTRAST, LARGEST_WHITE = 12.0, 280.0
+"""Grey levels: least from black to white that is looked at, and a white a tenth above all that there are."""
 
 MAX_CELL_NOISE = 0.12
 """Largest noise of a cell's mean, as a share of what a wrong colour would leave: an eighth."""
@@ -31,9 +36,14 @@ MAX_BLUR_CELLS = 0.75
 MIN_SEEN = 0.8
 """Least share of a marker's area that its pixels must cover: an image may cut off its border, not bits."""
 
-NOISE_FACTOR, WRONG_BIT_SHARE, FIRST_SHARE = 1.25, 0.4, 0.75
+NOISE_FACTOR, WRONG_BIT_SHARE, FIRST_SHARE = 1.25, 0.5, 0.75
 """A fit may leave this many times the camera's noise and, for what the model lacks, this share of the root
-mean square that one wrong bit would leave; the last while only the image itself tells the noise."""
+mean square that one wrong bit would leave, over the pixels and over the cells' means; the last in a first
+look, while blur and noise are not known yet."""
+
+LEAST_PRINT_CONTRAST = 0.75
+"""Least share of the other markers' print contrast. Theirs differ by a tenth at 12 px and noise 10; stray
+light of a twentieth of white takes as much as this leaves in a shade five times darker."""
 
 LARGEST_BLUR_STEP = 0.3
 """A marker's blur may differ from that of the others by this, in its logarithm. At 12 px and noise 10 it is
@@ -46,13 +56,13 @@ MOST_COVERED, MOST_LEFT = 8, 2.0
 """Of a marker that is being followed so many cells of the border may be covered, as by a neighbour's card,
 while the bits within are all seen; it may then leave this many times what one wrong bit would."""
 
-READINGS = 8
-"""Points of a cell along each side in the integrals."""
+READINGS, SPAN = 8, 5
+"""Points of a cell along each side in the integrals, and cells that they go over."""
 
 
 def bits_are_right(fits: Fits) -> BoolArray:
     """Which fits (N,) show every cell of their marker, plainly enough."""
-    mean, _ = _wrong_cell(fits)
+    mean = _wrong_cells(fits).means
     cell_noises = fits.noises / (mean * _cells_px(fits))
     worst = np.abs(fits.cell_means).max(axis=(1, 2)) / mean
     allowed = np.minimum(WRONG_CELL + WRONG_CELL_SIGMAS * cell_noises, WRONG_CELL_LIMIT)
@@ -61,32 +71,57 @@ def bits_are_right(fits: Fits) -> BoolArray:
 
 def border_is_covered(fits: Fits) -> BoolArray:
     """Which fits (N,) show all the bits of their marker, and enough of its border."""
-    mean, wrong = _wrong_cell(fits)
-    is_wrong = np.abs(fits.cell_means) > WRONG_CELL_LIMIT * mean[:, None, None]
+    wrong = _wrong_cells(fits)
+    is_wrong = np.abs(fits.cell_means) > WRONG_CELL_LIMIT * wrong.means[:, None, None]
     bits_wrong = is_wrong[:, 1:-1, 1:-1].sum(axis=(1, 2))
     few = (bits_wrong == 0) & (is_wrong.sum(axis=(1, 2)) <= MOST_COVERED)
-    return np.asarray(few & _are_plain(fits, np.zeros(len(mean))) & (fits.noises <= MOST_LEFT * wrong))
+    plain = _are_plain(fits, np.zeros(fits.ids.size))
+    return np.asarray(few & plain & (fits.noises <= MOST_LEFT * wrong.pixels))
 
 
 def _are_plain(fits: Fits, cell_noises: Array) -> BoolArray:
     """Which fits (N,) have contrast, sharpness, pixels and a shape such as markers have."""
-    least, most = CONTRAST_LIMITS
-    plain = (fits.contrasts >= least) & (fits.contrasts <= most) & (fits.blurs_cells <= MAX_BLUR_CELLS)
-    plain &= cell_noises <= MAX_CELL_NOISE
+    plain = (fits.contrasts >= LEAST_CONTRAST) & (fits.blacks + fits.contrasts <= LARGEST_WHITE)
+    plain &= (fits.blurs_cells <= MAX_BLUR_CELLS) & (cell_noises <= MAX_CELL_NOISE)
     plain &= fits.pixels >= MIN_SEEN * fits.shapes.sides_px() ** 2
     plain &= np.abs(fits.shapes.squeezes) <= MAX_SQUEEZE * np.abs(fits.shapes.arms)
     return np.asarray(plain)
 
 
 def verified(fits: Fits, noise: float, share: float = WRONG_BIT_SHARE) -> BoolArray:
-    """Which fits (N,) show their marker, as blurred as the others, and leave little more than the noise."""
-    _, wrong = _wrong_cell(fits)
-    right = bits_are_right(fits) & (fits.noises <= np.hypot(NOISE_FACTOR * noise, share * wrong))
-    # The median over all pixels of markers that seem right: large ones tell the blur best.
-    order = np.argsort(fits.log_blurs)
-    told = np.cumsum((fits.pixels * right)[order])
-    common = fits.log_blurs[order][np.searchsorted(told, told[-1] / 2)] if right.any() else 0.0
-    return np.asarray(right & (np.abs(fits.log_blurs - common) <= LARGEST_BLUR_STEP))
+    """Which fits (N,) show their marker, blurred and printed as the others, and leave little but noise."""
+    right = bits_are_right(fits) & _leave_noise(fits, noise, share)
+    if not right.any():
+        return right
+    blur, contrast = (
+        _common(values, fits.pixels * right) for values in (fits.log_blurs, fits.print_contrasts())
+    )
+    return right & are_alike(fits, blur, contrast)
+
+
+def are_alike(fits: Fits, log_blur: float, print_contrast: float) -> BoolArray:
+    """Which fits (N,) are blurred and printed as markers of a camera are."""
+    blurred = np.abs(fits.log_blurs - log_blur) <= LARGEST_BLUR_STEP
+    return np.asarray(blurred & (fits.print_contrasts() >= LEAST_PRINT_CONTRAST * print_contrast))
+
+
+def _leave_noise(fits: Fits, noise: float, share: float) -> BoolArray:
+    """Which fits (N,) leave little more than the noise, pixel by pixel and cell by cell.
+
+    The noise is one that others tell: what a fit itself leaves would excuse it.
+    """
+    wrong = _wrong_cells(fits)
+    over_cells = np.sqrt(np.square(fits.cell_means).mean(axis=(1, 2)))
+    quiet = fits.noises <= np.hypot(NOISE_FACTOR * noise, share * wrong.pixels)
+    quiet &= over_cells <= np.hypot(NOISE_FACTOR * noise / _cells_px(fits), share * wrong.cells)
+    return np.asarray(quiet)
+
+
+def _common(values: Array, weights: Array) -> float:
+    """The median over all pixels, of which each marker has `weights` (N,): large ones tell blur best."""
+    order = np.argsort(values)
+    told = np.cumsum(weights[order])
+    return float(values[order][np.searchsorted(told, told[-1] / 2)])
 
 
 def image_noise(image: Image) -> float:
@@ -105,12 +140,31 @@ def _cells_px(fits: Fits) -> Array:
     return np.asarray(fits.shapes.sides_px() / fits.cell_means.shape[1])
 
 
-def _wrong_cell(fits: Fits) -> tuple[Array, Array]:
-    """What one cell of the wrong colour would leave (N,), in grey: mean over it, RMS over all pixels."""
-    x = (np.arange(4 * READINGS) + 0.5) / READINGS - 2.0
-    sigma = fits.blurs_cells[:, None]
+@dataclass(frozen=True)
+class WrongCells:
+    """What one cell of the wrong colour would leave of N fits, in grey.
+
+    Attributes:
+        means: (N,) mean over that cell.
+        pixels: (N,) root mean square over all pixels.
+        cells: (N,) root mean square over all cells' means.
+    """
+
+    means: Array
+    pixels: Array
+    cells: Array
+
+
+def _wrong_cells(fits: Fits) -> WrongCells:
+    """By the blur that the fits found."""
+    x = (np.arange(SPAN * READINGS) + 0.5) / READINGS - SPAN / 2
+    sigma = (fits.blurs_cells * np.exp(np.clip(fits.log_blurs, -1.0, 1.0)))[:, None]
     seen = ndtr((x + 0.5) / sigma) - ndtr((x - 0.5) / sigma)
     contrast = np.maximum(fits.contrasts, 1e-3)
     squares = ((seen**2).sum(axis=1) / READINGS) ** 2 * _cells_px(fits) ** 2
-    mean = seen[:, np.abs(x) < 0.5].mean(axis=1) ** 2
-    return contrast * mean, contrast * np.sqrt(squares / np.maximum(fits.pixels, 1.0))
+    means = seen.reshape(-1, SPAN, READINGS).mean(axis=2)
+    return WrongCells(
+        means=contrast * means[:, SPAN // 2] ** 2,
+        pixels=contrast * np.sqrt(squares / np.maximum(fits.pixels, 1.0)),
+        cells=contrast * (means**2).sum(axis=1) / fits.cell_means.shape[1],
+    )

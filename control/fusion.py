@@ -20,19 +20,22 @@ class Inboxes:
         unit_ids: (U,) the units that may send, ascending.
         rho_px: (U, N) goal vectors in each robot's frame, forward + i left, in the sender's pixels.
         sides_px: (U, N) the robot's own marker side in the sender's image.
-        squares_px2: (U, N, N) squared image distances from robot to neighbour; 0 where not told.
+        squares_px2: (U, N, N) squared image distances from robot to neighbour; 0 where not told, empty
+            if nobody needs them.
         imaged_s: (U, N) time of the image that the goal stands for; -inf if none was heard.
         heard_s: (U, N) when it arrived.
     """
 
-    def __init__(self, ids: IntArray, unit_ids: IntArray, lifetime_s: float) -> None:
+    def __init__(
+        self, ids: IntArray, unit_ids: IntArray, lifetime_s: float, *, distances: bool = True
+    ) -> None:
         if (np.diff(ids) <= 0).any() or (np.diff(unit_ids) <= 0).any():
             raise MessageError("Inboxes: ids and unit_ids must ascend, each once")
         units, robots = unit_ids.size, ids.size
         self.ids, self.unit_ids, self.lifetime_s = ids, unit_ids, lifetime_s
         self.rho_px: ComplexArray = np.zeros((units, robots), dtype=np.complex128)
         self.sides_px: Array = np.ones((units, robots))
-        self.squares_px2: Array = np.zeros((units, robots, robots))
+        self.squares_px2: Array = np.zeros((units, robots, robots) if distances else (0, 0, 0))
         self.imaged_s: Array = np.full((units, robots), -np.inf)
         self.heard_s: Array = np.full((units, robots), -np.inf)
 
@@ -52,6 +55,8 @@ class Inboxes:
         self.sides_px[unit, robots] = goals.sides_px[rows]
         self.imaged_s[unit, robots] = goals.time_s
         self.heard_s[unit, robots] = time_s
+        if not self.squares_px2.size:
+            return
         self.squares_px2[unit, robots] = 0.0
         row, column = np.nonzero(np.isin(goals.neighbor_ids[rows], self.ids))
         neighbors = np.searchsorted(self.ids, goals.neighbor_ids[rows][row, column])

@@ -1,7 +1,7 @@
 """The robots' law (paper, eq. 7-8), in the paper's pixels or in marker units."""
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 import numpy as np
 
@@ -16,6 +16,11 @@ class Gains(Protocol):
     @property
     def k_omega(self) -> float:
         """Turn rate a radian, 1/s."""
+        ...
+
+    @property
+    def needs_distances(self) -> bool:
+        """Whether robots need the image distances to their neighbours."""
         ...
 
     def follow(self, inboxes: Inboxes, time_s: float) -> ComplexArray:
@@ -40,6 +45,7 @@ class PixelGains:
     k_v: float
     k_omega: float
     b_th: float
+    needs_distances: ClassVar[bool] = True
 
     def follow(self, inboxes: Inboxes, time_s: float) -> ComplexArray:
         """rho_i^g (N,), px (eq. 4), zero below b_th."""
@@ -68,6 +74,7 @@ class MarkerGains:
     k_omega: float
     b_th: float
     side_m: float
+    needs_distances: ClassVar[bool] = False
 
     def follow(self, inboxes: Inboxes, time_s: float) -> ComplexArray:
         """Σ_j rho_j / side_px_j (N,), marker sides, zero below b_th."""

@@ -60,12 +60,12 @@ def check_conditions(controlled: BoolArray) -> Conditions:
     TC1 G_c is connected; TC2 every robot is controlled; TC3 neighbours in G_c share exactly two robots
     and others none; TC4 no robot has three units; TC5 G_c is a tree.
     """
-    counts = controlled.astype(int)
+    counts = controlled.astype(np.float64)  # exact, and much faster than integers
     common = counts @ counts.T
     np.fill_diagonal(common, 0)
     adjacent = common >= 2
     units = controlled.shape[0]
-    parts, _ = connected_components(csr_array(adjacent), directed=False)
+    parts, _ = connected_components(csr_array(adjacent.astype(np.int8)), directed=False)
     connected = parts == 1
     return Conditions(
         tc1=connected,

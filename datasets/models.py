@@ -174,6 +174,9 @@ class NetworkModel(Model):
 
     frame_loss: Fraction = Field(0.0, description="share of images lost")
     message_loss: Fraction = Field(0.0, description="share of messages lost, for each receiver")
+    range_m: Positive | None = Field(
+        None, description="units hear one another up to this distance on the ground; no limit if left out"
+    )
     delay_s: NotNegative = Field(
         0.0, description="largest random delay of a message, for each receiver; later ones may overtake"
     )

@@ -128,8 +128,10 @@ def run_steps(mission: Mission, perception: Perception | None = None) -> Iterato
     crew = [make_controller(mission, unit) for unit in range(len(scenario.units))]
     perception = perception or make_perception(mission, sight_rng)
     network = Network(scenario.network, network_rng, len(crew))
-    inboxes = Inboxes(mission.ids, np.arange(len(crew)), scenario.robots.timeout_s)
     gains, sets = make_gains(scenario), {unit: NO_ROBOTS for unit in range(len(crew))}
+    inboxes = Inboxes(
+        mission.ids, np.arange(len(crew)), scenario.robots.timeout_s, distances=gains.needs_distances
+    )
     for tick in range(round(scenario.duration_s / scenario.step_s) + 1):
         time_s = tick * scenario.step_s
         frames = {}
@@ -143,7 +145,8 @@ def run_steps(mission: Mission, perception: Perception | None = None) -> Iterato
                 continue
             sight = perception.look(world, unit, time_s)
             decision = crew[unit].step(sight.detections, list(network.reports[unit].values()))
-            network.send(decision.goals, decision.report, time_s + scenario.units[unit].latency_s)
+            arrival_s = time_s + scenario.units[unit].latency_s
+            network.send(decision.goals, decision.report, arrival_s, world.in_range(unit))
             world.fly(decision.flight)
             frames[unit], sets[unit] = UnitFrame(sight, decision), decision.report.controlled_ids
         for goals, received in network.deliver(time_s):

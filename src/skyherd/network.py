@@ -1,5 +1,6 @@
 """The radio between units and robots: messages come late, not at all, twice, and out of order."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -7,8 +8,6 @@ import numpy as np
 from skyherd.datasets.models import NetworkModel
 from skyherd.geometry import BoolArray
 from skyherd.messages import MotionGoals, UnitReport
-
-ROBOTS = -1
 
 
 @dataclass
@@ -29,39 +28,54 @@ class Network:
     rng: np.random.Generator
     units: int
     reports: list[dict[int, UnitReport]] = field(init=False)
-    _waiting: list[tuple[float, int, MotionGoals | UnitReport]] = field(default_factory=list, init=False)
+    _waiting: list[tuple[float, Sequence[int], MotionGoals | UnitReport]] = field(
+        default_factory=list, init=False
+    )
 
     def __post_init__(self) -> None:
         self.reports = [{} for _ in range(self.units)]
 
-    def send(self, goals: MotionGoals | None, report: UnitReport, arrival_s: float) -> None:
-        """Send one unit's goals to its robots and its report to the other units."""
-        for unit in range(self.units):
-            if unit != report.unit_id:
-                self._post(arrival_s, unit, report)
+    def send(
+        self,
+        goals: MotionGoals | None,
+        report: UnitReport,
+        arrival_s: float,
+        receivers: Sequence[int] | None = None,
+    ) -> None:
+        """Send one unit's goals to its robots and its report to other units, all if `receivers` is None."""
+        others = [
+            unit for unit in (range(self.units) if receivers is None else receivers) if unit != report.unit_id
+        ]
+        if self.model.delay_s or self.model.repeats:
+            for unit in others:
+                self._post(arrival_s, [unit], report)
+        else:
+            self._waiting.append((arrival_s, others, report))
         if goals is not None:
-            self._post(arrival_s, ROBOTS, goals)
+            self._post(arrival_s, [], goals)
 
     def deliver(self, time_s: float) -> list[tuple[MotionGoals, BoolArray]]:
         """Goals that arrive by now, each with (N,) which of its robots heard it; reports are kept."""
         arrived = [item for item in self._waiting if item[0] <= time_s + 1e-9]
         self._waiting = [item for item in self._waiting if item[0] > time_s + 1e-9]
         delivered = []
-        for _, receiver, message in sorted(arrived, key=lambda item: item[0]):
+        for _, receivers, message in sorted(arrived, key=lambda item: item[0]):
             if isinstance(message, MotionGoals):
                 delivered.append((message, self._heard(len(message))))
-            elif self._heard(1)[0]:
-                self.reports[receiver][message.unit_id] = message
+                continue
+            for unit, heard in zip(receivers, self._heard(len(receivers)).tolist(), strict=True):
+                if heard:
+                    self.reports[unit][message.unit_id] = message
         return delivered
 
     def forget(self, unit: int) -> None:
         """What a unit had heard is gone with it."""
         self.reports[unit].clear()
 
-    def _post(self, arrival_s: float, receiver: int, message: MotionGoals | UnitReport) -> None:
-        self._waiting.append((arrival_s + self._delay_s(), receiver, message))
+    def _post(self, arrival_s: float, receivers: Sequence[int], message: MotionGoals | UnitReport) -> None:
+        self._waiting.append((arrival_s + self._delay_s(), receivers, message))
         if self.model.repeats and self.rng.random() < self.model.repeats:
-            self._waiting.append((arrival_s + self._delay_s(), receiver, message))
+            self._waiting.append((arrival_s + self._delay_s(), receivers, message))
 
     def _delay_s(self) -> float:
         return self.model.delay_s and self.model.delay_s * float(self.rng.random())

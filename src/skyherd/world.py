@@ -105,6 +105,14 @@ class World:
         turn = float(wrap_angle(new.yaws_rad[unit] - old.yaws_rad[unit])) / self._step_s
         return Motion((x, y, climb), turn, *self._rates)
 
+    def in_range(self, unit: int) -> list[int] | None:
+        """Units that hear a unit's radio; None for all."""
+        range_m = self.scenario.network.range_m
+        if range_m is None:
+            return None
+        apart_m = np.linalg.norm(self.fleet.positions_m - self.fleet.positions_m[unit], axis=1)
+        return np.flatnonzero(apart_m <= range_m).tolist()
+
     def fly(self, command: FlightCommand) -> None:
         """Hand a unit's autopilot the velocity to fly until the next command."""
         self._commands[command.unit_id] = command

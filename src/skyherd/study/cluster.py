@@ -1,9 +1,12 @@
 """Runs on many processes through Dask: those of this machine, or of a cluster that is there already."""
 
 import logging
+import signal
+import threading
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from itertools import islice
+from multiprocessing import resource_tracker
 from typing import Any
 
 import dask
@@ -47,7 +50,9 @@ def open_client(scheduler: str | None = None, jobs: int | None = None) -> Iterat
             with _connect(scheduler) as client:
                 yield client
             return
-        with _local_cluster(jobs or CPU_COUNT) as cluster, Client(cluster) as client:
+        with _interrupts_held():
+            cluster = _local_cluster(jobs or CPU_COUNT)
+        with cluster, Client(cluster) as client:
             yield client
 
 
@@ -80,6 +85,28 @@ def _outcome(future: Any) -> Outcome:
     if isinstance(error, KilledWorker):
         return failure(key, f"{WORKER_DEATHS + 1} workers died at it, perhaps for want of memory")
     return failure(key, f"{type(error).__name__}: {error}")
+
+
+@contextmanager
+def _interrupts_held() -> Iterator[None]:
+    """Hold Ctrl-C back while workers start: half-started ones cannot be closed.
+
+    Workers inherit this thread's mask, also those that are started anew: an interrupt is the parent's to obey.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    held: list[int] = []
+    resource_tracker.ensure_running()  # started later, it would take the mask away
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    handler = signal.signal(signal.SIGINT, lambda number, frame: held.append(number))
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        signal.signal(signal.SIGINT, handler)
+    if held:
+        raise KeyboardInterrupt
 
 
 def _local_cluster(jobs: int) -> LocalCluster:

@@ -22,13 +22,15 @@ from skyherd.study.measure import Outcome, failure, measure
 WINDOW = 4
 """Runs under way for each thread of the cluster: none of them waits, and few wait for an interrupt."""
 
-TIMEOUT_S = 10.0
+TIMEOUT_S = 5.0
 """For a scheduler to answer, and to have a worker."""
 
 WORKER_DEATHS = 2
 """A run that has been under way in more workers than this when they died is taken as what killed them."""
 
 _SETTINGS = {
+    "distributed.scheduler.http.routes": [],
+    "distributed.worker.http.routes": [],
     "distributed.scheduler.allowed-failures": WORKER_DEATHS,
     "distributed.admin.large-graph-warning-threshold": "1GB",
     "distributed.nanny.pre-spawn-environ.OPENBLAS_NUM_THREADS": 1,
@@ -91,7 +93,7 @@ def _outcome(future: Any) -> Outcome:
 def _interrupts_held() -> Iterator[None]:
     """Hold Ctrl-C back while workers start: half-started ones cannot be closed.
 
-    Workers inherit this thread's mask, also those that are started anew: an interrupt is the parent's to obey.
+    Workers inherit this thread's mask, those that are started anew too: an interrupt is the parent's to obey.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -118,12 +120,13 @@ def _local_cluster(jobs: int) -> LocalCluster:
             processes=True,
             host="127.0.0.1",
             scheduler_port=0,
-            dashboard_address=None,
-            worker_dashboard_address=None,
+            scheduler_kwargs={"dashboard": False, "dashboard_address": "127.0.0.1:0"},
             silence_logs=logging.CRITICAL,
         )
     except (RuntimeError, OSError) as error:
-        raise OutputError(f"{jobs} worker processes could not be started: {error}; try fewer --jobs") from None
+        raise OutputError(
+            f"{jobs} worker processes could not be started: {error}; try fewer --jobs"
+        ) from None
 
 
 @contextmanager

@@ -89,7 +89,7 @@ def mission_key(mission: Mission) -> str:
         "scenario": scenario,
         "template": [mission.template.ids.tolist(), _pairs(mission.template.points_px)],
         "start": [mission.ids.tolist(), mission.positions_m.tolist(), mission.headings_rad.tolist()],
-        "ground": ground and [ground.shape, hashlib.sha256(ground.tobytes()).hexdigest()],
+        "ground": None if ground is None else [ground.shape, hashlib.sha256(ground.tobytes()).hexdigest()],
     }
     return hashlib.sha256(json.dumps(record, sort_keys=True).encode()).hexdigest()[:32]
 

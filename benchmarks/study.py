@@ -48,7 +48,7 @@ def main() -> None:
             fast = runs_per_s(all_workers, missions, f"all-{number}")
             ratios.append(fast / slow)
             print(
-                f"round {number + 1}: {slow:.2f} runs/s on 1, {fast:.2f} on {options.workers}: {fast / slow:.2f} x",
+                f"round {number + 1}: {slow:.2f} runs/s on 1, {fast:.2f} on all: {fast / slow:.2f} x",
                 flush=True,
             )
     print(f"median: {median(ratios):.2f} x on {options.workers} workers")

@@ -22,6 +22,7 @@ from skyherd.errors import InputError
 from skyherd.history import CURVES, make_history
 from skyherd.loop import run_steps
 from skyherd.study import conduct as conducting
+from skyherd.study.cluster import open_client, run_missions
 from skyherd.study.conduct import conduct, missing_runs
 from skyherd.study.figures import markdown_table, write_figure_pages
 from skyherd.study.measure import measure
@@ -218,6 +219,14 @@ def test_the_version_is_in_the_key(monkeypatch: pytest.MonkeyPatch) -> None:
     before = mission_key(mission)
     monkeypatch.setattr("skyherd.study.plan.__version__", "0.0.0")
     assert mission_key(mission) != before
+
+
+def test_the_example_in_the_docs_is_good(write: Any) -> None:
+    page = Path(__file__).parent.parent / "docs" / "studies.md"
+    example = page.read_text("utf-8").split("```toml\n")[1].split("```")[0]
+    plan = make_plan(load_study(str(write(example)), quick=True))
+    assert len(plan.runs) == 20 * 3 * 1 * 3
+    assert {run.sweep for run in plan.runs} == {"tilt"}
 
 
 @pytest.mark.parametrize("name", study_names())
@@ -635,6 +644,22 @@ def test_a_second_process_as_scheduler_serves_the_same_study(
                 process.kill()
                 process.wait()
     assert table == undisturbed
+
+
+@pytest.mark.slow
+def test_a_run_that_kills_its_workers_is_recorded_and_the_others_are_made(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A run's key stands in for the run: Python that the worker carries out."""
+    monkeypatch.setattr("skyherd.study.cluster.measure", eval)
+    bad = "__import__('os')._exit(1)"
+    good = [f"dict(key={number}, error=None)" for number in range(6)]
+    with open_client(jobs=2) as client:
+        missions: Any = ((text, {}) for text in [bad, *good])
+        batches: Any = run_missions(client, missions, {})  # type: ignore[arg-type]
+        outcomes = {outcome["key"]: outcome["error"] for batch in batches for outcome in batch}
+    assert "died" in outcomes.pop(bad)
+    assert outcomes == dict.fromkeys(range(6))
 
 
 @pytest.mark.slow

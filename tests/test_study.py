@@ -597,53 +597,53 @@ def test_worker_and_client_killed_in_mid_study_and_resumed_give_the_undisturbed_
     assert finish(path, out, "--jobs", "2") == undisturbed
 
 
-@pytest.mark.slow
-def test_a_second_process_as_scheduler_serves_the_same_study(
-    write: Any, tmp_path: Path, undisturbed: bytes
-) -> None:
-    path, out = write(SLOW_ENOUGH), tmp_path / "out"
+@pytest.fixture
+def loopback(tmp_path: Path) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
+    """A scheduler in a process of its own, with one worker: its address, and its process."""
     file = tmp_path / "scheduler.json"
-    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     place = ["--host", "127.0.0.1", "--no-dashboard"]
-    scheduler = subprocess.Popen(
-        [
-            sys.executable,
-            "-m",
-            "distributed.cli.dask_scheduler",
-            *place,
-            "--port",
-            "0",
-            "--scheduler-file",
-            str(file),
-        ],
-        **quiet,
-    )
-    worker = None
+
+    def launch(part: str, *options: str) -> subprocess.Popen[bytes]:
+        command = [sys.executable, "-m", f"distributed.cli.dask_{part}", *options, *place]
+        return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+
+    processes = [launch("scheduler", "--port", "0", "--scheduler-file", str(file))]
     try:
-        while not file.exists():
-            assert scheduler.poll() is None
+        while not (file.exists() and file.read_text().endswith("}")):
+            assert processes[0].poll() is None
             time.sleep(0.05)
         address = json.loads(file.read_text())["address"]
-        worker = subprocess.Popen(
-            [
-                sys.executable,
-                "-m",
-                "distributed.cli.dask_worker",
-                address,
-                *place,
-                "--nthreads",
-                "1",
-                "--no-nanny",
-            ],
-            **quiet,
-        )
-        table = finish(path, out, "--scheduler", address)
+        processes.append(launch("worker", address, "--nthreads", "1", "--no-nanny"))
+        yield address, processes[0]
     finally:
-        for process in (worker, scheduler):
-            if process is not None:
-                process.kill()
-                process.wait()
-    assert table == undisturbed
+        for process in processes:
+            process.kill()
+            process.wait()
+
+
+@pytest.mark.slow
+def test_a_second_process_as_scheduler_serves_the_same_study(
+    write: Any, tmp_path: Path, undisturbed: bytes, loopback: Any
+) -> None:
+    address, _ = loopback
+    assert finish(write(SLOW_ENOUGH), tmp_path / "out", "--scheduler", address) == undisturbed
+
+
+@pytest.mark.slow
+def test_a_scheduler_that_goes_is_told_in_one_line_and_what_was_made_is_kept(
+    write: Any, tmp_path: Path, loopback: Any
+) -> None:
+    address, scheduler = loopback
+    path, out = write(SLOW_ENOUGH), tmp_path / "out"
+    process = start(path, out, "--scheduler", address)
+    wait_for_parts(process, out, 1)
+    scheduler.kill()
+    _, err = process.communicate(timeout=60)
+    assert (process.returncode, err) == (
+        2,
+        "error: the scheduler is gone; the same command goes on from here\n",
+    )
+    assert Store(out).keys()
 
 
 @pytest.mark.slow

@@ -28,6 +28,9 @@ TIMEOUT_S = 5.0
 WORKER_DEATHS = 2
 """A run that was under way in more workers than this when they died is taken as what killed them."""
 
+LOGGERS = ("distributed", "distributed.client", "distributed.utils", "tornado", "asyncio")
+"""What goes wrong with a cluster is told once, in our words."""
+
 _SETTINGS = {
     "distributed.scheduler.http.routes": [],
     "distributed.worker.http.routes": [],
@@ -47,7 +50,8 @@ def open_client(scheduler: str | None = None, jobs: int | None = None) -> Iterat
     Raises:
         InputError: nothing answers there, it has no workers, or they have another skyherd.
     """
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    for name in LOGGERS:
+        logging.getLogger(name).setLevel(logging.CRITICAL)
     with dask.config.set(_SETTINGS):
         if scheduler is not None:
             with _connect(scheduler) as client:

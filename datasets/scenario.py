@@ -13,7 +13,14 @@ from skyherd.control import Template
 from skyherd.datasets.models import RobotsModel, ScatterModel, Scenario, TemplateModel
 from skyherd.datasets.shapes import shape_points
 from skyherd.datasets.template_image import read_template_image
-from skyherd.datasets.toml_files import built_in_names, built_in_text, first_error, parse, read_text
+from skyherd.datasets.toml_files import (
+    built_in_names,
+    built_in_text,
+    first_error,
+    parse,
+    put_value,
+    read_text,
+)
 from skyherd.errors import DegenerateSetError, InputError
 from skyherd.geometry import Array, IntArray
 from skyherd.image_files import Grey, read_grey
@@ -55,22 +62,41 @@ class Mission:
     ground_image: Grey | None = None
 
 
-def load_mission(name_or_file: str, settings: Iterable[str] = (), *, seed: int | None = None) -> Mission:
-    """Read and check a built-in scenario or a TOML file, with `key=value` settings put over it.
+@dataclass(frozen=True)
+class ScenarioSource:
+    """A scenario as written: plain values, what to call it in a complaint, and where its pictures lie."""
+
+    tree: dict[str, Any]
+    where: str
+    folder: Path
+
+
+def read_scenario(name_or_file: str) -> ScenarioSource:
+    """Read a built-in scenario or a TOML file, without checking what it says.
 
     Raises:
-        InputError: in one line, the file, the key, the value, and what is allowed.
+        InputError: there is none, or it is no TOML.
     """
     path = Path(name_or_file)
     is_file = path.suffix == ".toml" or path.is_file()
     where = str(path) if is_file else f"scenario {name_or_file}"
     text = read_text(path, "scenario") if is_file else scenario_text(name_or_file)
     tree = parse(text, where, "skyherd scenario show star")
+    return ScenarioSource(tree, where, path.parent if is_file else Path())
+
+
+def load_mission(name_or_file: str, settings: Iterable[str] = (), *, seed: int | None = None) -> Mission:
+    """Read and check a built-in scenario or a TOML file, with `key=value` settings put over it.
+
+    Raises:
+        InputError: in one line, the file, the key, the value, and what is allowed.
+    """
+    source = read_scenario(name_or_file)
     for setting in settings:
-        _apply_setting(tree, setting)
+        _apply_setting(source.tree, setting)
     if seed is not None:
-        tree["seed"] = seed
-    return make_mission(tree, where=where, folder=path.parent if is_file else Path())
+        source.tree["seed"] = seed
+    return make_mission(source.tree, where=source.where, folder=source.folder)
 
 
 def make_mission(tree: dict[str, Any], *, where: str = "scenario", folder: Path | None = None) -> Mission:
@@ -96,22 +122,7 @@ def _apply_setting(tree: dict[str, Any], setting: str) -> None:
         value = tomllib.loads(f"value = {text}")["value"]
     except tomllib.TOMLDecodeError:
         value = text
-    *parents, last = key.strip().split(".")
-    node: Any = tree
-    for part in parents:
-        node = node.setdefault(part, {}) if isinstance(node, dict) else _item(node, part, setting)
-    if isinstance(node, dict):
-        node[last] = value
-    else:
-        _item(node, last, setting)
-        node[int(last)] = value
-
-
-def _item(node: Any, index: str, setting: str) -> Any:
-    if not isinstance(node, list) or not (index.isascii() and index.isdecimal()) or int(index) >= len(node):
-        allowed = f"0 to {len(node) - 1}" if isinstance(node, list) else "see `skyherd scenario schema`"
-        raise InputError(f"--set {setting}", f"nothing there called {index!r}", allowed)
-    return node[int(index)]
+    put_value(tree, key, value, f"--set {setting}")
 
 
 def _complete(scenario: Scenario, folder: Path) -> Mission:

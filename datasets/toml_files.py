@@ -1,6 +1,7 @@
 """What users write in TOML: read from a file or built in, and refused in one line where it is wrong."""
 
 import tomllib
+from copy import deepcopy
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -47,8 +48,48 @@ def parse(text: str, where: str, example: str) -> dict[str, Any]:
         raise InputError(where, f"malformed TOML: {error}", f"see `{example}` for a good one") from None
 
 
-def first_error(error: ValidationError, where: str, noun: str) -> InputError:
-    """The first complaint as one line, and how many more there are."""
+def put_value(tree: dict[str, Any], key: str, value: Any, where: str) -> None:
+    """Put a value at a dotted key such as `units.0.height_m`, where `*` is every item of a list.
+
+    Raises:
+        InputError: the key leads nowhere.
+    """
+    *parents, last = key.strip().split(".")
+    nodes: list[Any] = [tree]
+    for part in parents:
+        nodes = [child for node in nodes for child in _children(node, part, where)]
+    for node in nodes:
+        for place in [last] if isinstance(node, dict) else _indices(node, last, where):
+            node[place] = deepcopy(value)
+
+
+def get_value(tree: dict[str, Any], key: str) -> Any:
+    """What stands at a dotted key of a whole tree; `*` is the first item."""
+    node: Any = tree
+    for part in key.split("."):
+        node = node[part] if isinstance(node, dict) else node[0 if part == "*" else int(part)]
+    return node
+
+
+def _children(node: Any, part: str, where: str) -> list[Any]:
+    if isinstance(node, dict):
+        return [node.setdefault(part, {})]
+    return [node[index] for index in _indices(node, part, where)]
+
+
+def _indices(node: Any, part: str, where: str) -> list[int]:
+    """Which items of a list a part of a key means."""
+    if isinstance(node, list):
+        if part == "*":
+            return list(range(len(node)))
+        if part.isascii() and part.isdecimal() and int(part) < len(node):
+            return [int(part)]
+    allowed = f"0 to {len(node) - 1}, or *" if isinstance(node, list) else "see `skyherd scenario schema`"
+    raise InputError(where, f"nothing there called {part!r}", allowed)
+
+
+def first_error(error: ValidationError, where: str, noun: str, *, see: str | None = None) -> InputError:
+    """The first complaint as one line, how many more there are, and what to `see`: the noun's schema."""
     first, *others = error.errors()
     key = ".".join(str(part) for part in first["loc"]) or noun
     value = first["input"]
@@ -60,4 +101,4 @@ def first_error(error: ValidationError, where: str, noun: str) -> InputError:
     allowed = f"{first['msg']}{shown}"
     more = f" — and {len(others)} more" if others else ""
     what = {"missing": "missing", "extra_forbidden": "unknown key"}.get(first["type"], "wrong value")
-    return InputError(f"{where}: {key}", what, f"{allowed}{more}; see `skyherd {noun} schema`")
+    return InputError(f"{where}: {key}", what, f"{allowed}{more}; see `{see or f'skyherd {noun} schema'}`")

@@ -107,10 +107,13 @@ _COLUMNS = {
 }
 """Field of the history: where a step has it."""
 
+CURVES = (*_COLUMNS, "conditions", "controlled", "commanded")
+"""Fields of the history that are arrays over time."""
+
 
 def make_history(mission: Mission, steps: Iterable[Step]) -> History:
-    """Stack the steps of a run; there must be at least one."""
-    steps = list(steps)
+    """Stack the steps of a run; there must be at least one. Images are let go as the steps come."""
+    steps = [step.without_images() for step in steps]
     columns = {name: np.array([attrgetter(path)(step) for step in steps]) for name, path in _COLUMNS.items()}
     frames = [frame for step in steps for frame in step.frames.values()]
     conditions = [step.observation.conditions for step in steps]

@@ -1,7 +1,7 @@
 """The loop: images in, formation out. Everything else hangs off the steps that it yields."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -64,6 +64,14 @@ class Step:
     commanded_ids: IntArray
     control_sets: dict[int, IntArray]
     observation: Observation
+
+    def without_images(self) -> "Step":
+        """The same step, less what takes the memory."""
+        frames = {
+            unit: replace(frame, sight=replace(frame.sight, image=None))
+            for unit, frame in self.frames.items()
+        }
+        return replace(self, frames=frames)
 
 
 def make_flight(model: FlightModel, template: Template) -> Flight:

@@ -1,7 +1,7 @@
 """The command line: one file a verb, each thin: parse, check, one call.
 
-Exit codes: 0 done; 1 the run did not reach its goal, `detect --require` found a file without a marker, or
-`dataset check` a problem; 2 bad input or output; 130 interrupted.
+Exit codes: 0 done; 1 the run did not reach its goal, `detect --require` found a file without a marker, of
+`study` a run failed, or `dataset check` found a problem; 2 bad input or output; 130 interrupted.
 """
 
 import sys
@@ -18,6 +18,7 @@ from skyherd.cli.markers import markers
 from skyherd.cli.report import report
 from skyherd.cli.run import run
 from skyherd.cli.scenario import scenario_app
+from skyherd.cli.study import study
 from skyherd.errors import SkyherdError
 
 UsageError: type[Exception] = typer.BadParameter.__base__ or typer.BadParameter
@@ -33,6 +34,7 @@ app.command()(run)
 app.command()(report)
 app.command()(detect)
 app.command()(markers)
+app.command()(study)
 app.add_typer(scenario_app, name="scenario")
 app.add_typer(bench_app, name="bench")
 app.add_typer(dataset_app, name="dataset")

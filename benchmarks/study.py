@@ -1,0 +1,60 @@
+"""Throughput of a study on one worker process and on several, through the same Dask cluster code.
+
+    python benchmarks/study.py                   # 1 and 2 workers, 3 rounds
+    python benchmarks/study.py --workers 8 --rounds 5 --runs 64
+
+Each round makes the same runs with one worker and with all, one after the other, on warm workers; what is
+told is the ratio of each round, and the median of all. A machine that does other work gives less: n processes
+that compete with m others for too few cores get n (1 + m) / (n + m) times what one gets. The CPU time that
+client and scheduler take from the workers is told too.
+"""
+
+import argparse
+from statistics import median
+from time import perf_counter, process_time
+
+from distributed import Client
+
+from skyherd.datasets import Mission, load_mission
+from skyherd.study.cluster import open_client, run_missions
+
+
+def make_missions(count: int, perception: str) -> list[Mission]:
+    """Runs of equal length, each with its own seed."""
+    settings = [f"perception={perception}", "duration_s=4.0"]
+    return [load_mission("triangle", settings, seed=seed) for seed in range(count)]
+
+
+def runs_per_s(client: Client, missions: list[Mission], name: str) -> float:
+    """Of one batch of missions, from the first submitted to the last that is there."""
+    started_s = perf_counter()
+    named = ((f"{name}-{number}", mission) for number, mission in enumerate(missions))
+    made = sum(len(outcomes) for outcomes in run_missions(client, named, []))
+    return made / (perf_counter() - started_s)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--runs", type=int, default=24)
+    parser.add_argument("--perception", default="rendered")
+    options = parser.parse_args()
+    missions = make_missions(options.runs, options.perception)
+    ratios = []
+    with open_client(jobs=1) as one, open_client(jobs=options.workers) as all_workers:
+        for client in (one, all_workers):
+            runs_per_s(client, missions[: 2 * options.workers], "warm")
+        for number in range(options.rounds):
+            began_s = process_time()
+            slow = runs_per_s(one, missions, f"one-{number}")
+            fast = runs_per_s(all_workers, missions, f"all-{number}")
+            ratios.append(fast / slow)
+            own_ms = 1e3 * (process_time() - began_s) / (2 * len(missions))
+            told = f"{slow:.2f} runs/s on 1, {fast:.2f} on all: {fast / slow:.2f} x"
+            print(f"round {number + 1}: {told}; client and scheduler {own_ms:.0f} ms a run", flush=True)
+    print(f"median: {median(ratios):.2f} x on {options.workers} workers")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,149 @@
+"""`skyherd study`: run a scenario many times, on all cores or a cluster, and keep the outcomes in a table."""
+
+import json
+from importlib import import_module
+from pathlib import Path
+from time import monotonic
+from typing import Annotated, Any
+
+import typer
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+
+from skyherd.cli.console import complain, err, out
+from skyherd.errors import InputError
+from skyherd.study.plan import Plan, make_plan
+from skyherd.study.spec import StudySpec, load_study, study_names, study_text
+
+EXTRA = ("dask", "distributed", "pyarrow", "locket")
+
+
+def study(
+    name: Annotated[
+        str | None,
+        typer.Argument(metavar="NAME|FILE", help="A built-in study or a TOML file; all listed if left out."),
+    ] = None,
+    out_dir: Annotated[
+        Path | None, typer.Option("--out", help="Folder, new or of a study; studies/NAME if left out.")
+    ] = None,
+    quick: Annotated[bool, typer.Option("--quick", help="Few runs: what the study says of `quick`.")] = False,
+    jobs: Annotated[int | None, typer.Option(help="Local processes; one a core if left out.")] = None,
+    scheduler: Annotated[
+        str | None, typer.Option(metavar="tcp://HOST:PORT", help="Of a Dask cluster to run on instead.")
+    ] = None,
+    retry: Annotated[bool, typer.Option("--retry", help="Make failed runs again.")] = False,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="List the runs, and make none.")] = False,
+    show: Annotated[
+        bool, typer.Option("--show", help="Print a built-in study, to be saved and changed.")
+    ] = False,
+    schema: Annotated[bool, typer.Option("--schema", help="Print the JSON schema of study files.")] = False,
+) -> int:
+    """Run a study, or go on with one; exit code 0 if all went well, 1 if a run failed, 2 for bad input."""
+    if schema:
+        typer.echo(json.dumps(StudySpec.model_json_schema(), indent=2))
+        return 0
+    if name is None:
+        return _list()
+    if show:
+        typer.echo(study_text(name), nl=False)
+        return 0
+    if jobs is not None and jobs < 1:
+        raise InputError("--jobs", str(jobs), "1 or more")
+    if jobs is not None and scheduler is not None:
+        raise InputError("--jobs", "given with --scheduler", "one of them: a cluster has the workers it has")
+    _require_extra()
+    checked = load_study(name, quick=quick)
+    folder = out_dir or Path("studies") / (f"{checked.name}-quick" if quick else checked.name)
+    plan = make_plan(checked)
+    return _preview(plan, folder, retry) if dry_run else _conduct(plan, folder, scheduler, jobs, retry)
+
+
+def _list() -> int:
+    for name in study_names():
+        out.print(f"{name}: {load_study(name).spec.description}", markup=False)
+    return 0
+
+
+def _require_extra() -> None:
+    """Everything that studies need beyond the rest."""
+    for module in EXTRA:
+        try:
+            import_module(module)
+        except ImportError:
+            raise InputError(
+                "skyherd study", f"{module} is not installed", "pip install 'skyherd[study]'"
+            ) from None
+
+
+def _preview(plan: Plan, folder: Path, retry: bool) -> int:
+    """A line for each run: whether it is there, and what makes it differ."""
+    from skyherd.study.conduct import missing_runs
+    from skyherd.study.store import Store
+
+    missing = missing_runs(plan, Store(folder), retry=retry)
+    for number, run in enumerate(plan.runs, 1):
+        out.print(f"{number:5d}  {'to do' if run.key in missing else 'done '}  {run.text()}", markup=False)
+    out.print(f"{len(plan.runs)} runs, {len(missing)} to do, in {folder}", markup=False)
+    return 0
+
+
+def _conduct(plan: Plan, folder: Path, scheduler: str | None, jobs: int | None, retry: bool) -> int:
+    from skyherd.study.conduct import conduct
+
+    try:
+        with _Watcher(plan.study.name) as watcher:
+            report = conduct(plan, folder, watcher, scheduler=scheduler, jobs=jobs, retry=retry)
+    except KeyboardInterrupt:
+        complain("interrupted; runs that are done are kept, and the same command goes on from here")
+        return 130
+    failed = (
+        f", {report.failed} failed: see {folder / 'table.md'}; --retry makes them again"
+        if report.failed
+        else ""
+    )
+    out.print(f"{folder}: {report.runs} runs{watcher.pace}{failed}", markup=False)
+    out.print("see " + "  ".join(str(path) for path in [*report.pages, report.table]), markup=False)
+    return 1 if report.failed else 0
+
+
+class _Watcher(Progress):
+    """Progress over the runs, with throughput and time left; nothing where stderr is no terminal."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TextColumn("{task.fields[state]}"),
+            TimeElapsedColumn(),
+            TextColumn("left:"),
+            TimeRemainingColumn(),
+            console=err,
+            disable=not err.is_terminal,
+            transient=True,
+        )
+        self._task = self.add_task(name, total=None, state="starting …")
+        self._made = self._failed = 0
+        self._began_s = monotonic()
+        self.pace = ""
+
+    def begin(self, missing: int, there: int) -> None:
+        """So many runs are to be made; so many are there already."""
+        state = f"{there} were there" if there else ""
+        self.update(self._task, total=missing, state=state)
+        self._began_s = monotonic()
+
+    def advance_runs(self, outcomes: list[dict[str, Any]]) -> None:
+        """These are made."""
+        self._made += len(outcomes)
+        self._failed += sum(outcome["error"] is not None for outcome in outcomes)
+        rate = self._made / max(monotonic() - self._began_s, 1e-9)
+        self.pace = f", {self._made} made at {rate:.3g} a second"
+        failed = f", {self._failed} failed" if self._failed else ""
+        self.update(self._task, completed=self._made, state=f"{rate:.3g} runs/s{failed}")

@@ -1,0 +1,1 @@
+"""Studies: one scenario run many times, with parameters on a grid or drawn at random."""

@@ -1,0 +1,41 @@
+"""One run of a study, from mission to values, without a file: what a worker does."""
+
+from collections.abc import Sequence
+from time import perf_counter
+from typing import Any
+
+import cv2
+
+from skyherd.datasets import Mission
+from skyherd.errors import SkyherdError
+from skyherd.history import make_history
+from skyherd.loop import run_steps
+from skyherd.study.spec import CURVE, SUMMARY_FIELDS
+from skyherd.summary import summarize
+
+Outcome = dict[str, Any]
+
+
+def measure(key: str, mission: Mission, curves: Sequence[str]) -> Outcome:
+    """Run a mission on one thread.
+
+    Returns:
+        its `key`, its `error` (None if all went well), and then the summary's values and the named arrays
+        of its history, as `history.NAME`.
+    """
+    cv2.setNumThreads(1)
+    started_s = perf_counter()
+    try:
+        history = make_history(mission, run_steps(mission))
+        summary = summarize(history, perf_counter() - started_s)
+    except SkyherdError as error:
+        return failure(key, str(error))
+    except Exception as error:  # whatever it is, the other runs go on
+        return failure(key, f"{type(error).__name__}: {error}")
+    values = {name: summary[name] for name in SUMMARY_FIELDS}
+    return {"key": key, "error": None, **values, **{CURVE + name: getattr(history, name) for name in curves}}
+
+
+def failure(key: str, error: str) -> Outcome:
+    """The outcome of a run that failed; the error in one line."""
+    return {"key": key, "error": " ".join(error.split()) or "an error that says nothing"}

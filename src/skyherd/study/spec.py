@@ -1,0 +1,244 @@
+"""The study file, key by key: what each means, and what is allowed."""
+
+from pathlib import Path
+from typing import Annotated, Any, Literal, NamedTuple, Self
+
+from pydantic import BeforeValidator, Field, FiniteFloat, ValidationError, field_validator, model_validator
+
+from skyherd.datasets.fields import Model
+from skyherd.datasets.toml_files import built_in_names, built_in_text, first_error, parse, read_text
+from skyherd.errors import InputError
+from skyherd.history import CURVES
+from skyherd.report_fields import GROUPS
+
+BUILT_IN = "skyherd.study.specs"
+CURVE = "history."
+"""Before the name of a field of a run's history, an array over time."""
+
+SUMMARY_FIELDS = {field.key: field for group in GROUPS.values() for field in group}
+_KINDS = {"uniform", "log", "whole", "choice"}
+
+
+def _keys(tree: Any) -> Any:
+    """`{a: {b: value}}` as `{"a.b": value}`: TOML reads a dotted key without quotes as tables."""
+    if not isinstance(tree, dict):
+        return tree
+    flat: dict[str, Any] = {}
+    for key, value in tree.items():
+        if isinstance(value, dict) and not (value and value.keys() <= _KINDS):
+            flat |= {f"{key}.{rest}": leaf for rest, leaf in _keys(value).items()}
+        else:
+            flat[key] = value
+    return flat
+
+
+def _kind(value: Any) -> Any:
+    return {"uniform": value} if isinstance(value, list | tuple) else value
+
+
+class DrawModel(Model):
+    """How a value is drawn: exactly one of these; a bare pair is `uniform`."""
+
+    uniform: tuple[FiniteFloat, FiniteFloat] | None = Field(None, description="[least, greatest]")
+    log: tuple[FiniteFloat, FiniteFloat] | None = Field(
+        None, description="[least, greatest], above 0; uniform in the logarithm"
+    )
+    whole: tuple[int, int] | None = Field(None, description="[first, last], each whole number as likely")
+    choice: list[Any] | None = Field(None, min_length=1, description="one of these, each as likely")
+
+    @model_validator(mode="after")
+    def _one(self) -> Self:
+        given = [value for value in (self.uniform, self.log, self.whole, self.choice) if value is not None]
+        if len(given) != 1:
+            raise ValueError("give [least, greatest], or exactly one of log, whole and choice")
+        for span in (self.uniform, self.log, self.whole):
+            if span is not None and span[0] > span[1]:
+                raise ValueError(f"a range goes from least to greatest, not from {span[0]} to {span[1]}")
+        if self.log is not None and self.log[0] <= 0:
+            raise ValueError("a log range lies above 0")
+        return self
+
+
+class RandomModel(Model):
+    """Random parameters: draw number i of a key follows from seed, i and key, and from nothing else."""
+
+    runs: Annotated[int, Field(ge=1, le=1_000_000)] = Field(description="how many draws of all keys")
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = Field(1, description="of the draws")
+    draw: Annotated[dict[str, Annotated[DrawModel, BeforeValidator(_kind)]], BeforeValidator(_keys)] = Field(
+        min_length=1, description="how each key of the scenario is drawn"
+    )
+
+
+class Parts(Model):
+    """What is put over the scenario; keys are those of scenario files, and `*` is every item of a list."""
+
+    set: Annotated[dict[str, Any], BeforeValidator(_keys)] = Field({}, description="one value a key")
+    grid: Annotated[dict[str, Annotated[list[Any], Field(min_length=1)]], BeforeValidator(_keys)] = Field(
+        {}, description="values of each key; every combination is run"
+    )
+    random: RandomModel | None = Field(None, description="parameters drawn at random")
+
+    @property
+    def keys(self) -> list[str]:
+        """Every key that is put over the scenario."""
+        return [*self.set, *self.grid, *(self.random.draw if self.random else ())]
+
+    @model_validator(mode="after")
+    def _once(self) -> Self:
+        if twice := sorted({key for key in self.keys if self.keys.count(key) > 1}):
+            raise ValueError(f"{', '.join(twice)}: give each key once, in set, grid or random.draw")
+        return self
+
+
+class SweepModel(Parts):
+    """One series of runs: put over what stands at the top of the study."""
+
+    name: str = Field(min_length=1, description="what the table calls it")
+
+    def over(self, top: Parts) -> "SweepModel":
+        """Itself, completed by the top's keys; its own go before."""
+        mine = set(self.keys)
+        random = self.random
+        if random is None and top.random is not None:
+            draw = {key: value for key, value in top.random.draw.items() if key not in mine}
+            random = top.random.model_copy(update={"draw": draw}) if draw else None
+        return SweepModel.model_construct(
+            name=self.name,
+            set={key: value for key, value in top.set.items() if key not in mine} | self.set,
+            grid={key: values for key, values in top.grid.items() if key not in mine} | self.grid,
+            random=random,
+        )
+
+
+class FigureModel(Model):
+    """A figure of the table: medians with their range over the runs, or a dot a run where x is drawn."""
+
+    name: str = Field(pattern=r"^\w[\w-]*$", description="of the PNG")
+    title: str = ""
+    x: str = Field(description="a parameter of the study")
+    y: str = Field(description="a field that is kept")
+    lines: str | None = Field(None, description="a parameter of the study, a line for each value")
+    sweep: str | None = Field(None, description="the sweep whose runs are shown; all if left out")
+    x_label: str | None = Field(None, description="with the unit")
+    y_label: str | None = Field(None, description="with the unit")
+    lines_label: str | None = Field(None, description="with the unit")
+    x_log: bool = False
+    y_log: bool = False
+
+
+class StudySpec(Parts):
+    """A study: a scenario, what varies, and what is kept of each run."""
+
+    description: str = Field("", description="what it is for")
+    scenario: str = Field(description="a built-in scenario, or a TOML file beside the study")
+    sweeps: list[SweepModel] = Field([], description="series of runs; if left out, the study is one")
+    keep: list[str] = Field(
+        min_length=1, description=f"fields of summary.json, or {CURVE}NAME for an array over time"
+    )
+    figures: list[FigureModel] = Field([], description="drawn of the table")
+    pages: Literal["figures"] = Field("figures", description="what is made of the table")
+    quick: dict[str, Any] = Field({}, description="keys of the study that --quick changes")
+
+    @field_validator("keep")
+    @classmethod
+    def _kept(cls, keep: list[str]) -> list[str]:
+        for name in keep:
+            if name not in SUMMARY_FIELDS and name.removeprefix(CURVE) not in CURVES:
+                curves = ", ".join(f"{CURVE}{curve}" for curve in CURVES)
+                raise ValueError(f"no field {name!r}; one of {', '.join(SUMMARY_FIELDS)}, {curves}")
+        return list(dict.fromkeys(keep))
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        names = [sweep.name for sweep in self.sweeps]
+        if len(set(names)) < len(names):
+            raise ValueError("sweeps: give each its own name")
+        for figure in self.figures:
+            for key in filter(None, (figure.x, figure.lines)):
+                if key not in self.parameters:
+                    raise ValueError(f"figure {figure.name}: {key!r} does not vary; {self._varying()}")
+            if figure.y not in self.fields:
+                raise ValueError(f"figure {figure.name}: {figure.y!r} is not kept; see keep")
+            if figure.sweep is not None and figure.sweep not in names:
+                raise ValueError(f"figure {figure.name}: no sweep {figure.sweep!r}; {', '.join(names)}")
+        return self
+
+    def _varying(self) -> str:
+        return f"what does: {', '.join(self.parameters) or 'nothing'}"
+
+    @property
+    def fields(self) -> list[str]:
+        """What is kept of the summary."""
+        return [name for name in self.keep if not name.startswith(CURVE)]
+
+    @property
+    def curves(self) -> list[str]:
+        """What is kept of the history, without its prefix."""
+        return [name.removeprefix(CURVE) for name in self.keep if name.startswith(CURVE)]
+
+    @property
+    def all_sweeps(self) -> list[SweepModel]:
+        """Its sweeps, each complete; one without a name if the study has none."""
+        return [sweep.over(self) for sweep in self.sweeps or [SweepModel.model_construct(name="")]]
+
+    @property
+    def parameters(self) -> list[str]:
+        """Every key that differs between runs, in the order given."""
+        own = [key for sweep in self.sweeps for key in sweep.keys]
+        drawn = self.random.draw if self.random else {}
+        return list(dict.fromkeys([*self.grid, *drawn, *own]))
+
+    @property
+    def drawn(self) -> frozenset[str]:
+        """Keys that are drawn at random in some sweep."""
+        return frozenset(key for sweep in self.all_sweeps if sweep.random for key in sweep.random.draw)
+
+
+class Study(NamedTuple):
+    """A checked study: its name, its spec, what complaints call it, and the folder that it lies in."""
+
+    name: str
+    spec: StudySpec
+    where: str
+    folder: Path
+
+
+def study_names() -> list[str]:
+    """Names of the built-in studies."""
+    return built_in_names(BUILT_IN)
+
+
+def study_text(name: str) -> str:
+    """TOML text of a built-in study."""
+    return built_in_text(BUILT_IN, name, "study")
+
+
+def load_study(name_or_file: str, *, quick: bool = False) -> Study:
+    """Read and check a built-in study or a TOML file, with what it says of `quick` put over it.
+
+    Raises:
+        InputError: in one line, the file, the key, the value, and what is allowed.
+    """
+    path = Path(name_or_file)
+    is_file = path.suffix == ".toml" or path.is_file()
+    where = str(path) if is_file else f"study {name_or_file}"
+    text = read_text(path, "study") if is_file else study_text(name_or_file)
+    tree = parse(text, where, f"skyherd study {study_names()[0]} --show")
+    if quick:
+        if not isinstance(tree.get("quick"), dict):
+            raise InputError(f"{where}: quick", "missing", "a table of the keys that --quick changes")
+        tree = _merge(tree, tree["quick"])
+    try:
+        spec = StudySpec.model_validate(tree)
+    except ValidationError as error:
+        raise first_error(error, where, "study", see="skyherd study --schema") from None
+    return Study(path.stem if is_file else name_or_file, spec, where, path.parent if is_file else Path())
+
+
+def _merge(under: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
+    """Tables merge; all else is replaced."""
+    merged = dict(under)
+    for key, value in over.items():
+        both = isinstance(value, dict) and isinstance(under.get(key), dict)
+        merged[key] = _merge(under[key], value) if both else value
+    return merged

@@ -1,0 +1,60 @@
+"""The study's table: one row a run, in the study's order, with its parameters and what was kept of it."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from skyherd.errors import InputError
+from skyherd.study.plan import Plan
+from skyherd.study.spec import CURVE
+from skyherd.study.store import ERROR, KEY
+
+TABLE = "table.parquet"
+SWEEP = "sweep"
+Row = dict[str, Any]
+
+
+def make_table(plan: Plan, outcomes: pa.Table) -> pa.Table:
+    """Columns: `sweep` if there are sweeps, every parameter, every field kept, `error`, `key`."""
+    place = {key: row for row, key in enumerate(outcomes[KEY].to_pylist())}
+    rows = outcomes.take([place[run.key] for run in plan.runs])
+    spec = plan.study.spec
+    columns = {SWEEP: _column([run.sweep for run in plan.runs])} if spec.sweeps else {}
+    columns |= {key: _column([run.parameters[key] for run in plan.runs]) for key in spec.parameters}
+    for name in (*spec.keep, ERROR, KEY):
+        there = name in rows.column_names
+        columns.setdefault(name, rows[name].combine_chunks() if there else pa.nulls(rows.num_rows))
+    return pa.table(columns)
+
+
+def read_table(folder: Path) -> pa.Table:
+    """The table of a study's folder.
+
+    Raises:
+        InputError: there is none, or it is damaged.
+    """
+    try:
+        return pq.read_table(folder / TABLE)
+    except (pa.ArrowInvalid, OSError):
+        raise InputError(
+            str(folder / TABLE), "not there or damaged", "the folder of a finished study"
+        ) from None
+
+
+def good_rows(table: pa.Table) -> list[Row]:
+    """The rows of runs that went well, without their arrays over time."""
+    names = [name for name in table.column_names if not name.startswith(CURVE)]
+    return [row for row in table.select(names).to_pylist() if row[ERROR] is None]
+
+
+def _column(values: list[Any]) -> pa.Array:
+    """A column of values; as JSON where they have no type in common."""
+    if not any(isinstance(value, dict) for value in values):
+        try:
+            return pa.array(values)
+        except (pa.ArrowInvalid, pa.ArrowTypeError):
+            pass
+    return pa.array([json.dumps(value) for value in values])

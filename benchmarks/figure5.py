@@ -1,10 +1,11 @@
-"""The paper's second simulation (Fig. 5), by the safety radius and by the protocol, beside what was published.
+"""The paper's second simulation (Fig. 5), by the safety radius and by the protocol.
+published.
 
     python benchmarks/figure5.py [--out docs/figure5.png]
 
-Published are the start, the template, and from the plots V = 197 at the start and heights that settle near 11 m; the
-end positions are not given beyond the shape. Which robots each unit controls at the start is not known, so that V
-there depends on the safety radius. Prints the figures as JSON.
+Published are the start, the template, and from the plots V = 197 at the start and heights that settle near
+11 m; the end positions are not given beyond the shape. Which robots each unit controls at the start is not
+known, so that V there depends on the safety radius. Prints the figures as JSON.
 """
 
 import argparse

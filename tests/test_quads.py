@@ -1,5 +1,6 @@
 """Dark quadrilaterals: found wherever there is a marker, as they lie, and seldom in noise."""
 
+import cv2
 import numpy as np
 import pytest
 
@@ -62,7 +63,11 @@ def test_markers_under_perspective_have_quads_too(place_markers, draw_markers, s
     squeeze = 0.1 * np.exp(2j * np.pi * rng.uniform())
     middle = 132 * (1 + 1j)
     plane = Shapes(*(np.array([z], dtype=complex) for z in (middle, 1.0, squeeze, horizon)))
-    camera = plane.matrices(np.zeros(1))[0] @ np.array([[1.0, 0, -132], [0, 1, -132], [0, 0, 1]])
+    square = 100 * CORNERS
+    seen = to_points(plane.images(square)[0])
+    camera = cv2.getPerspectiveTransform(
+        to_points(square + middle).astype(np.float32), seen.astype(np.float32)
+    )
     image, corners = scene(place_markers, draw_markers, rng, 30.0, camera=camera)
     inside = (np.minimum(corners.real, corners.imag) > 3).all(axis=1)
     inside &= (np.maximum(corners.real, corners.imag) < 260).all(axis=1)

@@ -26,6 +26,9 @@ BLACK, CONTRAST, RIGHT, DOWN, TURN, GROW, BLUR, GROUND = range(8)
 SQUEEZE, LIGHT, PIXELS = [8, 9], [10, 11], 12
 """Rows of the model's columns, two for what has two components, and of the pixels below them."""
 
+ROWS = 16
+"""Rows of `Pixels.columns`, the last ones empty: products of matrices are fastest in multiples of this."""
+
 MIDDLE_GREY = 128.0
 """Taken off the pixels, so that sums of their squares keep their digits."""
 
@@ -72,27 +75,32 @@ class Pixels:
     Attributes:
         rows: (N,) which of the image's markers they are.
         counts: (N,) pixels of each.
-        columns: (N, 13, M) the model's columns and the pixels, all times the pixels' weights, 0 in padding.
+        columns: (N, 16, M) the model's columns and the pixels, all times the pixels' weights, 0 in padding.
     """
 
     def __init__(self, image: Image, rows: IntArray, shapes: Shapes, looks: Looks) -> None:
         self.rows = rows
         lines = _lines_within(shapes, looks.limits, image.shape)
-        size = lines.padded.shape[1]
-        self.counts = lines.padded.sum(axis=1)
-        self.columns = np.empty((rows.size, PIXELS + 1, size), dtype=np.float32)
-        self.x, self.y = _marker_coordinates(shapes, lines)
-        self._weigh(looks, lines.padded)
-        grey = image.ravel().take(lines.places, mode="clip").reshape(rows.size, size)
+        self.x, self.y, padded = lines.x, lines.y, lines.padded
+        self.counts = padded.sum(axis=1)
+        self.columns = np.empty((rows.size, ROWS, padded.shape[1]), dtype=np.float32)
+        self.columns[:, PIXELS + 1 :] = 0.0
+        self._weigh(looks, padded)
+        grey = image.ravel().take(lines.places, mode="clip").reshape(padded.shape)
         np.multiply(grey - np.float32(MIDDLE_GREY), self.weights, out=self.columns[:, PIXELS])
         self._fill(looks, shapes)
+
+    def grams(self) -> Floats:
+        """(N, 13, 13) inner products of the columns and the pixels."""
+        return (self.columns @ self.columns.transpose(0, 2, 1))[:, : PIXELS + 1, : PIXELS + 1]
 
     def _weigh(self, looks: Looks, padded: Floats) -> None:
         """What of the ground is seen, and the pixels' weights: texture seen there is noise as well."""
         ground = self.columns[:, GROUND]
         ground[...] = 0.0
-        for row in np.flatnonzero(looks.sees_ground):
-            _read(looks.grounds[row], self.x[row], self.y[row], ground[row])
+        seeing = np.flatnonzero(looks.sees_ground)
+        if seeing.size:
+            ground[seeing] = _read([looks.grounds[row] for row in seeing], self.x[seeing], self.y[seeing])
         seen = ground * looks.textures.astype(np.float32)[:, None]
         self.weights = self.columns[:, BLACK]
         np.divide(padded, np.sqrt(1 + seen * seen), out=self.weights)
@@ -101,9 +109,7 @@ class Pixels:
     def _fill(self, looks: Looks, shapes: Shapes) -> None:
         """Read the patterns at the pixels and make the model's columns of them."""
         x, y, columns = self.x, self.y, self.columns
-        drawn = np.empty((*x.shape, 4), dtype=np.float32)
-        for row, pattern in enumerate(looks.patterns):
-            _read(pattern, x[row], y[row], drawn[row])
+        drawn = _read(looks.patterns, x, y)
         if looks.bends:
             self._bend(drawn, looks.bends, shapes)
         np.multiply(drawn[..., 0], self.weights, out=columns[:, CONTRAST])
@@ -126,48 +132,48 @@ class Pixels:
         Towards the horizon the marker shrinks by `w^(-3/2)` with `w = 1 + Re(h̄ m z)`, so that blur grows in
         its coordinates, and the squeeze changes by `- h m̄ z / 2`.
         """
-        squeezes = (shapes.squeezes / shapes.arms).astype(np.complex64)
-        leans = (shapes.horizons * shapes.arms.conj()).astype(np.complex64)
-        for row, bend in enumerate(bends):
-            x, y = self.x[row], self.y[row]
-            bent = np.empty((x.size, 2), dtype=np.float32)
-            _read(bend, x, y, bent)
-            lean = leans[row] / 2
-            squeeze_x = squeezes[row].real - (lean.real * x - lean.imag * y)
-            squeeze_y = squeezes[row].imag - (lean.imag * x + lean.real * y)
-            drawn[row, :, 0] -= bent[:, 0] * squeeze_x + bent[:, 1] * squeeze_y
-            drawn[row, :, 0] += 3 * (lean.real * x + lean.imag * y) * drawn[row, :, 3]
+        x, y, bent = self.x, self.y, _read(bends, self.x, self.y)
+        squeezes = (shapes.squeezes / shapes.arms).astype(np.complex64)[:, None]
+        leans = (shapes.horizons * shapes.arms.conj() / 2).astype(np.complex64)[:, None]
+        squeeze_x = squeezes.real - (leans.real * x - leans.imag * y)
+        squeeze_y = squeezes.imag - (leans.imag * x + leans.real * y)
+        drawn[..., 0] -= bent[..., 0] * squeeze_x + bent[..., 1] * squeeze_y
+        drawn[..., 0] += 3 * (leans.real * x + leans.imag * y) * drawn[..., 3]
 
     def cell_means(self, solutions: Array, n_cells: int) -> Array:
         """(N, n, n): mean over each cell of what the model at `solutions` (N, 12) leaves, grey levels."""
         count = self.rows.size
-        model = np.concatenate([-solutions, np.ones((count, 1))], axis=1).astype(np.float32)
+        model = np.zeros((count, ROWS), dtype=np.float32)
+        model[:, :PIXELS], model[:, PIXELS] = -solutions, 1.0
         left = (model[:, None] @ self.columns)[:, 0]
-        across, down = (np.floor((z + np.float32(0.5)) * n_cells).astype(np.int32) for z in (self.x, self.y))
-        inside = (np.minimum(across, down) >= 0) & (np.maximum(across, down) < n_cells) & (self.weights > 0)
-        cell = (np.arange(count, dtype=np.int32)[:, None] * n_cells + down) * n_cells + across
-        sums, sizes = (
-            np.bincount(cell[inside], weights, minlength=count * n_cells**2)
-            for weights in (left[inside], None)
+        grid = n_cells + 2  # with a ring around for pixels outside
+        across, down = (
+            np.clip(z * np.float32(n_cells) + np.float32(n_cells / 2 + 1), 0, grid - 0.5).astype(np.intp)
+            for z in (self.x, self.y)
         )
-        return (sums / np.maximum(sizes, 1)).reshape(count, n_cells, n_cells)
+        cell = ((np.arange(count)[:, None] * grid + down) * grid + across).ravel()
+        sums, sizes = (
+            np.bincount(cell, values.ravel(), minlength=count * grid**2)
+            for values in (left, self.weights > 0)
+        )
+        means = (sums / np.maximum(sizes, 1)).reshape(count, grid, grid)
+        return np.asarray(means[:, 1:-1, 1:-1])
 
 
 @dataclass(frozen=True)
 class Lines:
-    """Pixels of N markers, line by line, each marker's filled up to the same number M.
+    """Pixels of N markers, line by line, each marker's filled up to the same number M with its centre.
 
     Attributes:
         padded: (N, M) 1 for a pixel, 0 for one that only fills up.
         places: (N x M,) where the pixels are in the image.
-        u, v: (N, M) the pixels, from `origins` (N,).
+        x, y: (N, M) marker coordinates.
     """
 
     padded: Floats
     places: IntArray
-    u: Floats
-    v: Floats
-    origins: ComplexArray
+    x: Floats
+    y: Floats
 
 
 def _lines_within(shapes: Shapes, limits: Array, image_shape: tuple[int, ...]) -> Lines:
@@ -177,60 +183,60 @@ def _lines_within(shapes: Shapes, limits: Array, image_shape: tuple[int, ...]) -
     is taken.
     """
     right, down = shapes.arms + shapes.squeezes, 1j * (shapes.arms - shapes.squeezes)
-    area = (right.conj() * down).imag
     reach = limits * (np.abs(right.imag) + np.abs(down.imag))
     lines = np.ceil(shapes.centers.imag - reach)[:, None] + np.arange(int(2 * reach.max()) + 1)
     v = lines - shapes.centers.imag[:, None]
     low, high = np.full(v.shape, -np.inf), np.full(v.shape, np.inf)
-    # x = (down_v u - down_u v) / area and y = (right_u v - right_v u) / area, from the marker's centre.
-    for per_u, per_v in ((down.imag / area, -down.real / area), (-right.imag / area, right.real / area)):
-        per_u = np.where(np.abs(per_u) < 1e-12, 1e-12, per_u)[:, None]
-        middle, half = -per_v[:, None] * v / per_u, limits[:, None] / np.abs(per_u)
+    for axis in shapes.axes():
+        per_u = np.where(np.abs(axis.real) < 1e-12, 1e-12, axis.real)[:, None]
+        middle, half = -axis.imag[:, None] * v / per_u, limits[:, None] / np.abs(per_u)
         low, high = np.maximum(low, middle - half), np.minimum(high, middle + half)
     low = np.maximum(np.ceil(low + shapes.centers.real[:, None]), 0)
     high = np.minimum(np.floor(high + shapes.centers.real[:, None]), image_shape[1] - 1)
     inside = (lines >= 0) & (lines < image_shape[0])
     counts = np.where(inside, np.maximum(high - low + 1, 0), 0).astype(np.int64)
-    return _laid_out(low, lines, counts, image_shape[1], np.rint(shapes.centers))
+    return _laid_out(shapes, low, lines, counts, image_shape[1])
 
 
-def _laid_out(low: Array, lines: Array, counts: IntArray, width: int, origins: ComplexArray) -> Lines:
+def _laid_out(shapes: Shapes, low: Array, lines: Array, counts: IntArray, width: int) -> Lines:
     """Pixels from `low` (N, L), `counts` of them, on image `lines`; a last line fills each marker up."""
     totals = counts.sum(axis=1)
     size = -(-max(int(totals.max()), 1) // BLOCK) * BLOCK
-    counts = np.column_stack([counts, size - totals]).ravel()
-    fill = np.zeros(totals.size)
-    low, lines = np.column_stack([low, fill]), np.column_stack([lines, fill])
-    line = np.repeat(np.arange(counts.size, dtype=np.int32), counts)
-    within = -(np.cumsum(counts) - counts)
-    position = np.arange(line.size)
-    places = position + (within + (lines * width + low).ravel().astype(np.int64))[line]
-    u = position + (within + (low - origins.real[:, None]).ravel())[line]
-    v = (lines - origins.imag[:, None]).ravel()[line]
-    shape = (totals.size, size)
     padded = (np.arange(size) < totals[:, None]).astype(np.float32)
-    return Lines(
-        padded, places, u.astype(np.float32).reshape(shape), v.astype(np.float32).reshape(shape), origins
+    counts = np.column_stack([counts, size - totals]).ravel()
+    low = np.column_stack([low, shapes.centers.real])
+    lines = np.column_stack([lines, shapes.centers.imag])
+    begins = low - shapes.centers.real[:, None] + 1j * (lines - shapes.centers.imag[:, None])
+    step = np.arange(padded.size) - np.repeat(np.cumsum(counts) - counts, counts)
+    places = np.repeat((lines * width + low).astype(np.int64).ravel(), counts) + step
+    within = step.astype(np.float32).reshape(padded.shape) * padded
+
+    def along(axis: ComplexArray) -> Floats:
+        """`Re(axis̄ p)` of all pixels p, from their markers' centres."""
+        at_begin = (axis.conj()[:, None] * begins).real.astype(np.float32)
+        slope = axis.real.astype(np.float32)[:, None]
+        return np.asarray(np.repeat(at_begin.ravel(), counts).reshape(padded.shape) + slope * within)
+
+    x, y = (along(axis) for axis in shapes.axes())
+    if shapes.horizons.any():
+        nearness = 1 - along(shapes.horizons)
+        x, y = x / nearness, y / nearness
+    return Lines(padded, places, x, y)
+
+
+def _read(patterns: list[Pattern], x: Floats, y: Floats) -> Floats:
+    """Values of N patterns at marker coordinates (N, M): (N, M), or (N, M, channels)."""
+    rates, centers = (
+        np.array([[getattr(pattern, name)] for pattern in patterns], dtype=np.float32)
+        for name in ("rate", "center")
     )
-
-
-def _marker_coordinates(shapes: Shapes, lines: Lines) -> tuple[Floats, Floats]:
-    """x, y (N, M) of pixels."""
-    matrices = np.linalg.inv(shapes.matrices(lines.origins)).astype(np.float32)
-    (a, b, c), (d, e, f), (g, h, i) = np.moveaxis(matrices, 0, 2)[..., None]
-    u, v = lines.u, lines.v
-    x, y = a * u + b * v + c, d * u + e * v + f
-    if not shapes.horizons.any():
-        return x, y
-    w = g * u + h * v + i
-    return x / w, y / w
-
-
-def _read(pattern: Pattern, x: Floats, y: Floats, out: Floats) -> None:
-    """A pattern's values at marker coordinates (M,), into `out` (M,) or (M, 4)."""
-    u, v = ((z * np.float32(pattern.rate) + np.float32(pattern.center)).reshape(-1, BLOCK) for z in (x, y))
-    into = out.reshape(*u.shape, *out.shape[1:])
-    cv2.remap(pattern.values, u, v, cv2.INTER_LINEAR, dst=into, borderMode=cv2.BORDER_REPLICATE)
+    u, v = ((z * rates + centers).reshape(len(patterns), -1, BLOCK) for z in (x, y))
+    values = np.empty((*u.shape, *patterns[0].values.shape[2:]), dtype=np.float32)
+    for row, pattern in enumerate(patterns):
+        cv2.remap(
+            pattern.values, u[row], v[row], cv2.INTER_LINEAR, dst=values[row], borderMode=cv2.BORDER_REPLICATE
+        )
+    return values.reshape(*x.shape, *values.shape[3:])
 
 
 def take_pixels(image: Image, rows: IntArray, shapes: Shapes, looks: Looks) -> list[Pixels]:

@@ -129,12 +129,12 @@ def fit_markers(
     for _ in range(ROUNDS):
         start = start.replaced(rows, shapes)
         for pixels in columns.take_pixels(image, rows, start, looks):
-            grams[pixels.rows] = pixels.columns @ pixels.columns.transpose(0, 2, 1)
+            grams[pixels.rows] = pixels.grams()
             counts[pixels.rows] = pixels.counts
             taken.append(pixels)
         solved = Solved.of(grams, counts)
-        if not _is_uneven(solved):
-            solved = solved.holding(LIGHT, np.zeros((ids.size, 2)))
+        even = solved.holding(LIGHT, np.zeros((ids.size, 2)))
+        solved = solved if _is_uneven(solved, even) else even
         plane, squeezes = _common_plane(solved, start, middle)
         solved = solved.holding(SQUEEZE, squeezes)
         looks = replace(looks, ratios=(solved.values[:, BLACK] + MIDDLE_GREY) / solved.contrasts())
@@ -191,9 +191,9 @@ def _cell_means(taken: list[Pixels], solved: Solved, n_cells: int) -> Array:
     return means
 
 
-def _is_uneven(solved: Solved) -> bool:
+def _is_uneven(solved: Solved, even: Solved) -> bool:
     """Whether light changes over the markers, by the mean of their chi-squared of two degrees of freedom."""
-    chi_squared = solved.growth(LIGHT, np.zeros((solved.pixels.size, 2))) / solved.noises() ** 2 / 2
+    chi_squared = (even.squares - solved.squares) / solved.noises() ** 2 / 2
     return bool(chi_squared.mean() > 1 + UNEVEN / np.sqrt(chi_squared.size))
 
 
@@ -201,7 +201,7 @@ def _common_plane(solved: Solved, shapes: Shapes, middle: complex) -> tuple[Plan
     """The plane, and the unknowns for squeeze and shear (N, 2) that put the markers on it."""
     contrasts = solved.contrasts()
     found = solved.values[:, SQUEEZE] @ np.array([1, 1j]) / contrasts
-    spread = np.einsum("nii->n", solved.inverses[:, SQUEEZE][:, :, SQUEEZE]) / 2
+    spread = solved.inverses[:, SQUEEZE, SQUEEZE].mean(axis=1)
     spread = np.where((spread > 0) & (solved.pixels > LEAST_PIXELS), spread, np.inf)
     points = shapes.centers - middle
     squeezes = (shapes.squeezes + shapes.arms * found) / shapes.arms.conj()

@@ -126,9 +126,10 @@ class PhotometricDetector:
             return self._none, False
         near = shapes.take(here)
         fits = self._fit(image, camera, camera.tracks.ids[here], near)
-        stayed = np.abs(fits.shapes.centers - near.centers[_rows(fits.ids, camera.tracks.ids[here])])
         good = _verified(fits, camera, image)
-        good |= border_is_covered(fits) & (stayed < NEAR_SIDES * fits.shapes.sides_px())
+        if not good.all():
+            stayed = np.abs(fits.shapes.centers - near.centers[_rows(fits.ids, camera.tracks.ids[here])])
+            good |= border_is_covered(fits) & (stayed < NEAR_SIDES * fits.shapes.sides_px())
         return fits.take(good), not (here.all() and good.all())
 
     def _search(self, image: Image, camera: Camera, known: Shapes) -> Fits:
@@ -157,7 +158,7 @@ class PhotometricDetector:
         sigma_px = camera.sigma_px or START_SIGMA_PX
         noise = max(camera.noise or USUAL_NOISE, LEAST_NOISE)
         fits, plane = fit_all_sizes(image, self.dictionary, ids, shapes, sigma_px, camera.plane, noise)
-        if bits_are_right(fits).any():
+        if plane != camera.plane and bits_are_right(fits).any():
             camera.plane = plane
         return fits
 
@@ -175,8 +176,8 @@ class PhotometricDetector:
         told = found if camera.noise is None else found.take(found.noises < COVERED_NOISE * camera.noise)
         if len(told.ids):
             _learn_blur(camera, told, BLUR_RATE)
-            noise = float(np.median(told.noises))
-            camera.print_contrast = float(np.median(told.print_contrasts()))
+            medians = np.median([told.noises, told.print_contrasts()], axis=1).tolist()
+            noise, camera.print_contrast = medians
             camera.noise = (
                 noise if camera.noise is None else camera.noise + BLUR_RATE * (noise - camera.noise)
             )

@@ -69,6 +69,8 @@ def fit_plane(points: ComplexArray, squeezes: ComplexArray, variances: Array) ->
         return Plane()
     best, least = Plane(), _chi_squared(Plane(), points, squeezes, variances)
     per_freedom = least / (2 * points.size)
+    if _linear_fall(points, squeezes, variances) <= SIGNIFICANT:
+        return replace(best, shared=per_freedom <= EXCESS)
     for unknowns in (2, 4):
         if 2 * points.size <= unknowns:
             break
@@ -84,22 +86,33 @@ def _chi_squared(plane: Plane, points: ComplexArray, squeezes: ComplexArray, var
     return float(np.sum(np.abs(squeezes - plane.squeezes(points)) ** 2 / variances))
 
 
+def _linear_fall(points: ComplexArray, squeezes: ComplexArray, variances: Array) -> float:
+    """By how much the chi-squared falls, to first order, with both α and λ."""
+    weighted, normal = _normal_equations(points, variances)
+    told = weighted @ squeezes
+    return float(np.vdot(told, np.linalg.solve(normal, told)).real)
+
+
+def _normal_equations(points: ComplexArray, variances: Array) -> tuple[ComplexArray, ComplexArray]:
+    """Weighted columns (2, N) of α and λ, and their normal matrix (2, 2)."""
+    columns = _columns(points)
+    weighted = columns.conj().T / variances
+    normal = weighted @ columns
+    # Markers in one place tell no horizon: a grain of ridge keeps it at zero.
+    return weighted, normal + 1e-12 * np.trace(normal).real * np.eye(2)
+
+
 def _solve(points: ComplexArray, squeezes: ComplexArray, variances: Array, *, tilted: bool) -> Plane:
     """Weighted least squares in α, and in λ if `tilted`; second-order terms are the last round's."""
     unknowns = 1 + tilted
-    columns = _columns(points)[:, :unknowns]
-    weighted = columns.conj().T / variances
+    weighted, normal = _normal_equations(points, variances)
     covariance = np.zeros((2, 2), dtype=complex)
-    normal = weighted @ columns
-    # Markers in one place tell no horizon: a grain of ridge keeps it at zero.
-    covariance[:unknowns, :unknowns] = np.linalg.inv(
-        normal + 1e-12 * np.trace(normal).real * np.eye(unknowns)
-    )
+    covariance[:unknowns, :unknowns] = np.linalg.inv(normal[:unknowns, :unknowns])
     plane = Plane()
     for _ in range(ROUNDS):
         a, h = plane.squeeze, plane.horizon
         second = (a * points * np.conj(h) - squeezes * points.conj() * (h + np.conj(h) * a)) / 2
-        solution = covariance[:, :unknowns] @ (weighted @ (squeezes + second))
+        solution = covariance @ (weighted @ (squeezes + second))
         plane = Plane(complex(solution[0]), complex(solution[1]))
         if abs(plane.squeeze) > 1 or abs(plane.horizon) * np.abs(points).max() > 1:
             # Turned over, or a horizon among the markers: no camera sees a plane so.

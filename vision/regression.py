@@ -22,8 +22,8 @@ SINGLE_PRECISION = 3e-6
 LEAST_CONTRAST = 4.0
 """Grey levels between black and white under which nothing is there to be fitted."""
 
-_RIDGE = np.full(PIXELS, 1e-9)
-_RIDGE[GROUND] = GROUND_RIDGE
+_RIDGE = np.diag(np.where(np.arange(PIXELS) == GROUND, GROUND_RIDGE, 1e-9))
+_PARTED = 1 + SINGLE_PRECISION * np.eye(PIXELS)
 
 
 @dataclass(frozen=True)
@@ -48,30 +48,24 @@ class Solved:
     def of(cls, grams: Array, pixels: Array) -> "Solved":
         """Solve for all unknowns of Gram matrices (N, 13, 13), of so many pixels (N,) each."""
         right = grams[:, :PIXELS, PIXELS]
-        normal = grams[:, :PIXELS, :PIXELS] + np.diag(_RIDGE)
         # Sums in single precision are right to 1e-6 or so: columns nearer than that are parted.
-        normal[:, range(PIXELS), range(PIXELS)] *= 1 + SINGLE_PRECISION
-        inverses = np.linalg.inv(normal).astype(float)
+        inverses = np.linalg.inv((grams[:, :PIXELS, :PIXELS] + _RIDGE) * _PARTED).astype(float)
         values: Array = (inverses @ right[..., None])[..., 0]
         squares: Array = np.maximum(grams[:, PIXELS, PIXELS] - (values * right).sum(axis=1), 1e-9)
         return cls(values, inverses, squares, pixels)
 
-    def growth(self, rows: list[int], at: Array) -> Array:
-        """(N,) by how much the squares grow if the unknowns `rows` are held at values (N, len(rows)).
-
-        Never less than 0, which rounding may make it where pixels are too few to tell the unknowns.
-        """
-        off = self.values[:, rows] - at
-        return np.asarray(np.maximum(np.einsum("ni,nij,nj->n", off, self._blocks(rows), off), 0.0))
-
     def holding(self, rows: list[int], at: Array) -> "Solved":
-        """The same with the unknowns `rows` held at values (N, len(rows))."""
-        gain = self.inverses[:, :, rows] @ self._blocks(rows)
-        off = self.values[:, rows] - at
+        """The same with the unknowns `rows` held at values (N, len(rows)), by which the squares grow.
+
+        They never shrink, which rounding may make them where pixels are too few to tell the unknowns.
+        """
+        off = (self.values[:, rows] - at)[..., None]
+        blocks = self._blocks(rows)
+        gain = self.inverses[:, :, rows] @ blocks
         return Solved(
-            values=self.values - (gain @ off[..., None])[..., 0],
+            values=self.values - (gain @ off)[..., 0],
             inverses=self.inverses - gain @ self.inverses[:, rows],
-            squares=self.squares + self.growth(rows, at),
+            squares=self.squares + np.maximum(off.transpose(0, 2, 1) @ blocks @ off, 0.0)[:, 0, 0],
             pixels=self.pixels,
             free=self.free - len(rows),
         )

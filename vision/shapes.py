@@ -94,15 +94,7 @@ class Shapes(Rows):
         """Directions of forward, z = -i."""
         return np.angle(-1j * (self.arms - self.squeezes))
 
-    def matrices(self, origins: ComplexArray) -> Array:
-        """Homographies (N, 3, 3) from marker coordinates (right, down, 1) to pixels from `origins`."""
-        right, down = self.arms + self.squeezes, 1j * (self.arms - self.squeezes)
-        center = self.centers - origins
-        matrices = np.zeros((len(self), 3, 3))
-        last = [(self.horizons.conj() * axis).real for axis in (right, down)]
-        for column, axis in enumerate((right, down)):
-            matrices[:, 0, column] = axis.real + last[column] * center.real
-            matrices[:, 1, column] = axis.imag + last[column] * center.imag
-            matrices[:, 2, column] = last[column]
-        matrices[:, 0, 2], matrices[:, 1, 2], matrices[:, 2, 2] = center.real, center.imag, 1.0
-        return matrices
+    def axes(self) -> tuple[ComplexArray, ComplexArray]:
+        """X and Y (N,), 1/px: a point p from the centre is `z = (Re(X̄ p) + i Re(Ȳ p)) / (1 - Re(h̄ p))`."""
+        area = np.abs(self.arms) ** 2 - np.abs(self.squeezes) ** 2
+        return (self.arms - self.squeezes) / area, 1j * (self.arms + self.squeezes) / area

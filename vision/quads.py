@@ -1,35 +1,17 @@
 """Dark quadrilaterals in an image: where markers may be.
 
-A pixel is dark if it is below the mean of its surroundings by a constant. Of the boundaries of the dark
-regions those that enclose an area as a square does are kept, four corners are taken on each, and a line is
-fitted to each of the four sides. All boundaries of an image are treated at once.
+Of the boundaries of the dark regions (`skyherd.vision.regions`) those that enclose an area as a square does
+are kept, four corners are taken on each, and a line is fitted to each of the four sides. All boundaries of an
+image are treated at once.
 """
 
-from typing import cast
+import math
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
 from skyherd.geometry import Array, BoolArray, ComplexArray, IntArray, to_points
-
-SMOOTHING_PX = 3
-"""Width of the box that takes noise off before the threshold."""
-
-SHARPENING_PX = 5
-"""Width of the box whose mean, taken twice, is taken off again: blur closes the white between a border and
-its ground."""
-
-WINDOWS_PX = (9, 21)
-"""Widths of the surroundings: small ones part crowded edges, large ones fill thick borders."""
-
-DARKER = 10
-"""By how many grey levels a dark pixel is below the mean of its surroundings, in the sharpened image."""
-
-CROWD_PX = 11
-CROWDED, LEAST_CROWDED, MOST_CROWDED = 2.0, 4.0, 9.0
-"""Around a marker's edge pixels are dark by much and in number, those of noise and texture are not: the mean
-darkness within a box must be so many times the whole image's, within these bounds in grey levels."""
+from skyherd.vision.regions import dark_boundaries
 
 MIN_SIDE_PX = 7.0
 """Shortest side of a dark region that is looked at, between centres of its outermost pixels."""
@@ -43,6 +25,9 @@ GROWTH_PX = 0.5
 ROUNDED = 0.125
 """Share of a side at either end that is not used to fit its line."""
 
+LEAST_POINTS = math.ceil(4 * MIN_SIDE_PX / math.sqrt(2))
+"""A square whose sides run diagonally has a boundary of side / sqrt(2) pixels a side."""
+
 MAX_SIDE_RATIO = 3.0
 MAX_AREA_MISMATCH = 0.3
 """Largest ratio of sides, and relative difference between the areas of a region and its quadrilateral."""
@@ -50,10 +35,10 @@ MAX_AREA_MISMATCH = 0.3
 
 def find_quads(image: npt.NDArray[np.uint8]) -> Array:
     """Corners (N, 4, 2) of the dark quadrilaterals in a grey image, clockwise as seen, in no set order."""
-    boundaries = _dark_boundaries(image)
-    if not boundaries:
+    boundaries = dark_boundaries(image, LEAST_POINTS)
+    points, lengths = boundaries.points, boundaries.lengths
+    if not lengths.size:
         return np.zeros((0, 4, 2))
-    points, lengths = _join(boundaries)
     starts = np.cumsum(lengths) - lengths
     area = _areas(points, starts, lengths)
     # Outer boundaries run one way round, those of holes the other.
@@ -64,34 +49,6 @@ def find_quads(image: npt.NDArray[np.uint8]) -> Array:
     starts = np.cumsum(lengths) - lengths
     corners = _lines_met(*_sides(points, starts, lengths, _corner_rows(points, starts, lengths)))
     return to_points(corners[_is_quad(corners, area)])
-
-
-def _dark_boundaries(image: npt.NDArray[np.uint8]) -> list[npt.NDArray[np.int32]]:
-    """Boundaries (K, 2) of dark regions, those too short for a marker left out."""
-    smooth, wide = _mean(image, SMOOTHING_PX), _mean(_mean(image, SHARPENING_PX), SHARPENING_PX)
-    sharp = np.asarray(cv2.addWeighted(smooth, 2.0, wide, -1.0, 0.0), dtype=np.uint8)
-    narrow, broad = (cv2.subtract(_mean(sharp, width), sharp) for width in WINDOWS_PX)
-    darkness = np.asarray(cv2.max(narrow, broad), dtype=np.uint8)
-    usual = cv2.mean(np.ascontiguousarray(darkness[::4, ::4]))[0]
-    crowd = np.clip(CROWDED * usual, LEAST_CROWDED, MOST_CROWDED)
-    _, dark = cv2.threshold(darkness, DARKER, 255, cv2.THRESH_BINARY)
-    _, crowded = cv2.threshold(_mean(darkness, CROWD_PX), crowd, 255, cv2.THRESH_BINARY)
-    dark = cv2.bitwise_and(dark, crowded)
-    contours, _ = cv2.findContours(dark, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
-    # A square whose sides run diagonally has a boundary of side / sqrt(2) pixels a side.
-    shortest = 4 * MIN_SIDE_PX / np.sqrt(2)
-    return cast("list[npt.NDArray[np.int32]]", [c for c in contours if len(c) >= shortest])
-
-
-def _mean(image: npt.NDArray[np.uint8], width: int) -> npt.NDArray[np.uint8]:
-    """Mean over a box around each pixel."""
-    return np.asarray(cv2.blur(image, (width, width)), dtype=np.uint8)
-
-
-def _join(boundaries: list[npt.NDArray[np.int32]]) -> tuple[ComplexArray, IntArray]:
-    """All boundary points one after the other, `u + iv`, and how many each boundary has."""
-    joined = np.concatenate(boundaries)[:, 0].astype(float)
-    return joined[:, 0] + 1j * joined[:, 1], np.array([len(boundary) for boundary in boundaries])
 
 
 def _cross(a: ComplexArray, b: ComplexArray) -> Array:

@@ -1,7 +1,8 @@
 """Exact truth about the markers in an image: where they are, how they lie, how much of them is seen."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -32,8 +33,8 @@ class FrameTruth:
         corners_px: (N, 4, 2) images of the black squares' corners, in the marker's order.
         images_marker: (N, 3, 3) from marker coordinates (forward, left, in sides) to pixels; through a
             lens or a rolling shutter right to first order at the centre.
-        visible_fractions: (N,) share of the black square that is in the image and not covered.
         whole: (N,) whether the marker and its whole card are in the image and not covered.
+        count_visible: what counts `visible_fractions`, which costs as much as all the rest.
     """
 
     ids: IntArray
@@ -42,8 +43,13 @@ class FrameTruth:
     sides_px: Array
     corners_px: Array
     images_marker: Array
-    visible_fractions: Array
     whole: BoolArray
+    count_visible: Callable[[], Array] = field(repr=False, compare=False)
+
+    @cached_property
+    def visible_fractions(self) -> Array:
+        """(N,) share of the black square that is in the image and not covered."""
+        return self.count_visible()
 
 
 def ground_markers(positions_m: Array, headings_rad: Array, side_m: float) -> Array:
@@ -93,14 +99,18 @@ def project_markers(
     limit, ahead = np.array(camera.size_px) - 0.5, images.before_horizon(np.zeros((1, 2)))
     inside = ((cards >= -0.5) & (cards <= limit)).all(axis=(1, 2))
     whole = np.asarray(inside & images.before_horizon(SQUARE * card))
-    fractions = np.where(whole, 1.0, 0.0)
+    clear = np.where(whole, 1.0, 0.0)
     touches = ((cards.max(axis=1) >= -0.5) & (cards.min(axis=1) <= limit)).all(axis=1)
     unsure = np.flatnonzero(ahead & touches & (~whole | bool(occluders)))
-    if unsure.size:
-        some, grounds = images.only(unsure), markers(0.0)[unsure]
+    some, grounds = images.only(unsure), markers(0.0)[unsure]
+    if occluders:
+        whole[unsure] &= _shares(some, grounds, occluders, card) == 1.0
+
+    def count_visible() -> Array:
+        fractions = clear.copy()
         fractions[unsure] = _shares(some, grounds, occluders, 1.0)
-        if occluders:
-            whole[unsure] &= _shares(some, grounds, occluders, card) == 1.0
+        return fractions
+
     return FrameTruth(
         ids=np.arange(len(centers)) if ids is None else np.asarray(ids),
         centers_px=centers,
@@ -108,8 +118,8 @@ def project_markers(
         sides_px=np.sqrt(np.abs(np.linalg.det(jacobian))),
         corners_px=corners,
         images_marker=local,
-        visible_fractions=fractions,
         whole=whole,
+        count_visible=count_visible,
     )
 
 

@@ -63,13 +63,16 @@ class ShapeImages:
 
     def project(self, points: Array) -> Array:
         """Pixels (N, V, 2) of points (V, 2) or (N, V, 2) in shape coordinates, through shutter and lens."""
+        homogeneous = np.concatenate([points, np.ones((*points.shape[:-1], 1))], axis=-1)
+        if not self.rolling:
+            mapped = homogeneous @ self.matrices[0].transpose(0, 2, 1)
+            return distort(self.camera, self.zoom, mapped[..., :2] / mapped[..., 2:])
         shape = np.broadcast_to(
             np.arange(self.matrices.shape[1], dtype=np.int64)[:, None],
             (self.matrices.shape[1], points.shape[-2]),
         )
-        homogeneous = np.concatenate([points, np.ones((*points.shape[:-1], 1))], axis=-1)
         v_px: Array = np.full(shape.shape, (self.camera.size_px[1] - 1) / 2)
-        for _ in range(ROLLING_STEPS if self.rolling else 1):
+        for _ in range(ROLLING_STEPS):
             mapped = np.einsum(
                 "nvij,nvj->nvi",
                 self._at(self.matrices, shape, v_px),
@@ -110,12 +113,11 @@ class ShapeImages:
         the motion during it: a point seen in row v moves with `dp = D H dx + p_t τ dv`, so that its slope is
         multiplied by `(1 - τ p_t e_vᵀ)⁻¹`.
         """
-        origin = np.zeros((1, 2))
-        centers = self.project(origin)[:, 0]
+        if not self.bent:
+            return np.asarray(self.matrices[0])
+        centers = self.project(np.zeros((1, 2)))[:, 0]
         shape: IntArray = np.arange(len(centers))
         matrices = self._at(self.matrices, shape, centers[:, 1])
-        if not self.camera.distortion and not self.rolling:
-            return matrices
         straight = matrices[:, :2, 2] / matrices[:, 2:, 2]
         slopes = lens_slopes(self.camera, self.zoom, straight)
         if self.rolling:

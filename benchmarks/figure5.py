@@ -1,5 +1,4 @@
 """The paper's second simulation (Fig. 5), by the safety radius and by the protocol.
-published.
 
     python benchmarks/figure5.py [--out docs/figure5.png]
 

@@ -59,14 +59,18 @@ class Evidence:
 
     def loosened(self, variances: Array) -> "Evidence":
         """After the unknowns may each have changed, with variances (n,)."""
-        covariance = np.linalg.inv(self.information)
-        values = covariance @ self.vector
+        everything = range(self.vector.size)
+        covariance, values = self.covariance(everything), self.solved(everything)
         information = np.linalg.inv(covariance + np.diag(variances))
         return Evidence(information, information @ values)
 
-    def covariance(self) -> Array:
-        """Covariance (n, n) with all unknowns loose."""
-        return np.asarray(np.linalg.inv(self.information))
+    def covariance(self, loose: Sequence[int]) -> Array:
+        """Covariance (n, n) of x̂."""
+        covariance = np.zeros_like(self.information)
+        if loose:
+            among = np.ix_(loose, loose)
+            covariance[among] = np.linalg.inv(self.information[among])
+        return covariance
 
     def solved(self, loose: Sequence[int]) -> Array:
         """x̂ (n,), with all but the unknowns `loose` held at zero."""

@@ -25,7 +25,7 @@ from skyherd.control.ground_map import (
 from skyherd.control.squares import Squares
 from skyherd.geometry import Array
 
-PRIOR: Array = np.array([0.1, 0.1, 0.2, 0.1, 0.1, 0.15, 0.15, 0.4, 0.2, 0.2])
+PRIOR: Array = np.array([0.1, 0.1, 0.2, 0.03, 0.03, 0.15, 0.15, 1.0, 0.2, 0.2])
 """Standard deviations of the unknowns over all cameras there are."""
 
 GROUPS = {
@@ -43,7 +43,7 @@ SIGNIFICANT = 20.0
 """Fall of chi-squared that a group must bring: of two unknowns, chance has it once in 20 000."""
 
 OUTLIER = 3.0
-"""Squares whose residual is more than so many deviations weigh less, in inverse proportion."""
+"""Squares whose residual d is more than so many deviations weigh less, in proportion to 1 / d²."""
 
 ROUNDS, SETTLED = 5, 3e-4
 """Fits end once no prediction moves by more than this, or after so many rounds. Of a step, about its square
@@ -151,7 +151,7 @@ def fit_ground(squares: Squares, camera: Evidence, start: Array, noises: Noises)
         lines = _Lines.of(squares, unknowns, robust)
         parts = lines.evidence()
         everything = before + _joined(parts, excess)
-        full, covariance = everything.solved(range(UNKNOWNS)), everything.covariance()
+        full, covariance = everything.solved(range(UNKNOWNS)), everything.covariance(range(UNKNOWNS))
         here = _noises(lines, full, [p.times(1 / e) for p, e in zip(parts, excess, strict=True)], covariance)
         excess = noises.and_then(here).excess(told=squares.told)
         image = _joined(parts, excess)
@@ -162,7 +162,8 @@ def fit_ground(squares: Squares, camera: Evidence, start: Array, noises: Noises)
         if np.abs(lines.slopes @ (unknowns - lines.at)).max() < SETTLED:
             break
         robust = _robust(lines.left(full), squares.variances, excess)
-    covariance = everything.covariance() if unknowns.any() else np.zeros_like(covariance)
+    # Of a camera that is not ideal, what is held at zero may well be something too.
+    covariance = everything.covariance(range(UNKNOWNS) if unknowns.any() else [])
     return GroundFit(GroundMap(unknowns, covariance), image, here)
 
 
@@ -183,4 +184,4 @@ def _robust(left: Array, variances: Array, excess: Array) -> Array:
     """Weights (N,) by residuals (2, M) over their deviations."""
     squares = (left**2).reshape(2, -1, 2).sum(axis=2) / variances
     distance = np.sqrt((squares / excess[:, None]).sum(axis=0) / 3)
-    return np.asarray(np.minimum(1.0, OUTLIER / np.maximum(distance, 1e-12)))
+    return np.asarray(np.minimum(1.0, OUTLIER / np.maximum(distance, 1e-12)) ** 2)

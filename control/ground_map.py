@@ -8,8 +8,9 @@ Image points p = u + iv are from the image's centre, in halves of its shorter si
 
 where S² = 1 + f² |λ|² is by how much a tilt foreshortens along λ. The focal length f enters there alone, in
 the second order of the tilt. The lens is Fitzgibbon's division model with two coefficients more: one follows
-any lens roughly, three follow Brown's polynomial and fisheyes to 1e-5. Then q is turned, scaled and shifted
-until q(0) = 0, ∂q/∂p(0) > 0 and the circle |p| = 1 keeps its mean radius.
+any lens to a hundredth, three follow fisheyes of 120 degrees to 3e-5, and Brown's polynomial as well as long
+as it is not about to fold. Then q is turned, scaled and shifted until q(0) = 0, ∂q/∂p(0) > 0 and the circle
+|p| = 1 keeps its mean radius.
 
 A marker is a square on the ground. Where `dq = a dp + b dp̄`, its image is squeezed by `ε = -b / a`, and its
 side is in proportion to `(|a|² - |b|²)^(-1/2)`.
@@ -23,7 +24,7 @@ from skyherd.geometry import Array, ComplexArray, to_complex, to_points
 from skyherd.messages import centred
 
 SQUEEZE, LENS, CENTER, FOCAL, HORIZON = [0, 1], [2, 3, 4], [5, 6], [7], [8, 9]
-"""Places of the unknowns α, κ, c, log(f / `USUAL_FOCAL`) and λ; complex ones take two."""
+"""Places of the unknowns α, κ, c, f² / `USUAL_FOCAL`² - 1 and λ; complex ones take two."""
 
 CAMERA, UNKNOWNS = 8, 10
 """The first so many are the camera's, the others those of one image."""
@@ -81,7 +82,7 @@ def _raw_maps(unknowns: Array, p: ComplexArray) -> LocalMaps:
     growth = (k1 + rho * (2 * k2 + 3 * rho * k3)) / bend**2
     s, s_r, s_rc = r / bend, 1 / bend - rho * growth, -r * r * growth
     s_p, s_c = s_r * r_p + s_rc * np.conj(r_c), s_r * r_c + s_rc * np.conj(r_p)
-    focal = USUAL_FOCAL * np.exp(unknowns[..., 7])
+    focal = USUAL_FOCAL * np.sqrt(np.maximum(1 + unknowns[..., 7], LEAST))
     lean = (focal * h / (1 + np.sqrt(1 + (focal * np.abs(h)) ** 2))) ** 2
     w = np.maximum(1 - (np.conj(h) * s).real, LEAST)
     q = (s + lean * s.conj()) / w

@@ -91,7 +91,7 @@ class Rectifier:
         if growth**2 < ZOOM_DEVIATIONS**2 * variance * self.noises.excess(told=squares.told)[SIDES]:
             return camera
         changes = np.zeros(CAMERA)
-        changes[FOCAL] = growth
+        changes[FOCAL] = growth * 2.0 * (1 + self.ground_map.unknowns[FOCAL])
         changes[LENS] = growth * np.array([2.0, 4.0, 6.0]) * self.ground_map.unknowns[LENS]
         return camera.loosened(changes**2)
 

@@ -370,9 +370,9 @@ def test_the_size_of_pixels_and_the_order_of_markers_do_not_matter():
 
 @pytest.mark.parametrize(("count", "images"), [(6, 1), (6, 15), (16, 1), (16, 15)])
 def test_covariances_are_honest(count, images):
-    """NEES of the rectified centres against the true camera's map, over 24 cameras: no more than 1.4. It is less
-    than 1 here, where errors are white, and not less than 0.2: what is held at zero is reckoned with as if it
-    might be anything, and 50 images count where more were seen."""
+    """NEES of the rectified centres against the true camera's map, over 24 cameras: no more than 1.4. It is
+    less than 1 here, where errors are white, and not less than 0.2: what is held at zero is reckoned with as
+    if it might be anything, and 50 images count where more were seen."""
     nees = []
     for seed in range(24):
         view, rng, rectifier = (

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skyherd.geometry import Array
+from skyherd.geometry import Array, inverse
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ class Evidence:
         """After the unknowns may each have changed, with variances (n,)."""
         everything = range(self.vector.size)
         covariance, values = self.covariance(everything), self.solved(everything)
-        information = np.linalg.inv(covariance + np.diag(variances))
+        information = inverse(covariance + np.diag(variances))
         return Evidence(information, information @ values)
 
     def covariance(self, loose: Sequence[int]) -> Array:
@@ -69,7 +69,7 @@ class Evidence:
         covariance = np.zeros_like(self.information)
         if loose:
             among = np.ix_(loose, loose)
-            covariance[among] = np.linalg.inv(self.information[among])
+            covariance[among] = inverse(self.information[among])
         return covariance
 
     def solved(self, loose: Sequence[int]) -> Array:

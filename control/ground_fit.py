@@ -6,6 +6,7 @@ unknowns leaves, since markers that differ in size or height spoil the sides alo
 nothing are held at zero (`skyherd.control.evidence`).
 """
 
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
@@ -80,11 +81,13 @@ class GroundFit:
 
     Attributes:
         ground_map: the map.
+        earned: unknowns that have earned their place.
         image: evidence of the image alone.
         noises: of the image alone.
     """
 
     ground_map: GroundMap
+    earned: frozenset[int]
     image: Evidence
     noises: Noises
 
@@ -135,7 +138,9 @@ class _Lines:
         return self.residuals - self.slopes @ (unknowns - self.at)
 
 
-def fit_ground(squares: Squares, camera: Evidence, start: Array, noises: Noises) -> GroundFit | None:
+def fit_ground(
+    squares: Squares, camera: Evidence, start: Array, noises: Noises, trusted: Collection[int]
+) -> GroundFit | None:
     """Fit the map to squares; None where no camera would see them so.
 
     Args:
@@ -143,6 +148,7 @@ def fit_ground(squares: Squares, camera: Evidence, start: Array, noises: Noises)
         camera: evidence on the camera's unknowns (8,).
         start: unknowns (10,) to begin with.
         noises: of the images before.
+        trusted: unknowns that may be let loose, if they earn it.
     """
     before = camera.followed_by(Evidence.prior(PRIOR[CAMERA:]))
     unknowns, robust = start, np.ones(len(squares))
@@ -156,7 +162,8 @@ def fit_ground(squares: Squares, camera: Evidence, start: Array, noises: Noises)
         excess = noises.and_then(here).excess(told=squares.told)
         image = _joined(parts, excess)
         everything = before + image
-        unknowns = everything.solved(everything.earned(GROUPS, AFTER, SIGNIFICANT))
+        earned = everything.earned(GROUPS, AFTER, SIGNIFICANT)
+        unknowns = everything.solved([k for k in earned if k in trusted])
         if (np.abs(unknowns) > LIMIT * PRIOR).any():
             return None
         if np.abs(lines.slopes @ (unknowns - lines.at)).max() < SETTLED:
@@ -164,7 +171,7 @@ def fit_ground(squares: Squares, camera: Evidence, start: Array, noises: Noises)
         robust = _robust(lines.left(full), squares.variances, excess)
     # Of a camera that is not ideal, what is held at zero may well be something too.
     covariance = everything.covariance(range(UNKNOWNS) if unknowns.any() else [])
-    return GroundFit(GroundMap(unknowns, covariance), image, here)
+    return GroundFit(GroundMap(unknowns, covariance), frozenset(earned), image, here)
 
 
 def _joined(parts: list[Evidence], excess: Array) -> Evidence:

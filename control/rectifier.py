@@ -52,6 +52,7 @@ class Rectifier:
     noises: Noises = field(
         default_factory=lambda: Noises(np.full(2, NOISE_NUMBERS), np.full(2, NOISE_NUMBERS))
     )
+    _trusted: frozenset[int] = frozenset(range(UNKNOWNS))
     _before: Squares | None = None
     _log_sides: Array = field(default_factory=lambda: np.zeros(0))
 
@@ -63,10 +64,12 @@ class Rectifier:
         squares = Squares.of(seen)
         prior = Evidence.prior(PRIOR[:CAMERA])
         camera = self._loosened(squares, self.learned + prior)
-        fit = fit_ground(squares, camera, self.ground_map.unknowns, self.noises)
+        fit = fit_ground(squares, camera, self.ground_map.unknowns, self.noises, self._trusted)
         self.ground_map = GroundMap() if fit is None else fit.ground_map
         if fit is None:
             return seen
+        # One image may be misread: after the first, what it has to tell must be told twice running.
+        self._trusted = fit.earned
         if not few:
             fresh = self._fresh(squares)
             kept = (camera - prior).times(1 - fresh / CAMERA_MEMORY)

@@ -164,7 +164,7 @@ def fit_ground(
         everything = before + image
         earned = everything.earned(GROUPS, AFTER, SIGNIFICANT)
         unknowns = everything.solved([k for k in earned if k in trusted])
-        if (np.abs(unknowns) > LIMIT * PRIOR).any():
+        if not (np.abs(unknowns) < LIMIT * PRIOR).all():
             return None
         if np.abs(lines.slopes @ (unknowns - lines.at)).max() < SETTLED:
             break

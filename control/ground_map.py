@@ -7,10 +7,10 @@ Image points p = u + iv are from the image's centre, in halves of its shorter si
     q = (s + (f λ / (1 + S))² s̄) / (1 - Re(λ̄ s))      a tilt: the ground's horizon is Re(λ̄ s) = 1,
 
 where S² = 1 + f² |λ|² is by how much a tilt foreshortens along λ. The focal length f enters there alone, in
-the second order of the tilt. The lens is Fitzgibbon's division model with two coefficients more: one follows
-any lens to a hundredth, three follow fisheyes of 120 degrees to 3e-5, and Brown's polynomial as well as long
-as it is not about to fold. Then q is turned, scaled and shifted until q(0) = 0, ∂q/∂p(0) > 0 and the circle
-|p| = 1 keeps its mean radius.
+the second order of the tilt. The lens is the division model (Fitzgibbon 2001) with two coefficients more: one
+follows any lens to a hundredth, three follow fisheyes of 120 degrees to 3e-5, and Brown's polynomial as well
+as long as it is not about to fold. Then q is turned, scaled and shifted until q(0) = 0, ∂q/∂p(0) > 0 and the
+circle |p| = 1 keeps its mean radius.
 
 A marker is a square on the ground. Where `dq = a dp + b dp̄`, its image is squeezed by `ε = -b / a`, and its
 side is in proportion to `(|a|² - |b|²)^(-1/2)`.
@@ -54,7 +54,8 @@ class LocalMaps:
 
     def log_scales(self) -> Array:
         """Logarithms of image lengths over ground lengths."""
-        return np.asarray(-np.log(np.abs(self.slopes) ** 2 - np.abs(self.crosses) ** 2) / 2)
+        areas = np.abs(self.slopes) ** 2 - np.abs(self.crosses) ** 2
+        return np.asarray(-np.log(np.maximum(areas, LEAST**4)) / 2)
 
 
 def local_maps(unknowns: Array, points: ComplexArray) -> LocalMaps:

@@ -10,6 +10,9 @@ from skyherd.messages import Detections, centred
 CORNERS: ComplexArray = np.array([-0.5 - 0.5j, 0.5 - 0.5j, 0.5 + 0.5j, -0.5 + 0.5j])
 """Corners 0-3 of a marker, right + i down, in sides."""
 
+TINY = 1e-24
+"""Areas of corners that all lie on one spot are held above this."""
+
 HEADING_SHARE = 1 / 3
 """Variance of each of a square's three numbers over that of its heading. A marker's outline tells its side
 and squeeze better than its turn; four corners of equal and independent errors would make it 1/2."""
@@ -33,11 +36,12 @@ class Arms:
 
     def squeezes(self) -> ComplexArray:
         """ε = k / m̄, which does not depend on how the square is turned."""
-        return np.asarray(self.crosses / self.arms.conj())
+        return np.asarray(self.crosses * self.arms / np.maximum(np.abs(self.arms) ** 2, TINY))
 
     def log_sides(self) -> Array:
         """Logarithms of the sides of squares of the same area."""
-        return np.asarray(np.log(np.abs(np.abs(self.arms) ** 2 - np.abs(self.crosses) ** 2)) / 2)
+        areas = np.abs(self.arms) ** 2 - np.abs(self.crosses) ** 2
+        return np.asarray(np.log(np.maximum(np.abs(areas), TINY)) / 2)
 
     def headings_rad(self) -> Array:
         """Directions of forward, z = -i, that fit both of the square's axes."""

@@ -305,6 +305,26 @@ def test_a_detector_that_tells_no_covariance_is_served_as_well(sigma_px):
     assert max(after for _, after in bad) < 0.03 * sigma_px + 5e-4
 
 
+@pytest.mark.parametrize("count", [3, 8])
+def test_nonsense_is_survived(count):
+    """Corners at random, corners on one spot, wild covariances: every value stays finite, during and after, or
+    the message would be refused."""
+    view = random_view(4)
+    for seed in range(30):
+        rng, rectifier = np.random.default_rng(seed), Rectifier()
+        positions, headings = robots_in_view(view, count, seed)
+        good = view.see(positions, headings, rng)
+        corners = rng.uniform(0, 800, (count, 4, 2))
+        corners[0] = corners[0, 0]
+        covariances = np.eye(3) * 10.0 ** rng.uniform(-12, 2, (count, 1, 1))
+        for _ in range(3):
+            rectifier.rectify(replace(good, corners_px=corners, covariances=covariances))
+        for image in range(4):
+            positions, headings = robots_in_view(view, 12, 100 * seed + image)
+            rectified = rectifier.rectify(view.see(positions, headings, rng))
+        assert np.isfinite(rectified.covariances).all()
+
+
 # --- symmetries ---
 
 

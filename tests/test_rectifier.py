@@ -307,7 +307,7 @@ def test_a_detector_that_tells_no_covariance_is_served_as_well(sigma_px):
 
 @pytest.mark.parametrize("count", [3, 8])
 def test_nonsense_is_survived(count):
-    """Corners at random, corners on one spot, wild covariances: every value stays finite, during and after, or
+    """Corners at random, corners on one spot, wild covariances: every value stays finite, then and later, or
     the message would be refused."""
     view = random_view(4)
     for seed in range(30):

@@ -4,6 +4,8 @@ from skyherd.control.flight import Follow, Hover, Perimeter
 from skyherd.control.free import FreeRule, FreeThenTree
 from skyherd.control.fusion import Inboxes
 from skyherd.control.goals import motion_goals
+from skyherd.control.ground_map import GroundMap
+from skyherd.control.rectifier import Rectifier, rectified
 from skyherd.control.robot_law import MarkerGains, PixelGains, robot_commands
 from skyherd.control.roster import Roster
 from skyherd.control.selection import ControlSet, SafetyRadius
@@ -20,11 +22,13 @@ __all__ = [
     "Follow",
     "FreeRule",
     "FreeThenTree",
+    "GroundMap",
     "Hover",
     "Inboxes",
     "MarkerGains",
     "Perimeter",
     "PixelGains",
+    "Rectifier",
     "Roster",
     "SafetyRadius",
     "Selection",
@@ -35,5 +39,6 @@ __all__ = [
     "desired_points",
     "fit_similarity",
     "motion_goals",
+    "rectified",
     "robot_commands",
 ]

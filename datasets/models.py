@@ -70,6 +70,9 @@ class ControlModel(Model):
     k_v: Positive = Field(0.001, description="pixel gains: speed a pixel of goal, m/s/px")
     k_omega: Positive = Field(0.4, description="turn rate a radian, 1/s")
     b_th: NotNegative = Field(0.01, description="robots stop nearer to the goal: marker sides, or px")
+    rectify: bool = Field(
+        True, description="units learn from the markers what their cameras do, and take it off"
+    )
     neighbors: Annotated[int, Field(ge=1)] = Field(3, description="nearest robots whose distances are sent")
 
 

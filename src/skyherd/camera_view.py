@@ -16,6 +16,7 @@ from skyherd.canvas import (
     draw_text,
     fill_polygon,
 )
+from skyherd.control import rectified
 from skyherd.control.topology import ControlSets
 from skyherd.geometry import Array, BoolArray, IntArray, to_points
 from skyherd.loop import UnitFrame
@@ -43,15 +44,19 @@ def desired_points_px(frame: UnitFrame) -> Array:
     """Image points (N, 2) where a unit wants the robots of its goals.
 
     The robot hears a length rho and a bearing in its own frame, counter-clockwise from its heading;
-    in the image, whose angles are clockwise, rho points along `heading - bearing`.
+    in the image, whose angles are clockwise, rho points along `heading - bearing`. Where the unit rectifies,
+    that is so in the rectified image, and the points are brought back.
     """
     goals = frame.decision.goals
     if goals is None:
         return np.zeros((0, 2))
-    robots = frame.sight.detections
+    robots = rectified(frame.sight.detections, frame.ground_map)
     row = _rows(robots, goals.ids)
     rho = goals.rho_px * np.exp(1j * (robots.headings_rad[row] - goals.bearings_rad))
-    return np.asarray(robots.centers_px[row] + to_points(rho))
+    desired_px = np.asarray(robots.centers_px[row] + to_points(rho))
+    return (
+        desired_px if frame.ground_map.ideal else frame.ground_map.image_px(desired_px, robots.image_size_px)
+    )
 
 
 def _rows(robots: Detections, ids: IntArray) -> IntArray:
@@ -106,10 +111,19 @@ class CameraView:
         self._write_title(f"unit {self.unit} · {controlled.size} controlled · {len(robots)} seen")
         self._draw_image(frame)
         plain = frame.sight.image is None
-        draw_lines(self._picture, self._circle, rgb(MUTED if plain else PAPER), 2)
+        draw_lines(self._picture, self._seen_circle(frame), rgb(MUTED if plain else PAPER), 2)
         self._draw_marks(robots, {**sets, self.unit: controlled})
         self._draw_goals(frame)
         self._draw_ids(robots)
+
+    def _seen_circle(self, frame: UnitFrame) -> list[Array]:
+        """The safety radius as the camera sees it."""
+        if frame.ground_map.ideal:
+            return self._circle
+        size_px = frame.sight.detections.image_size_px
+        circle = (np.concatenate(self._circle) + 0.5) / self.scale - 0.5
+        seen = self.to_panel(frame.ground_map.image_px(circle, size_px))
+        return list(seen.reshape(len(self._circle), -1, 2))
 
     def _write_title(self, text: str) -> None:
         self._title[:] = rgb(PAPER)

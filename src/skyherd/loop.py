@@ -1,7 +1,7 @@
 """The loop: images in, formation out. Everything else hangs off the steps that it yields."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -9,11 +9,13 @@ from skyherd.control import (
     AerialController,
     Follow,
     FreeRule,
+    GroundMap,
     Hover,
     Inboxes,
     MarkerGains,
     Perimeter,
     PixelGains,
+    Rectifier,
     SafetyRadius,
     Selection,
     Serve,
@@ -41,10 +43,11 @@ REPORTS_MISSED = 5
 
 @dataclass(frozen=True)
 class UnitFrame:
-    """One unit's image and what it decided on it."""
+    """One unit's image, what it decided on it, and the map that it took its detections through before."""
 
     sight: Sight
     decision: Decision
+    ground_map: GroundMap = field(default_factory=GroundMap)
 
 
 @dataclass(frozen=True)
@@ -136,6 +139,7 @@ def run_steps(mission: Mission, perception: Perception | None = None) -> Iterato
     crew = [make_controller(mission, unit) for unit in range(len(scenario.units))]
     perception = perception or make_perception(mission, sight_rng)
     network = Network(scenario.network, network_rng, len(crew))
+    rectifiers = [Rectifier() for _ in crew]
     gains, sets = make_gains(scenario), {unit: NO_ROBOTS for unit in range(len(crew))}
     inboxes = Inboxes(
         mission.ids, np.arange(len(crew)), scenario.robots.timeout_s, distances=gains.needs_distances
@@ -145,18 +149,23 @@ def run_steps(mission: Mission, perception: Perception | None = None) -> Iterato
         frames = {}
         dead = _dead(scenario, time_s)
         for unit in dead:
-            crew[unit], sets[unit] = make_controller(mission, unit), NO_ROBOTS
+            crew[unit], rectifiers[unit] = make_controller(mission, unit), Rectifier()
+            sets[unit] = NO_ROBOTS
             network.forget(unit)
             world.fly(FlightCommand(unit, np.zeros(2), 0.0, 0.0))
         for unit in _due(scenario, tick, dead):
             if frame_rng.random() < scenario.network.frame_loss:
                 continue
             sight = perception.look(world, unit, time_s)
-            decision = crew[unit].step(sight.detections, list(network.reports[unit].values()))
+            seen = (
+                rectifiers[unit].rectify(sight.detections) if scenario.control.rectify else sight.detections
+            )
+            decision = crew[unit].step(seen, list(network.reports[unit].values()))
             arrival_s = time_s + scenario.units[unit].latency_s
             network.send(decision.goals, decision.report, arrival_s, world.in_range(unit))
             world.fly(decision.flight)
-            frames[unit], sets[unit] = UnitFrame(sight, decision), decision.report.controlled_ids
+            frames[unit] = UnitFrame(sight, decision, rectifiers[unit].ground_map)
+            sets[unit] = decision.report.controlled_ids
         for goals, received in network.deliver(time_s):
             inboxes.receive(goals, time_s, received)
         command = world.limit(robot_commands(inboxes, gains, time_s))

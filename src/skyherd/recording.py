@@ -4,8 +4,8 @@ A topic for each vehicle and kind of message, JSON with a schema, so that any MC
 that is killed leaves a file that reads up to its last whole chunk.
 
 Topics: `/mission` (first), `/unit/J/detections`, `/unit/J/goals`, `/unit/J/report`, `/unit/J/flight`,
-`/unit/J/truth`, `/unit/J/image` (on request), `/robots/command`, `/world`, `/observer` (last of a step),
-`/end` (of a run that came to its end).
+`/unit/J/map` (of a unit that rectifies), `/unit/J/truth`, `/unit/J/image` (on request),
+`/robots/command`, `/world`, `/observer` (last of a step), `/end` (of a run that came to its end).
 """
 
 import base64
@@ -84,6 +84,8 @@ class Recorder:
             self._put_value(f"{topic}/goals", time_s, decision.goals)
         self._put_value(f"{topic}/report", time_s, decision.report)
         self._put_value(f"{topic}/flight", time_s, decision.flight)
+        if not frame.ground_map.ideal:
+            self._put_value(f"{topic}/map", time_s, frame.ground_map)
         truth = {
             "whole_ids": sight.whole_ids,
             "found_ids": sight.found_ids,

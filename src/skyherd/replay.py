@@ -14,7 +14,7 @@ from mcap.exceptions import McapError
 from mcap.records import Channel, Message, Metadata
 from mcap.stream_reader import CRCValidationError, StreamReader
 
-from skyherd.control import Decision, Template
+from skyherd.control import Decision, GroundMap, Template
 from skyherd.control.topology import Conditions
 from skyherd.datasets import Mission, Scenario
 from skyherd.errors import InputError
@@ -178,7 +178,10 @@ def _read_frame(topic: str, records: dict[str, Any]) -> UnitFrame:
         report=_read_report(records[f"{topic}/report"]),
         flight=from_plain(FlightCommand, records[f"{topic}/flight"]),
     )
-    return UnitFrame(sight, decision)
+    ground_map = records.get(f"{topic}/map")
+    if ground_map is None:
+        return UnitFrame(sight, decision)
+    return UnitFrame(sight, decision, from_plain(GroundMap, ground_map))
 
 
 def _read_report(record: dict[str, Any]) -> UnitReport:

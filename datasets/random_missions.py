@@ -110,7 +110,7 @@ def _scenario(
             "timeout_s": 0.7,
         },
         "marker": {"side_m": SIDE_M, "dictionary": "5X5_100"},
-        "control": {"k": 0.5, "k_omega": 2.0, "b_th": 0.0},
+        "control": {"k": 0.5, "k_omega": 2.0, "b_th": 0.0, "rectify": False},  # cameras look straight down
         "selection": {"kind": "tree"},
         "autopilot": {"min_height_m": 3.0, "max_height_m": 60.0, "max_speed_mps": 1.0, "max_climb_mps": 1.0},
         "units": units,

@@ -12,7 +12,9 @@ class Orphans:
     """Robots that a unit sees and that no member controls.
 
     After half a dwell time in which nobody took them, so that reports on their way have arrived, each becomes
-    the own of the member that sees it nearest to its image centre, by what all were told last.
+    the own of the member that sees it nearest to its image centre, by what all were told last. A robot goes
+    from hand to hand by being shared for a slot at least: so nobody has it only if that is what all members
+    say of the slot before, or of this one.
     """
 
     since_s: dict[int, float] = field(default_factory=dict, init=False)
@@ -25,7 +27,8 @@ class Orphans:
         orphans = unit.distances.keys() - held
         self.since_s = {robot: self.since_s.get(robot, time_s) for robot in orphans}
         told, self._told = self._told, unit.distances
-        if not at_slot:
+        said_s = min((heard.report.time_s for heard in members), default=np.inf)
+        if not at_slot or said_s < (unit.slot - 1) * unit.rule.dwell_s:
             return
         for robot in orphans:
             nearest = (
@@ -47,7 +50,11 @@ def disown(unit: Standing, time_s: float) -> None:
 
 
 def yield_claims(unit: Standing, time_s: float) -> None:
-    """Drop own robots that a lower unit controls as well, or that an edge of other units shares."""
+    """Drop own robots that a lower unit controls as well, or that an edge of other units shares.
+
+    What a unit said before this one had the robot is no claim: it may have given the robot away since.
+    """
     for heard in unit.heard.fresh(time_s):
-        contested = unit.own & heard.controlled
-        unit.own -= contested if heard.report.unit_id < unit.unit_id else contested & heard.paired
+        claimed = heard.controlled if heard.report.unit_id < unit.unit_id else heard.paired
+        said_s = heard.report.time_s
+        unit.own -= {robot for robot in unit.own & claimed if unit.held_s.get(robot, time_s) <= said_s}

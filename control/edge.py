@@ -74,9 +74,13 @@ def holds(turn: int, unit_id: int, neighbor_id: int) -> bool:
     return (turn % 2 == 0) == (unit_id < neighbor_id)
 
 
-def first_turn(after: int, holder_id: int, other_id: int) -> int:
-    """The first turn later than `after` that `holder_id` holds: a new edge starts beyond all old words."""
-    turn = after + 1
+def first_turn(time_s: float, holder_id: int, other_id: int) -> int:
+    """The turn at which an edge begins, held by `holder_id`: the common clock, in milliseconds.
+
+    A turn lasts an image at least, and so more than a millisecond: a new edge starts beyond all turns that any
+    edge of the two has seen, also if one of them knows nothing of its former life.
+    """
+    turn = round(1000 * time_s)
     return turn if holds(turn, holder_id, other_id) else turn + 1
 
 

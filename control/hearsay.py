@@ -45,10 +45,17 @@ def read(report: UnitReport, tree: TreeWord) -> Heard:
 
 @dataclass
 class Hearsay:
-    """The newest report of each unit; older ones that arrive later, and repeated ones, are dropped."""
+    """The newest report of each unit; older ones that arrive later, and repeated ones, are dropped.
+
+    Attributes:
+        silence_s: a unit that was not heard for so long is dead.
+        newest: what each unit said last.
+        bequest: what each said last as a member of a tree: its robots, edges and heir.
+    """
 
     silence_s: float
     newest: dict[int, Heard] = field(default_factory=dict, init=False)
+    bequest: dict[int, Heard] = field(default_factory=dict, init=False)
 
     def take(self, reports: Sequence[UnitReport]) -> list[Heard]:
         """Take in reports; those that are news."""
@@ -56,8 +63,11 @@ class Hearsay:
         for report in reports:
             last = self.newest.get(report.unit_id)
             if report.tree is not None and (last is None or report.time_s > last.report.time_s):
-                self.newest[report.unit_id] = read(report, report.tree)
-                news.append(self.newest[report.unit_id])
+                heard = read(report, report.tree)
+                self.newest[report.unit_id] = heard
+                if heard.is_member:
+                    self.bequest[report.unit_id] = heard
+                news.append(heard)
         return news
 
     def alive(self, unit: int, time_s: float) -> bool:

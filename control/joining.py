@@ -1,6 +1,6 @@
 """How units become one tree: found it, ask to be admitted, grant an edge; and when it is complete."""
 
-from skyherd.control.edge import NO_ROBOTS, Edge, word_of
+from skyherd.control.edge import NO_ROBOTS, NO_TURN, first_turn, word_of
 from skyherd.control.hearsay import Heard
 from skyherd.control.standing import Standing
 from skyherd.messages import NOBODY
@@ -18,13 +18,17 @@ def seek(unit: Standing, time_s: float, at_slot: bool) -> None:
 
 
 def _ask(unit: Standing, members: list[Heard], time_s: float) -> None:
-    """Ask the member with most own robots in common; open the edge that the one asked grants."""
+    """Ask the member with most own robots in common; open the edge that the one asked grants.
+
+    The question names the turn at which the edge is to begin, another one each time: a grant that comes late
+    answers a question that is no longer put, and is void.
+    """
     if unit.edges:
         return
     for heard in members:
         asked, word = heard.report.unit_id, word_of(heard.report, unit.unit_id)
-        if asked == unit.asks_id and word and not word.pair and not unit.knows_turn(asked, word.turn):
-            unit.edges[asked] = Edge(unit.unit_id, asked, time_s)
+        if asked == unit.asks_id and word and not word.pair and word.turn == unit.ask_turn:
+            unit.open_edge(asked, time_s, NO_TURN, NO_ROBOTS)
             unit.edges[asked].hear(heard.report)
             return
     visible = unit.visible
@@ -33,7 +37,9 @@ def _ask(unit: Standing, members: list[Heard], time_s: float) -> None:
         for heard in members
     }
     best = max(common, key=lambda member: (common[member], -member))
-    unit.asks_id = best if common[best] >= 2 else NOBODY
+    if common.get(unit.asks_id, 0) < 2:
+        unit.asks_id = best if common[best] >= 2 else NOBODY
+        unit.ask_turn = first_turn(time_s, unit.unit_id, best)
 
 
 def admit(unit: Standing, time_s: float) -> None:
@@ -42,9 +48,9 @@ def admit(unit: Standing, time_s: float) -> None:
         asking = heard.report.unit_id
         if heard.is_member or heard.tree.asks_id != unit.unit_id or asking in unit.edges:
             continue
-        lent = unit.lendable(asking)
+        lent = unit.lendable(asking, time_s)
         if len(lent) >= 2:
-            unit.open_edge(asking, time_s, mine=False, pair=NO_ROBOTS, lent=lent)
+            unit.open_edge(asking, time_s, heard.tree.ask_turn, NO_ROBOTS, lent)
 
 
 def is_complete(unit: Standing, time_s: float) -> bool:

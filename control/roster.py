@@ -23,6 +23,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from skyherd.control.adoption import Orphans, disown, yield_claims
+from skyherd.control.cohesion import Cohesion
 from skyherd.control.hearsay import Hearsay
 from skyherd.control.joining import admit, is_complete, seek
 from skyherd.control.standing import Standing, TreeRule
@@ -41,6 +42,7 @@ class Roster:
     template: Template
     unit: Standing = field(init=False)
     _orphans: Orphans = field(default_factory=Orphans, init=False)
+    _cohesion: Cohesion = field(default_factory=Cohesion, init=False)
     _heir_id: int = field(default=NOBODY, init=False)
 
     def __post_init__(self) -> None:
@@ -57,6 +59,7 @@ class Roster:
         at_slot = unit.look(seen)
         self._hear(reports)
         succeed(unit, time_s)
+        self._cohesion.keep(unit, time_s)
         yield_claims(unit, time_s)
         if unit.is_member:
             admit(unit, time_s)
@@ -65,10 +68,11 @@ class Roster:
                 disown(unit, time_s)
         else:
             seek(unit, time_s, at_slot)
-        take_turns(unit, at_slot)
+        take_turns(unit, time_s, at_slot)
         unit.ready = unit.ready or is_complete(unit, time_s)
         self._heir_id = name_heir(unit, self._heir_id)
-        return np.array(sorted(unit.controlled), dtype=np.int64)
+        unit.held_s = {robot: unit.held_s.get(robot, time_s) for robot in unit.controlled}
+        return np.array(sorted(unit.held_s), dtype=np.int64)
 
     def secure(self, seen: Detections) -> IntArray:
         """Robots of the set that are seen inside the radius now."""
@@ -84,6 +88,7 @@ class Roster:
         return TreeWord(
             tree_id=unit.tree_id,
             asks_id=unit.asks_id,
+            ask_turn=unit.ask_turn,
             heir_id=self._heir_id,
             ready=unit.ready,
             neighbor_ids=np.array([edge.neighbor_id for edge in edges], dtype=np.int64),

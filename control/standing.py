@@ -5,7 +5,7 @@ from typing import Literal
 
 import numpy as np
 
-from skyherd.control.edge import Edge, Robots, first_turn, word_of
+from skyherd.control.edge import NO_ROBOTS, NO_TURN, Edge, Robots
 from skyherd.control.hearsay import Hearsay
 from skyherd.control.selection import centre_distances
 from skyherd.control.template import Template
@@ -52,11 +52,13 @@ class Standing:
         own: robots that only this unit controls.
         edges: by neighbour.
         tree_id: the tree it belongs to, or NOBODY.
-        asks_id: the unit that it asks to be admitted by, or NOBODY.
+        asks_id: the unit that it asks to be admitted by, or NOBODY,
+        ask_turn: and the turn at which it expects the edge to begin.
         ready: whether the tree is known to be complete, so that robots may move.
         slot: the dwell time that it is in, counted on the common clock.
         distances: of the robots seen now from the image centre.
         seen_s: when each robot was seen last.
+        held_s: since when the unit controls each robot of its set.
     """
 
     rule: TreeRule
@@ -68,11 +70,12 @@ class Standing:
     edges: dict[int, Edge] = field(default_factory=dict)
     tree_id: int = NOBODY
     asks_id: int = NOBODY
+    ask_turn: int = NO_TURN
     ready: bool = False
     slot: int = -1
     distances: dict[int, float] = field(default_factory=dict)
     seen_s: dict[int, float] = field(default_factory=dict)
-    _turns: dict[int, int] = field(default_factory=dict)
+    held_s: dict[int, float] = field(default_factory=dict)
 
     @property
     def controlled(self) -> set[int]:
@@ -106,43 +109,34 @@ class Standing:
         """Robots promised to neighbours, but for one of them."""
         return set().union(*(edge.lent for unit, edge in self.edges.items() if unit != but))
 
-    def lendable(self, unit: int) -> Robots:
-        """Own robots that a unit sees and that are lent to nobody else.
+    def undisputed(self, time_s: float) -> set[int]:
+        """Own robots that no member claims, by a word of each since the unit has them.
+
+        Others may have adopted or inherited them at the same time. Two units can settle that while the robots
+        are their own (control/adoption.py), and no more once they share them with third ones.
+        """
+        members = self.heard.members(time_s)
+        claimed = set().union(*(heard.controlled for heard in members))
+        known_s = min((heard.report.time_s for heard in members), default=np.inf)
+        return {robot for robot in self.own - claimed if self.held_s.get(robot, time_s) <= known_s}
+
+    def lendable(self, unit: int, time_s: float) -> Robots:
+        """Own robots, undisputed, that a unit sees and that are lent to nobody else.
 
         A robot that several neighbours see is each one's in turn, slot by slot, so that none is left out.
         """
-        free = self.own.intersection(self.heard.seen_by(unit)) - self.lent(but=unit)
+        free = self.undisputed(time_s).intersection(self.heard.seen_by(unit)) - self.lent(but=unit)
         sharers: dict[int, list[int]] = {robot: [] for robot in free}
         for other in sorted(self.edges.keys() | {unit}):
             for robot in free.intersection(self.heard.seen_by(other)):
                 sharers[robot].append(other)
         return frozenset(r for r, units in sharers.items() if units[(r + self.slot) % len(units)] == unit)
 
-    def open_edge(
-        self, neighbor: int, time_s: float, *, mine: bool, pair: Robots, lent: Robots = frozenset()
-    ) -> Edge:
-        """A new edge whose first turn is this unit's or the neighbour's, beyond all turns known before."""
-        heard = self.heard.newest.get(neighbor)
-        word = None if heard is None else word_of(heard.report, self.unit_id)
-        last = max(self._turns.get(neighbor, -1), -1 if word is None else word.turn)
-        holder, other = (self.unit_id, neighbor) if mine else (neighbor, self.unit_id)
-        edge = Edge(self.unit_id, neighbor, time_s, first_turn(last, holder, other), pair, lent)
-        self.edges[neighbor] = edge
-        return edge
-
-    def close_edge(self, neighbor: int) -> Edge:
-        """Remove an edge, remembering its turns."""
-        edge = self.edges.pop(neighbor)
-        self._turns[neighbor] = max(self._turns.get(neighbor, -1), edge.turn)
-        return edge
-
-    def knows_turn(self, neighbor: int, turn: int) -> bool:
-        """Whether a turn belongs to an edge that was closed."""
-        return turn <= self._turns.get(neighbor, -1)
+    def open_edge(self, neighbor: int, time_s: float, turn: int, pair: Robots, lent: Robots = NO_ROBOTS) -> None:
+        """A new edge, at the given turn."""
+        self.edges[neighbor] = Edge(self.unit_id, neighbor, time_s, turn, pair, lent)
 
     def resign(self) -> None:
         """Leave the tree, to join it anew."""
-        for neighbor in list(self.edges):
-            self.close_edge(neighbor)
-        self.own, self.ready = set(), False
+        self.edges, self.own, self.ready = {}, set(), False
         self.tree_id = self.asks_id = NOBODY

@@ -5,7 +5,7 @@ Two adjoining units make one, so that what was a tree with one pair an edge stil
 
 import numpy as np
 
-from skyherd.control.edge import Edge, word_of
+from skyherd.control.edge import NO_TURN, Edge, first_turn, word_of
 from skyherd.control.hearsay import Heard
 from skyherd.control.standing import Standing
 from skyherd.messages import NOBODY
@@ -22,12 +22,12 @@ def succeed(unit: Standing, time_s: float) -> None:
         heard = unit.heard.newest.get(neighbor)
         last_s = max(edge.since_s, -np.inf if heard is None else heard.report.time_s)
         if time_s - last_s > unit.rule.silence_s:
-            _bury(unit, edge, heard, time_s)
+            _bury(unit, edge, time_s)
         elif heard is not None and _is_left(unit, edge, heard):
             if heard.is_member and edge.pair:
                 unit.resign()
             else:
-                _bury(unit, edge, heard, time_s)
+                _bury(unit, edge, time_s)
 
 
 def name_heir(unit: Standing, heir_id: int) -> int:
@@ -47,13 +47,14 @@ def _is_left(unit: Standing, edge: Edge, heard: Heard) -> bool:
     if word_of(heard.report, unit.unit_id) is not None:
         return False
     if not edge.pair:
-        return heard.is_member or heard.tree.asks_id != unit.unit_id
+        return heard.is_member or (heard.tree.asks_id, heard.tree.ask_turn) != (unit.unit_id, edge.turn)
     return heard.report.time_s > edge.since_s + GRACE * unit.rule.silence_s
 
 
-def _bury(unit: Standing, edge: Edge, heard: Heard | None, time_s: float) -> None:
-    """Close the edge to a dead unit; as its heir take over all that was its, else turn to the heir."""
-    unit.close_edge(edge.neighbor_id)
+def _bury(unit: Standing, edge: Edge, time_s: float) -> None:
+    """Close the edge to a unit that is gone; as its heir take over all that was its, else turn to the heir."""
+    del unit.edges[edge.neighbor_id]
+    heard = unit.heard.bequest.get(edge.neighbor_id)
     if heard is None or not edge.pair:
         return
     heir = heard.tree.heir_id
@@ -63,7 +64,7 @@ def _bury(unit: Standing, edge: Edge, heard: Heard | None, time_s: float) -> Non
     elif heir in unit.edges:
         unit.own |= edge.pair
     else:
-        unit.open_edge(heir, time_s, mine=True, pair=edge.pair)
+        unit.open_edge(heir, time_s, first_turn(time_s, unit.unit_id, heir), edge.pair)
 
 
 def _inherit(unit: Standing, dead: Heard, time_s: float) -> None:
@@ -71,8 +72,8 @@ def _inherit(unit: Standing, dead: Heard, time_s: float) -> None:
 
     The other ends know best which pairs they had: their first turn tells.
     """
-    living = [heard.controlled for heard in unit.heard.fresh(time_s) if heard is not dead]
+    living = [heard.controlled for heard in unit.heard.fresh(time_s) if heard.report.unit_id != dead.report.unit_id]
     unit.own |= dead.controlled - unit.controlled.union(*living)
     for neighbor, pair in zip(dead.tree.neighbor_ids.tolist(), dead.tree.pairs.tolist(), strict=True):
-        if neighbor not in unit.edges and unit.heard.alive(neighbor, time_s):
-            unit.edges[neighbor] = Edge(unit.unit_id, neighbor, time_s, pair=frozenset(pair) - {NOBODY})
+        if NOBODY not in pair and neighbor not in unit.edges and unit.heard.alive(neighbor, time_s):
+            unit.open_edge(neighbor, time_s, NO_TURN, frozenset(pair))

@@ -14,7 +14,7 @@ SURPLUS = 2
 """Surplus robots offered at a time: as many as a pair can carry."""
 
 
-def take_turns(unit: Standing, at_slot: bool) -> None:
+def take_turns(unit: Standing, time_s: float, at_slot: bool) -> None:
     """Take the turn on each edge where it is the unit's.
 
     A unit that has nothing to change hands the turn over at once; else it waits for the next slot, changes
@@ -33,7 +33,7 @@ def take_turns(unit: Standing, at_slot: bool) -> None:
             edge.wants = _better_pair(unit, edge) is not None
         edge.considered = at_hand
         if not edge.wants:
-            lent = unit.lendable(edge.neighbor_id)
+            lent = unit.lendable(edge.neighbor_id, time_s)
             edge.hand_over(lent, _unwanted(unit, edge, lent))
 
 

@@ -1,0 +1,43 @@
+"""Whether the tree holds together: of parts that lost one another the smaller ones join anew."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from skyherd.control.standing import Standing
+
+
+@dataclass
+class Cohesion:
+    """Two ends of an edge that hear nothing of each other for long each go on without the other.
+
+    Once they hear each other again there are two parts of one tree, with no edge in between. By the edges that
+    all members name every unit can tell its part. A part that for a silence is not the largest resigns, unit
+    by unit; of equal ones the one with the lowest unit stays.
+    """
+
+    _since_s: float = field(default=np.inf, init=False)
+
+    def keep(self, unit: Standing, time_s: float) -> None:
+        """Resign if the unit's part of the tree is to give way to another one."""
+        parts = _parts(unit, time_s)
+        largest = min(parts, key=lambda part: (-len(part), min(part)))
+        if not unit.is_member or unit.unit_id in largest:
+            self._since_s = np.inf
+            return
+        self._since_s = min(self._since_s, time_s)
+        if time_s - self._since_s >= unit.rule.silence_s:
+            self._since_s = np.inf
+            unit.resign()
+
+
+def _parts(unit: Standing, time_s: float) -> list[set[int]]:
+    """Members that are heard and this unit, by the edges that they name, dead units in between as well."""
+    links = {heard.report.unit_id: heard.tree.neighbor_ids.tolist() for heard in unit.heard.members(time_s)}
+    links[unit.unit_id] = list(unit.edges)
+    parts: list[set[int]] = []
+    for member, neighbors in links.items():
+        linked = {member, *neighbors}
+        touched = [part for part in parts if part & linked]
+        parts = [part for part in parts if not part & linked] + [linked.union(*touched)]
+    return [part & links.keys() for part in parts]

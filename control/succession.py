@@ -43,12 +43,12 @@ def name_heir(unit: Standing, heir_id: int) -> int:
 
 
 def _is_left(unit: Standing, edge: Edge, heard: Heard) -> bool:
-    """Whether the neighbour knows nothing of the edge, although it must by now."""
+    """Whether the neighbour knows nothing of the edge, although it must by now: or it left the tree."""
     if word_of(heard.report, unit.unit_id) is not None:
         return False
     if not edge.pair:
         return heard.is_member or (heard.tree.asks_id, heard.tree.ask_turn) != (unit.unit_id, edge.turn)
-    return heard.report.time_s > edge.since_s + GRACE * unit.rule.silence_s
+    return not heard.is_member or heard.report.time_s > edge.since_s + GRACE * unit.rule.silence_s
 
 
 def _bury(unit: Standing, edge: Edge, time_s: float) -> None:

@@ -52,7 +52,9 @@ def _better_pair(unit: Standing, edge: Edge) -> Robots | None:
     return choose_pair(
         unit.rule.share,
         unit.template,
-        candidates=((edge.pair | edge.reach) & unit.visible & there.near(unit.rule.radius)) - ours,
+        candidates=frozenset(
+            (edge.pair | edge.reach) & there.controlled & there.near(unit.rule.radius) & unit.visible - ours
+        ),
         distances=unit.distances,
         present=edge.pair,
         theirs=there.report.controlled_ids,

@@ -14,7 +14,7 @@ def seek(unit: Standing, time_s: float, at_slot: bool) -> None:
         return
     is_first = all(unit.unit_id < heard.report.unit_id for heard in unit.heard.fresh(time_s))
     if at_slot and is_first and time_s - unit.since_s >= unit.rule.dwell_s:
-        unit.tree_id, unit.own = unit.unit_id, unit.visible
+        unit.tree_id, unit.asks_id, unit.own = unit.unit_id, NOBODY, unit.visible
 
 
 def _ask(unit: Standing, members: list[Heard], time_s: float) -> None:
@@ -44,13 +44,10 @@ def _ask(unit: Standing, members: list[Heard], time_s: float) -> None:
 
 def admit(unit: Standing, time_s: float) -> None:
     """Grant an edge, yet without a pair, to each unit that asks for one."""
-    for heard in unit.heard.fresh(time_s):
-        asking = heard.report.unit_id
-        if heard.is_member or heard.tree.asks_id != unit.unit_id or asking in unit.edges:
-            continue
+    for asking in sorted(unit.askers(time_s) - unit.edges.keys()):
         lent = unit.lendable(asking, time_s)
         if len(lent) >= 2:
-            unit.open_edge(asking, time_s, heard.tree.ask_turn, NO_ROBOTS, lent)
+            unit.open_edge(asking, time_s, unit.heard.newest[asking].tree.ask_turn, NO_ROBOTS, lent)
 
 
 def is_complete(unit: Standing, time_s: float) -> bool:

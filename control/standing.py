@@ -120,19 +120,29 @@ class Standing:
         known_s = min((heard.report.time_s for heard in members), default=np.inf)
         return {robot for robot in self.own - claimed if self.held_s.get(robot, time_s) <= known_s}
 
+    def askers(self, time_s: float) -> set[int]:
+        """Units that ask this one to be admitted."""
+        asking = (heard for heard in self.heard.fresh(time_s) if not heard.is_member)
+        return {heard.report.unit_id for heard in asking if heard.tree.asks_id == self.unit_id}
+
     def lendable(self, unit: int, time_s: float) -> Robots:
         """Own robots, undisputed, that a unit sees and that are lent to nobody else.
 
-        A robot that several neighbours see is each one's in turn, slot by slot, so that none is left out.
+        Robots that several neighbours see, or units that ask to be, go to one after the other, slot by slot, two
+        by two: so none is left out, and none gets a robot alone, which makes no pair.
         """
         free = self.undisputed(time_s).intersection(self.heard.seen_by(unit)) - self.lent(but=unit)
-        sharers: dict[int, list[int]] = {robot: [] for robot in free}
-        for other in sorted(self.edges.keys() | {unit}):
-            for robot in free.intersection(self.heard.seen_by(other)):
-                sharers[robot].append(other)
-        return frozenset(r for r, units in sharers.items() if units[(r + self.slot) % len(units)] == unit)
+        sharers = sorted(self.edges.keys() | self.askers(time_s) | {unit})
+        lent = set()
+        for rank, robot in enumerate(sorted(self.own)):
+            seeing = [other for other in sharers if robot in self.heard.seen_by(other)]
+            if robot in free and seeing[(rank // 2 + self.slot) % len(seeing)] == unit:
+                lent.add(robot)
+        return frozenset(lent)
 
-    def open_edge(self, neighbor: int, time_s: float, turn: int, pair: Robots, lent: Robots = NO_ROBOTS) -> None:
+    def open_edge(
+        self, neighbor: int, time_s: float, turn: int, pair: Robots, lent: Robots = NO_ROBOTS
+    ) -> None:
         """A new edge, at the given turn."""
         self.edges[neighbor] = Edge(self.unit_id, neighbor, time_s, turn, pair, lent)
 

@@ -72,7 +72,9 @@ def _inherit(unit: Standing, dead: Heard, time_s: float) -> None:
 
     The other ends know best which pairs they had: their first turn tells.
     """
-    living = [heard.controlled for heard in unit.heard.fresh(time_s) if heard.report.unit_id != dead.report.unit_id]
+    living = [
+        heard.controlled for heard in unit.heard.fresh(time_s) if heard.report.unit_id != dead.report.unit_id
+    ]
     unit.own |= dead.controlled - unit.controlled.union(*living)
     for neighbor, pair in zip(dead.tree.neighbor_ids.tolist(), dead.tree.pairs.tolist(), strict=True):
         if NOBODY not in pair and neighbor not in unit.edges and unit.heard.alive(neighbor, time_s):

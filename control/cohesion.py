@@ -11,9 +11,9 @@ from skyherd.control.standing import Standing
 class Cohesion:
     """Two ends of an edge that hear nothing of each other for long each go on without the other.
 
-    Once they hear each other again there are two parts of one tree, with no edge in between. By the edges that
-    all members name every unit can tell its part. A part that for a silence is not the largest resigns, unit
-    by unit; of equal ones the one with the lowest unit stays.
+    Once they hear each other again there are two parts of one tree, with no edge in between. Every unit can
+    tell its part by the edges that all members name. A part that for a silence is not the largest resigns,
+    unit by unit; of equal ones the one with the lowest unit stays.
     """
 
     _since_s: float = field(default=np.inf, init=False)

@@ -77,8 +77,8 @@ def holds(turn: int, unit_id: int, neighbor_id: int) -> bool:
 def first_turn(time_s: float, holder_id: int, other_id: int) -> int:
     """The turn at which an edge begins, held by `holder_id`: the common clock, in milliseconds.
 
-    A turn lasts an image at least, and so more than a millisecond: a new edge starts beyond all turns that any
-    edge of the two has seen, also if one of them knows nothing of its former life.
+    A turn lasts an image at least, and so more than a millisecond: a new edge starts beyond all turns of any
+    former edge of the two, also if one of them knows nothing of its former life.
     """
     turn = round(1000 * time_s)
     return turn if holds(turn, holder_id, other_id) else turn + 1

@@ -128,8 +128,8 @@ class Standing:
     def lendable(self, unit: int, time_s: float) -> Robots:
         """Own robots, undisputed, that a unit sees and that are lent to nobody else.
 
-        Robots that several neighbours see, or units that ask to be, go to one after the other, slot by slot, two
-        by two: so none is left out, and none gets a robot alone, which makes no pair.
+        Robots that several neighbours see, or units that ask to become neighbours, go to one after the other,
+        slot by slot, two by two: so none is left out, and none gets a robot alone, which makes no pair.
         """
         free = self.undisputed(time_s).intersection(self.heard.seen_by(unit)) - self.lent(but=unit)
         sharers = sorted(self.edges.keys() | self.askers(time_s) | {unit})

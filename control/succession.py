@@ -52,7 +52,7 @@ def _is_left(unit: Standing, edge: Edge, heard: Heard) -> bool:
 
 
 def _bury(unit: Standing, edge: Edge, time_s: float) -> None:
-    """Close the edge to a unit that is gone; as its heir take over all that was its, else turn to the heir."""
+    """Close the edge to a unit that is gone; as its heir take over what was its, else turn to the heir."""
     del unit.edges[edge.neighbor_id]
     heard = unit.heard.bequest.get(edge.neighbor_id)
     if heard is None or not edge.pair:

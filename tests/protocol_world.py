@@ -102,6 +102,11 @@ class ProtocolWorld:
         while self.waiting:
             self.deliver(0)
 
+    def deliver_to(self, unit: int) -> None:
+        """All letters to one unit arrive; those to others wait."""
+        for letter in [letter for letter in self.waiting if letter[0] == unit]:
+            self.deliver(self.waiting.index(letter))
+
     def inbox_of(self, unit: int, other: int) -> list[UnitReport]:
         """What arrived of one unit at another and was not overtaken."""
         return [report for sender, report in self.inbox[unit].items() if sender == other]
@@ -143,7 +148,7 @@ class ProtocolWorld:
         return check_conditions(control_matrix(sets, self.template.ids)).in_p
 
     def edge_faults(self, but: Iterable[int] = ()) -> list[str]:
-        """Ends of an edge that disagree by more than the turn under way, and sets that share anything else."""
+        """Ends of an edge that disagree by more than the turn under way, sets that share anything else."""
         faults = []
         for one in sorted(self.rosters):
             for two in sorted(self.rosters):

@@ -6,8 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from skyherd.control.edge import NO_ROBOTS, NO_TURN, Edge, first_turn, holds, word_of
-from skyherd.messages import UnitReport
-from skyherd.tree_messages import NOBODY, TreeWord
+from skyherd.messages import NOBODY, TreeWord, UnitReport
 
 NONE = np.array([], dtype=np.int64)
 

@@ -1,4 +1,4 @@
-"""Where robots lie in a unit's image that it does not see: by the other units, and carried along by its own moves."""
+"""Where robots lie in a unit's image that it does not see: by other units, carried along by its own moves."""
 
 import numpy as np
 import pytest

@@ -1,10 +1,10 @@
 """The protocol of control/roster.py under any interleaving of images, messages, losses, crashes and views.
 
-Two machines drive two and three units through a radio that delivers what hypothesis chooses, when and as often
-as it chooses, while robots enter and leave the views.
+Two machines drive two and three units through a radio that delivers what hypothesis chooses, when and as
+often as it chooses, while robots enter and leave the views.
 
-`Faithful`: no unit dies, every two hear each other once in a silence, and a unit sees each robot of its set once
-in a silence. Then at every instant
+`Faithful`: no unit dies, every two hear each other once in a silence, and a unit sees each robot of its set
+once in a silence. Then at every instant
 
 - nobody loses a robot: what is controlled stays controlled;
 - two units share the pair of their edge, as the end with the later turn knows it, or nothing; so no robot is
@@ -12,14 +12,14 @@ in a silence. Then at every instant
 - the two ends of an edge are at most one turn apart, at the same turn they have the same pair, and never do
   both have the turn: the two believe different pairs only until the first report handed over arrives.
 
-Only a robot that nobody had, and that units which could not yet know of each other adopted, may be held by all
-of these for `SETTLING_S`: adopters do so in the same slot (a dwell time), and the higher one drops it with the
-first report of the lower one that it hears (a silence, and its own next image).
+Only a robot that nobody had, and that units which could not yet know of each other adopted, may be held by
+all of these for `SETTLING_S`: adopters do so in the same slot (a dwell time), and the higher one drops it on
+the first report of the lower one that it hears (a silence, and its own next image).
 
 `Faulty`: units crash, come back knowing nothing, and are deaf to each other for as long as it takes. Once all
-letters arrive and every unit sees all robots, TC1-TC5 hold after `healing_s`, and from then on: two silences and
-one more until a unit that was given up, or that belongs to the smaller part, has resigned; a dwell time for each
-of asking, the first turn, adopting, all of which may wait for the next slot; and units that join one by one.
+letters arrive and every unit sees all robots, TC1-TC5 hold after `healing_s`, and from then on: two silences
+and one more until a unit that was given up, or that belongs to the smaller part, has resigned; and for each
+unit, since they may have to join one by one, a slot for its first turn and one for adopting what it left.
 """
 
 from typing import ClassVar
@@ -28,8 +28,8 @@ import pytest
 from hypothesis import HealthCheck, Phase, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, rule, run_state_machine_as_test
-from protocol_world import ProtocolWorld
 
+from protocol_world import ProtocolWorld
 from skyherd.control.roster import Roster
 from skyherd.control.standing import TreeRule
 from skyherd.control.succession import GRACE
@@ -207,12 +207,16 @@ class FaithfulHasty(Faithful):
 
 
 class Careless(Roster):
-    """Gives away at its turn what it has lent: the promise that keeps a robot from a third unit, broken."""
+    """Forgets what it has lent, and lends it to others: the promise that keeps a robot from a third unit."""
 
     def update(self, seen, reports):
         for edge in self.unit.edges.values():
             edge.lent = frozenset()
         return super().update(seen, reports)
+
+
+class FaithfulCareless(Faithful):
+    make = Careless
 
 
 def run(machine: type[Machine], examples: int, steps: int, **extra) -> None:
@@ -242,5 +246,11 @@ def test_very_many_interleavings(machine) -> None:
 
 
 def test_without_turns_the_machine_finds_a_violation() -> None:
-    with pytest.raises(AssertionError, match="share|turn"):
+    with pytest.raises(AssertionError, match=r"share|turn"):
         run(FaithfulHasty, 40, 40, phases=[Phase.generate])
+
+
+@pytest.mark.slow
+def test_with_broken_promises_the_machine_finds_a_violation() -> None:
+    with pytest.raises(AssertionError, match=r"share|turn|three"):
+        run(FaithfulCareless, 400, 60, phases=[Phase.generate])

@@ -1,4 +1,4 @@
-"""The linearised rate of a topology: its closed form, its null space, its invariances, and the flow itself."""
+"""The linearised rate of a topology: closed form, null space, invariances, and the flow itself."""
 
 import numpy as np
 import pytest
@@ -86,7 +86,7 @@ def test_the_null_space_is_that_of_similarities_in_p(units) -> None:
 
 
 def test_two_units_that_share_one_robot_leave_the_shape_free() -> None:
-    """The negative control: of the two parts one can turn and grow about that robot, so L has one more zero."""
+    """The negative control: one of the parts can turn and grow about that robot, so L has one more zero."""
     points = cloud(np.random.default_rng(4), 8)
     sets = [np.arange(5), np.arange(4, 8)]
     assert slowest_rate(points, sets) < 1e-13

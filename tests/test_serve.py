@@ -58,9 +58,10 @@ def test_a_duty_that_is_nowhere_makes_it_climb(make_detections) -> None:
 
 @pytest.mark.parametrize("seed", range(5))
 def test_flown_in_a_simple_world_all_duties_come_into_view_with_margin(make_detections, seed) -> None:
-    """Height and place under the command, robots at rest, some out of view at first: the farthest ends at 0.75.
+    """Height and place under the command, robots at rest, some out of view at first.
 
-    A linear loop: after 60 s of gains near one what is left is exp(-30) and the dead band, 0.02.
+    The farthest ends at 0.75. A linear loop: after 60 s at gains near one are left exp(-30) and the dead
+    band, 0.02.
     """
     rng = np.random.default_rng(seed)
     ground = rng.uniform(-4, 4, 8) + 1j * rng.uniform(-4, 4, 8)

@@ -12,9 +12,11 @@ the assignment is. It changes only
 - by adoption (control/adoption.py): a robot that nobody controls becomes the own of the unit that sees it
   nearest to its image centre.
 
-Turns are safe however messages are lost, late, repeated or reordered. Joining, succession and adoption rest
-on what was heard: should two units hold one robot after a loss the higher one drops it, and a unit that
-learns that it was given up for dead starts anew. docs/topology.md proves what holds.
+Turns and joining are safe however messages are lost, late, repeated or reordered, while every two units hear
+each other once in a silence. Succession and adoption rest on what was heard: should two units hold one robot
+the higher one drops it, and neither lends it before that is settled; a unit that learns that it was given up
+for dead starts anew, and so does the smaller of two parts of the tree that lost one another
+(control/cohesion.py). docs/topology.md proves what holds.
 """
 
 from collections.abc import Sequence

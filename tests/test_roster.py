@@ -170,16 +170,19 @@ def test_a_late_grant_answers_a_question_that_is_no_longer_put() -> None:
     assert world.in_p() and not world.edge_faults()
 
 
-def test_a_unit_is_admitted_however_few_robots_there_are_to_lend() -> None:
-    """Unit 2 comes when units 0 and 1 have two robots left each, which they keep lending to one another.
+def test_a_unit_that_asks_gets_both_of_two_robots_in_its_turn() -> None:
+    """Unit 1 has robots 4 and 5 left, which units 0 and 2 see; unit 0 asks, unit 2 is a neighbour.
 
-    One by one, in turn, each got one robot, which makes no pair.
+    Each had one of them in every slot, robot by robot, which makes no pair: unit 0 was never admitted.
     """
-    world = ProtocolWorld(3, 6, RULE, [everything(6), everything(6), {}])
-    world.quiet(16.0, STEP_S)
-    world.views[2] = everything(6)
-    world.quiet(3 * RULE.dwell_s, STEP_S)
-    assert world.in_p()
+    neighbor = member_report(2, 9.9, (), everything(8), pair=(6, 7))
+    asking = member_report(0, 9.9, (), everything(8))
+    asking = replace(asking, tree=replace(asking.tree, tree_id=NOBODY, asks_id=1, ask_turn=9000))
+    unit = member(1, {4, 5}, 5.0, [neighbor, asking])
+    unit.edges[2] = Edge(1, 2, 0.0, 0, frozenset({6, 7}))
+    assert unit.askers(10.0) == {0}
+    for unit.slot in range(5, 9):
+        assert {unit.lendable(0, 10.0), unit.lendable(2, 10.0)} == {frozenset({4, 5}), frozenset()}
 
 
 def test_a_founder_asks_nobody() -> None:
@@ -268,9 +271,9 @@ def test_with_a_neighbour_that_has_nothing_left_no_pair_is_weighed() -> None:
     world.deliver_all()
     report = world.latest[1]
     gone = replace(report.tree, tree_id=NOBODY, neighbor_ids=NONE, turns=NONE, pairs=np.zeros((0, 2)))
-    lost = replace(report, time_s=world.time_s + 0.1, controlled_ids=NONE, secure_ids=NONE)
+    lost = replace(report, time_s=world.time_s + 1.9, controlled_ids=NONE, secure_ids=NONE)
     lost = replace(lost, tree=replace(gone, lent_ids=NONE, lent_to_ids=NONE, wished_ids=NONE))
-    world.time_s += 0.2
+    world.time_s += RULE.dwell_s
     world.inbox[0][1] = lost
     world.image(0)
     assert world.sets[0] == set(range(6))

@@ -7,7 +7,10 @@ from scipy.linalg import expm
 from skyherd.control import Template, motion_goals
 from skyherd.control.rate import laplacian, pair_rates, slowest_rate
 from skyherd.control.topology import check_conditions
+from skyherd.datasets import make_mission
+from skyherd.datasets.random_missions import Crowd, random_mission
 from skyherd.geometry import wrap_angle
+from skyherd.loop import run_steps
 
 NOBODY = np.array([], dtype=np.int64)
 
@@ -179,3 +182,36 @@ def test_the_flow_dies_out_at_the_slowest_rate() -> None:
         fall = np.log(off_shape(late) / off_shape(late + 1 / values[2])) * values[2]
         behind = np.exp(-(values[3] - values[2]) * late)
         assert fall == pytest.approx(values[2], rel=max(100 * behind, 1e-6))
+
+
+@pytest.mark.parametrize("seed", [0, 4])
+def test_the_late_slope_of_a_mission_is_that_of_the_slowest_mode(seed) -> None:
+    """Unicycles, two units with their own cameras, points without noise: the error falls as L says.
+
+    Commands are held for a step of dt, so that late, with headings aligned, each step multiplies the slowest
+    mode by 1 - k λ dt: a slope of -log(1 - k λ dt) / dt. Modes are orthogonal: the next one adds to the norm
+    in quadrature, by exp(-2 k (λ_4 - λ_3) t) of what it had t before, at the last change of sets. That share
+    may begin tenfold; the error itself, under 5e-4, enters the fit of the shape in second order.
+    """
+    tree = random_mission(seed, Crowd(2, 5))
+    tree["perception"] = "ideal"
+    mission = make_mission(tree)
+    gain, step_s = mission.scenario.control.k, mission.scenario.step_s
+    story, sets, since_s = [], {}, 0.0
+    for step in run_steps(mission):
+        now = {unit: members.tolist() for unit, members in step.control_sets.items()}
+        if now != sets:
+            sets, since_s, story = now, step.time_s, []
+        error = step.observation.shape.error
+        if error < 5e-4:
+            story.append((step.time_s, np.log(error)))
+        if error < 1e-4:
+            break
+    rows = [np.searchsorted(mission.ids, members) for members in sets.values()]
+    slowest, following = np.linalg.eigvalsh(laplacian(mission.template.points_px, rows))[2:4]
+    times_s, logs = np.array(story).T
+    assert len(times_s) > 20
+    measured = -np.polyfit(times_s, logs, 1)[0]
+    behind = np.exp(-2 * gain * (following - slowest) * (times_s[0] - since_s))
+    assert behind < 1e-3, "the slowest mode is alone"
+    assert measured == pytest.approx(-np.log(1 - gain * slowest * step_s) / step_s, rel=10 * behind + 1e-3)

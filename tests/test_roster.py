@@ -277,3 +277,41 @@ def test_with_a_neighbour_that_has_nothing_left_no_pair_is_weighed() -> None:
     world.inbox[0][1] = lost
     world.image(0)
     assert world.sets[0] == set(range(6))
+
+
+# --- adoption ---
+
+
+@pytest.mark.parametrize("seers", [{0}, {2}, {0, 1, 2}])
+@pytest.mark.parametrize("when", range(4))
+def test_a_robot_that_appears_is_one_units_within_a_dwell_time_and_a_half(seers, when) -> None:
+    """Half a dwell time of nobody's claim, the next slot after that, and an image."""
+    world = formed(3, 12)
+    for unit in range(3):
+        del world.views[unit][11]
+    for roster in world.rosters.values():
+        roster.unit.own.discard(11)
+    world.quiet(RULE.silence_s + when * STEP_S, STEP_S)
+    assert not world.holders()[11]
+    for unit in seers:
+        world.views[unit][11] = 0.2 + 0.1 * unit
+    world.quiet(1.5 * RULE.dwell_s + STEP_S, STEP_S)
+    assert {unit for unit in range(3) if 11 in world.sets[unit]} == {min(seers)}
+    world.quiet(STEP_S, STEP_S)
+    assert world.in_p()
+
+
+@pytest.mark.parametrize("when", range(4))
+def test_a_robot_that_was_carried_off_changes_hands_within_a_silence_and_two_slots(when) -> None:
+    """Its unit leaves it at the first slot after a silence, and at the next one who sees it adopts it."""
+    world = formed(2, 9)
+    world.quiet(when * STEP_S, STEP_S)
+    robot = max(world.rosters[0].unit.own - world.rosters[1].unit.controlled)
+    for unit in (0, 1):
+        del world.views[unit][robot]
+    world.quiet(STEP_S, STEP_S)
+    holder = next(unit for unit in (0, 1) if robot in world.sets[unit])
+    world.views[1 - holder][robot] = 0.3
+    world.quiet(RULE.silence_s + 2 * RULE.dwell_s + STEP_S, STEP_S)
+    assert robot in world.sets[1 - holder] and robot not in world.rosters[holder].unit.own
+    assert world.in_p()

@@ -55,9 +55,13 @@ class Edge:
         return self.turn != NO_TURN and holds(self.turn, self.unit_id, self.neighbor_id)
 
     def hear(self, report: UnitReport) -> None:
-        """Take the turn if the neighbour's report hands it over; older and repeated words change nothing."""
+        """Take the turn if the neighbour's report hands it over; older and repeated words change nothing.
+
+        On one edge the neighbour is a turn ahead at most, and only with a turn that it hands over. If it is
+        farther ahead it gave up this edge, and began anew.
+        """
         word = word_of(report, self.unit_id)
-        if word is None or (self.turn != NO_TURN and (self.mine or word.turn != self.turn + 1)):
+        if word is None or word.turn <= self.turn:
             return
         self.turn, self.pair = word.turn, word.pair
         self.lent, self.reach, self.wished = NO_ROBOTS, word.lent, word.wished

@@ -91,6 +91,21 @@ def test_an_end_that_knows_no_turn_takes_the_first_word() -> None:
     assert (heir.turn, heir.pair, heir.mine) == (51, {4, 5}, True)
 
 
+@pytest.mark.parametrize("turn", [4, 5])
+def test_an_end_that_was_given_up_goes_over_to_the_new_edge(turn) -> None:
+    """Unit 3 buried unit 7 and then found it again, as the heir of another one: two edges of one name.
+
+    Unit 7 waited for the next turn of the first one for good, whether that was its own or not.
+    """
+    old = Edge(7, 3, 0.0, turn, frozenset({1, 2}), lent=frozenset({8}))
+    new = Edge(3, 7, 32.0, first_turn(32.0, 3, 7), frozenset({4, 5}))
+    old.hear(report_of(new))
+    assert (old.turn, old.pair, old.mine) == (new.turn, {4, 5}, False) and not old.lent
+    new.hand_over(frozenset({6}), NO_ROBOTS)
+    old.hear(report_of(new))
+    assert old.mine and old.reach == {6}
+
+
 def test_a_word_on_other_edges_is_none() -> None:
     one, two = ends()
     assert word_of(report_of(one), 8) is None

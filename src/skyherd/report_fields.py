@@ -51,7 +51,10 @@ GROUPS: Mapping[str, tuple[Field, ...]] = {
             "angle",
         ),
         Field(
-            "V_start", "Cost V at the start", "m²", "Half the sum of squared distances to the desired points."
+            "V_start",
+            "Cost V at the start",
+            "m²",
+            "Half the sum of squared distances to the desired points, when robots begin to move.",
         ),
         Field("V_end", "Cost V at the end", "m²", "Zero where every unit's robots are in the shape."),
     ),
@@ -86,9 +89,20 @@ GROUPS: Mapping[str, tuple[Field, ...]] = {
             "",
             "Instants when a unit took a robot over or gave one up.",
         ),
+        Field("ready_s", "Tree complete", "s", "Robots move from then on; violations count from then on."),
+        Field("p_violation_s", "Outside P", "s", "Time in which any of TC1-TC5 was violated."),
         *(
             Field(f"tc{number}_violation_s", f"TC{number} violated", "s", meaning)
             for number, meaning in enumerate(TC_MEANINGS, 1)
+        ),
+        Field(
+            "missing_robots",
+            "Missing robots",
+            "",
+            "At the end: controlled by no unit, or not seen by theirs for long.",
+        ),
+        Field(
+            "unjoined_units", "Units outside the tree", "", "Living units that were not admitted by the end."
         ),
     ),
     "Run": (
@@ -102,7 +116,7 @@ GROUPS: Mapping[str, tuple[Field, ...]] = {
         Field("frames_per_s", "Images processed", "per second"),
     ),
 }
-"""Every key of the summary that is a single value, in the order shown."""
+"""Every key of the summary but the final positions, in the order shown."""
 
 
 def value_text(field: Field, value: object) -> str:
@@ -111,6 +125,8 @@ def value_text(field: Field, value: object) -> str:
         return UNKNOWN
     if isinstance(value, bool):
         return "yes" if value else "no"
+    if isinstance(value, list):
+        return ", ".join(str(item) for item in value) or "none"
     if not isinstance(value, int | float):
         return str(value)
     if field.kind == "angle":

@@ -10,15 +10,18 @@ from skyherd.canvas import Box, Image, draw_text, text_width
 from skyherd.datasets import Mission
 from skyherd.ground_view import GroundView
 from skyherd.key_view import draw_key
-from skyherd.loop import Step, UnitFrame
+from skyherd.loop import Step, UnitFrame, dead_units
 from skyherd.palette import INK, MUTED, PAPER, rgb, unit_rgb
 from skyherd.plots_view import Curve, PlotView
+from skyherd.tree_state import TreeWatch
 
 HEADER_PX = 46
 PLOTS_SHARE = 0.25
 CAMERAS_SHARE = 0.62
 KEY_PX = 80
 GAP_PX = 14
+LEAST_COST = 1e-9
+"""Costs below this, m², are those of two robots, which always make their shape, or of none: not shown."""
 
 
 @dataclass(frozen=True)
@@ -86,18 +89,24 @@ class Composer:
             for unit, box in enumerate(layout.cameras)
         ]
         self._ground = GroundView(mission, layout.ground.of(self._canvas))
-        draw_key(layout.key.of(self._canvas))
+        draw_key(layout.key.of(self._canvas), tree=scenario.selection.kind == "tree")
         self._cost, self._scale = self._make_plots(layout)
         self._last: dict[int, UnitFrame] = {}
+        self._tree = TreeWatch()
 
     def compose(self, step: Step) -> Image:
         """Picture (height, width, 3) RGB of a step: read-only, and drawn over by the next call."""
         self._last |= step.frames
+        dead = dead_units(self.mission.scenario, step.time_s)
+        for unit in dead:
+            self._last.pop(unit, None)
+            self._cameras[unit].draw_dead()
         for unit, frame in self._last.items():
             self._cameras[unit].draw(frame, step.control_sets)
-        self._ground.draw(step)
+        self._ground.draw(step, self._tree.see(step, dead))
         seen = step.observation
-        self._cost.add(step.time_s, np.append(seen.V, seen.V_units))
+        cost = np.append(seen.V, seen.V_units)
+        self._cost.add(step.time_s, np.where(cost > LEAST_COST, cost, np.nan))
         self._scale.add(step.time_s, seen.scales)
         self._draw_header(step)
         return self._shown

@@ -122,8 +122,8 @@ class CameraView:
             self._is_dead = False
         robots, report = frame.sight.detections, frame.decision.report
         controlled = report.controlled_ids
-        held = f"{controlled.size} controlled · {len(robots)} seen"
-        self._write_title(f"unit {self.unit} · {held}{_standing(report.tree)}")
+        held, standing = f"unit {self.unit} · {controlled.size} controlled", _standing(report.tree)
+        self._write_title(f"{held} · {len(robots)} seen{standing}", f"{held}{standing}")
         self._draw_image(frame)
         plain = frame.sight.image is None
         draw_lines(self._picture, self._seen_circle(frame), rgb(MUTED if plain else PAPER), 2)
@@ -153,10 +153,14 @@ class CameraView:
         self._frame[:] = frame
         self._picture[:] = PLAIN
 
-    def _write_title(self, text: str) -> None:
+    def _write_title(self, *texts: str) -> None:
+        """Write the first text that there is room for, large or small; else the last one, small."""
         self._title[:] = rgb(PAPER)
         draw_circle(self._title, (7, TITLE_PX / 2), 6, self.color, -1)
-        size_px = 15 if 20 + text_width(text, 15) <= self._title.shape[1] else 12
+        room = self._title.shape[1] - 20
+        sizes = [(text, size_px) for text in texts for size_px in (15, 12)]
+        fitting = (choice for choice in sizes if text_width(*choice) <= room)
+        text, size_px = next(fitting, sizes[-1])
         draw_text(self._title, text, (20, TITLE_PX / 2), rgb(INK), size_px=size_px)
 
     def _draw_image(self, frame: UnitFrame) -> None:

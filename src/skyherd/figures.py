@@ -113,8 +113,8 @@ PANELS = (
         "topology",
         "Control topology",
         "The units that control each robot, by colour (an empty row: none), and when the paper's "
-        "conditions TC1-TC5 hold. TC1 and TC2 suffice for convergence from nearby; all five, from "
-        "anywhere.",
+        "conditions TC1-TC5 hold; of a tree of units, when each belonged to it. TC1 and TC2 suffice for "
+        "convergence from nearby; all five, from anywhere.",
         draw_topology,
     ),
     Panel(

@@ -103,7 +103,7 @@ class GroundView:
     def _write_title(self, tree: TreeState | None) -> None:
         """What is shown, on the left, and how the tree stands, on the right."""
         self._title[:] = rgb(PAPER)
-        title = "the ground from above · axes in metres"
+        title = "the ground from above · axes in metres" if tree is None else "the ground, metres"
         draw_text(self._title, title, (LEFT_PX, TITLE_PX / 2), rgb(INK), size_px=15)
         if tree is not None:
             right = self._title.shape[1] - 2, TITLE_PX / 2
@@ -202,7 +202,7 @@ class GroundView:
                 cross = [[[u - 8, v], [u + 8, v]], [[u, v - 8], [u, v + 8]]]
                 draw_lines(self._field, cross, rgb(PAPER), 8)
                 draw_lines(self._field, cross, unit_rgb(unit), 3)
-                outside = " outside the tree" if tree is not None and unit in tree.unjoined else ""
+                outside = " outside" if tree is not None and unit in tree.unjoined else ""
                 name, ink = f"unit {unit}{outside}", rgb(INK)
             draw_text(self._field, name, at, ink, size_px=12, bold=True, align="center", halo=halo)
 

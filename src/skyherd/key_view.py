@@ -96,17 +96,28 @@ def _dead(image: Image, u: float, v: float) -> None:
 TREE_ITEMS: tuple[tuple[Callable[[Image, float, float], None], str], ...] = (
     (_edge, "edge by a pair; whose turn"),
     (_exchange, "pair just exchanged"),
-    (_granted, "edge asked or granted"),
+    (_granted, "edge that one unit knows"),
     (_dead, "dead unit"),
 )
+
+
+def key_height_px(width_px: int, *, tree: bool = False) -> int:
+    """Height of the key in a panel of some width."""
+    return _grid(width_px, tree=tree)[1] * ROW_PX
+
+
+def _grid(width_px: int, *, tree: bool) -> tuple[float, int]:
+    """Width of a column, px, and rows."""
+    items = ITEMS + TREE_ITEMS if tree else ITEMS
+    pitch = SYMBOL_PX + max(text_width(text, TEXT_PX) for _, text in items) + 6
+    columns = min(len(items), max(1, int(width_px // pitch)))
+    return pitch, -(-len(items) // columns)
 
 
 def draw_key(panel: Image, *, tree: bool = False) -> None:
     """Draw the key, with the tree's symbols if there is one, in as few rows as the panel has room for."""
     items = ITEMS + TREE_ITEMS if tree else ITEMS
-    pitch = SYMBOL_PX + max(text_width(text, TEXT_PX) for _, text in items) + 6
-    columns = min(len(items), max(1, int(panel.shape[1] // pitch)))
-    rows = -(-len(items) // columns)
+    pitch, rows = _grid(panel.shape[1], tree=tree)
     for k, (draw, text) in enumerate(items):
         u, v = k // rows * pitch + SYMBOL_PX / 2, (k % rows + 0.5) * ROW_PX
         draw(panel, u, v)

@@ -76,6 +76,8 @@ def draw_pair_marks(
 ) -> None:
     """Second, outer rings around shared robots, in the colours of the two units."""
     for ends, link in links.items():
+        if not link.is_mutual:
+            continue
         for place in robots[np.searchsorted(ids, link.pair)].tolist():
             draw_ring(image, place, radius + 5.5, [rgb(PAPER)], 3)
             draw_ring(image, place, radius + 4.5, [unit_rgb(unit) for unit in ends], 3)

@@ -12,6 +12,7 @@ from skyherd.geometry import to_complex
 from skyherd.history import History, make_history
 from skyherd.loop import run_steps
 from skyherd.observer import fit_shape
+from skyherd.report_fields import GROUPS
 from skyherd.summary import summarize
 from skyherd.switches import find_switches
 from skyherd.topology_report import (
@@ -168,6 +169,7 @@ def test_summary_counts_from_when_the_tree_is_complete(small: History) -> None:
     assert not small.conditions[before].all(axis=1).all(), "there was something not to count"
     assert np.ptp(small.positions_m[: before.sum()], axis=0).max() == 0, "and robots held still meanwhile"
     assert summary["missing_robots"] == summary["unjoined_units"] == []
+    assert {field.key for group in GROUPS.values() for field in group} < set(summary)
 
 
 def test_switches_add_up_to_the_last_topology(small: History) -> None:

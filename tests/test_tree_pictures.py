@@ -7,8 +7,9 @@ from skyherd.composer import Composer, make_layout
 from skyherd.datasets import load_mission
 from skyherd.key_view import key_height_px
 from skyherd.loop import dead_units, run_steps
+from skyherd.messages import NOBODY
 from skyherd.palette import unit_rgb
-from skyherd.tree_messages import NOBODY, TreeWord
+from skyherd.tree_messages import TreeWord
 from skyherd.tree_state import TreeWatch, tree_state
 from skyherd.tree_view import FLASH, FLASH_S, TreeView
 

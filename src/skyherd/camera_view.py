@@ -21,9 +21,9 @@ from skyherd.control import rectified
 from skyherd.control.topology import ControlSets
 from skyherd.geometry import Array, BoolArray, IntArray, to_points
 from skyherd.loop import UnitFrame
-from skyherd.messages import Detections
+from skyherd.messages import NOBODY, Detections
 from skyherd.palette import INK, MUTED, PAPER, TEMPLATE_COLOR, rgb, unit_rgb
-from skyherd.tree_messages import NOBODY, TreeWord
+from skyherd.tree_messages import TreeWord
 
 TITLE_PX = 26
 BORDER_PX = 3

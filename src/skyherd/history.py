@@ -90,8 +90,8 @@ class History:
 
     @property
     def ready_row(self) -> int | None:
-        """First step at which the topology is in place: the tree was ready, or, without a tree, 0."""
-        if all(tree is None for tree in self.trees):
+        """First step with the topology in place: the tree was ready; where none is built first, 0."""
+        if self.mission.scenario.selection.kind != "tree":
             return 0
         return next((row for row, tree in enumerate(self.trees) if tree and tree.ready), None)
 

@@ -13,6 +13,7 @@ import numpy as np
 from mcap.exceptions import McapError
 from mcap.records import Channel, Message, Metadata
 from mcap.stream_reader import CRCValidationError, StreamReader
+from zstandard import ZstdError
 
 from skyherd.control import Decision, GroundMap, Template
 from skyherd.control.topology import Conditions
@@ -65,7 +66,7 @@ def read_messages(path: Path) -> Iterator[tuple[str, float, Any]]:
                     yield channels[record.channel_id], record.log_time / 1e9, json.loads(record.data)
                 elif isinstance(record, Metadata):
                     yield f"#{record.name}", 0.0, record.metadata
-    except (CRCValidationError, ValueError, KeyError) as error:
+    except (CRCValidationError, ZstdError, ValueError, KeyError) as error:
         raise InputError(str(path), f"damaged: {error}", "a recording as it was written") from None
     except OSError as error:
         raise InputError(str(path), error.strerror or str(error), "a recording, run.mcap") from None

@@ -27,6 +27,9 @@ TC_MEANINGS = (
     "The units and their neighbours make a tree, without cycles.",
 )
 
+TREE = "Tree of units"
+"""Group of the keys that only missions with a tree of units have."""
+
 GROUPS: Mapping[str, tuple[Field, ...]] = {
     "Outcome": (
         Field("converged", "Converged", "", "The shape error stayed below its goal to the end."),
@@ -89,20 +92,27 @@ GROUPS: Mapping[str, tuple[Field, ...]] = {
             "",
             "Instants when a unit took a robot over or gave one up.",
         ),
-        Field("ready_s", "Tree complete", "s", "Robots move from then on; violations count from then on."),
         Field("p_violation_s", "Outside P", "s", "Time in which any of TC1-TC5 was violated."),
         *(
             Field(f"tc{number}_violation_s", f"TC{number} violated", "s", meaning)
             for number, meaning in enumerate(TC_MEANINGS, 1)
         ),
+    ),
+    TREE: (
+        Field("ready_s", "Tree complete", "s", "Robots move from then on; violations count from then on."),
         Field(
             "missing_robots",
             "Missing robots",
             "",
             "At the end: controlled by no unit, or not seen by theirs for long.",
+            "ids",
         ),
         Field(
-            "unjoined_units", "Units outside the tree", "", "Living units that were not admitted by the end."
+            "unjoined_units",
+            "Units outside the tree",
+            "",
+            "Living units that were not admitted by the end.",
+            "ids",
         ),
     ),
     "Run": (
@@ -125,7 +135,7 @@ def value_text(field: Field, value: object) -> str:
         return UNKNOWN
     if isinstance(value, bool):
         return "yes" if value else "no"
-    if isinstance(value, list):
+    if field.kind == "ids" and isinstance(value, list):
         return ", ".join(str(item) for item in value) or "none"
     if not isinstance(value, int | float):
         return str(value)

@@ -4,7 +4,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 from skyherd.loop import Step
-from skyherd.tree_messages import NOBODY, TreeWord
+from skyherd.messages import NOBODY
+from skyherd.tree_messages import TreeWord
 
 Ends = tuple[int, int]
 """Two units, the lower one first."""

@@ -12,11 +12,11 @@ import pytest
 
 from skyherd.datasets import load_mission
 from skyherd.errors import OutputError
-from skyherd.figures import write_figures
+from skyherd.figures import PANELS, write_figures
 from skyherd.history import History, make_history
 from skyherd.loop import run_steps
 from skyherd.report import write_page
-from skyherd.report_fields import GROUPS, Field, number_text, value_text
+from skyherd.report_fields import GROUPS, TREE, Field, number_text, value_text
 from skyherd.summary import summarize
 from skyherd.video import VideoSink
 
@@ -79,7 +79,7 @@ def test_the_page_is_whole_and_refers_to_nothing_outside(page: Path) -> None:
     assert not outline.all("script")
     assert outline.all("html") == [{"lang": "en"}]
     assert len(outline.all("video")) == 1
-    assert len(outline.all("img")) == 12
+    assert len(outline.all("img")) == len(PANELS)
     assert all(image["alt"] for image in outline.all("img"))
     sources = [a[key] or "" for _, a in outline.tags for key in ("src", "href") if key in a]
     assert all(source.startswith("data:") for source in sources)
@@ -90,7 +90,7 @@ def test_the_page_is_whole_and_refers_to_nothing_outside(page: Path) -> None:
 def test_every_value_of_the_summary_is_there(page: Path, history: History) -> None:
     text = page.read_text("utf-8")
     summary = summarize(history, 1.5)
-    fields = {field.key: field for group in GROUPS.values() for field in group}
+    fields = {field.key: field for name, group in GROUPS.items() if name != TREE for field in group}
     assert set(summary) == set(fields) | {"final_positions_m"}
     for key, field in fields.items():
         assert f"{field.label}</th><td>{value_text(field, summary[key])}</td>" in text
@@ -148,6 +148,8 @@ def test_numbers(value: float, text: str) -> None:
         (Field("x", "x", kind="angle"), -np.pi / 2, "−90.0° (−1.571 rad)"),
         (Field("x", "x", kind="share"), 0.99995, "99.995 %"),
         (Field("x", "x"), [1, 2], "[1, 2]"),
+        (Field("x", "x", "", "", "ids"), [1, 2], "1, 2"),
+        (Field("x", "x", "", "", "ids"), [], "none"),
     ],
 )
 def test_values(field: Field, value: object, text: str) -> None:
@@ -199,7 +201,7 @@ def test_every_image_is_decoded(shown: Any) -> None:
     widths = shown.evaluate(
         "Promise.all([...document.images].map(async e => { await e.decode(); return e.naturalWidth }))"
     )
-    assert len(widths) == 12
+    assert len(widths) == len(PANELS)
     assert min(widths) > 0
 
 

@@ -454,7 +454,11 @@ def call(capsys: Any, *arguments: Any) -> tuple[int, str, str]:
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ('"triangle"', '"triangel"', ["scenario 'triangel'", "one of circle, grid, star, triangle"]),
+        (
+            '"triangle"',
+            '"triangel"',
+            ["scenario 'triangel'", "one of chain, circle, failure, grid, star, tree, triangle"],
+        ),
         ('"V_end"', '"V_ned"', ["keep", "V_ned", "V_end"]),
         ("[0.1, 0.3]", "0.3", ["grid.control.k", "list", "0.3"]),
         ("[0.1, 0.3]", "[0.1, -3]", ["control.k=-3", "greater than 0", "-3"]),

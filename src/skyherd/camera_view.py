@@ -15,13 +15,15 @@ from skyherd.canvas import (
     draw_segments,
     draw_text,
     fill_polygon,
+    text_width,
 )
 from skyherd.control import rectified
 from skyherd.control.topology import ControlSets
 from skyherd.geometry import Array, BoolArray, IntArray, to_points
 from skyherd.loop import UnitFrame
-from skyherd.messages import Detections
+from skyherd.messages import NOBODY, Detections
 from skyherd.palette import INK, MUTED, PAPER, TEMPLATE_COLOR, rgb, unit_rgb
+from skyherd.tree_messages import TreeWord
 
 TITLE_PX = 26
 BORDER_PX = 3
@@ -74,6 +76,15 @@ def owners_by_robot(sets: ControlSets) -> dict[int, list[int]]:
     return owners
 
 
+def _standing(tree: TreeWord | None) -> str:
+    """What a title says of the unit's standing in the tree."""
+    if tree is None:
+        return ""
+    if tree.tree_id == NOBODY:
+        return " · outside" if tree.asks_id == NOBODY else f" · asks unit {tree.asks_id}"
+    return "" if tree.heir_id == NOBODY else f" · heir {tree.heir_id}"
+
+
 class CameraView:
     """Draws one unit's frames into its cell of the canvas: a title, and the image below it.
 
@@ -95,9 +106,9 @@ class CameraView:
         self._grey = np.empty((shown.height, shown.width), np.uint8)
         center_px = self.to_panel(np.array([(width - 1) / 2, (height - 1) / 2]))
         self._circle = circle_dashes(center_px, radius * min(width, height) / 2 * self.scale)
-        box = Box(0, TITLE_PX, shown.width + 2 * BORDER_PX, shown.height + 2 * BORDER_PX)
-        box.of(cell)[:] = self.color
-        self._picture[:] = PLAIN
+        self._frame = Box(0, TITLE_PX, shown.width + 2 * BORDER_PX, shown.height + 2 * BORDER_PX).of(cell)
+        self._is_dead = False
+        self._show_nothing(self.color)
         self._write_title(f"unit {unit} · no image yet")
 
     def to_panel(self, points_px: Array) -> Array:
@@ -106,9 +117,13 @@ class CameraView:
 
     def draw(self, frame: UnitFrame, sets: ControlSets) -> None:
         """Draw a frame, given which robots each unit controls."""
-        robots = frame.sight.detections
-        controlled = frame.decision.report.controlled_ids
-        self._write_title(f"unit {self.unit} · {controlled.size} controlled · {len(robots)} seen")
+        if self._is_dead:
+            self._show_nothing(self.color)
+            self._is_dead = False
+        robots, report = frame.sight.detections, frame.decision.report
+        controlled = report.controlled_ids
+        held, standing = f"unit {self.unit} · {controlled.size} controlled", _standing(report.tree)
+        self._write_title(f"{held} · {len(robots)} seen{standing}", f"{held}{standing}")
         self._draw_image(frame)
         plain = frame.sight.image is None
         draw_lines(self._picture, self._seen_circle(frame), rgb(MUTED if plain else PAPER), 2)
@@ -125,10 +140,28 @@ class CameraView:
         seen = self.to_panel(frame.ground_map.image_px(circle, size_px))
         return list(seen.reshape(len(self._circle), -1, 2))
 
-    def _write_title(self, text: str) -> None:
+    def draw_dead(self) -> None:
+        """Show that the unit is dead."""
+        if not self._is_dead:
+            self._is_dead = True
+            self._show_nothing(rgb(MUTED))
+            height, width = self._picture.shape[:2]
+            draw_lines(self._picture, [[[0, 0], [width, height]], [[0, height], [width, 0]]], rgb(MUTED), 2)
+            self._write_title(f"unit {self.unit} · dead")
+
+    def _show_nothing(self, frame: Color) -> None:
+        self._frame[:] = frame
+        self._picture[:] = PLAIN
+
+    def _write_title(self, *texts: str) -> None:
+        """Write the first text that there is room for, large or small; else the last one, small."""
         self._title[:] = rgb(PAPER)
         draw_circle(self._title, (7, TITLE_PX / 2), 6, self.color, -1)
-        draw_text(self._title, text, (20, TITLE_PX / 2), rgb(INK), size_px=15)
+        room = self._title.shape[1] - 20
+        sizes = [(text, size_px) for text in texts for size_px in (15, 12)]
+        fitting = (choice for choice in sizes if text_width(*choice) <= room)
+        text, size_px = next(fitting, sizes[-1])
+        draw_text(self._title, text, (20, TITLE_PX / 2), rgb(INK), size_px=size_px)
 
     def _draw_image(self, frame: UnitFrame) -> None:
         """The picture, or its markers as black squares where none was made."""

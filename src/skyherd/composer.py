@@ -9,16 +9,24 @@ from skyherd.camera_view import BORDER_PX, TITLE_PX, CameraView
 from skyherd.canvas import Box, Image, draw_text, text_width
 from skyherd.datasets import Mission
 from skyherd.ground_view import GroundView
-from skyherd.key_view import draw_key
-from skyherd.loop import Step, UnitFrame
+from skyherd.key_view import draw_key, key_height_px
+from skyherd.loop import Step, UnitFrame, dead_units
 from skyherd.palette import INK, MUTED, PAPER, rgb, unit_rgb
 from skyherd.plots_view import Curve, PlotView
+from skyherd.tree_state import TreeWatch
 
 HEADER_PX = 46
 PLOTS_SHARE = 0.25
 CAMERAS_SHARE = 0.62
-KEY_PX = 80
+STRIPS_PX = (0, *range(80, 320, 24))
+"""Heights that are tried for a strip with the key below the cameras; 0 is none."""
+
 GAP_PX = 14
+MOST_NAMED = 5
+"""With more units than this the curves' names are bare numbers."""
+
+LEAST_COST = 1e-9
+"""Costs below this, m², are those of two robots, which always make their shape, or of none: not shown."""
 
 
 @dataclass(frozen=True)
@@ -31,37 +39,60 @@ class Layout:
     plots: tuple[Box, Box]
 
 
-def make_layout(size_px: tuple[int, int], image_sizes_px: Sequence[tuple[int, int]]) -> Layout:
-    """Cameras in a near-square block on the left, the ground beside it, the plots below.
+def make_layout(
+    size_px: tuple[int, int], image_sizes_px: Sequence[tuple[int, int]], *, tree: bool = False
+) -> Layout:
+    """Cameras in a block on the left, as large as they can be, the ground beside it, the plots below.
 
-    The key goes where the block has a cell to spare, or else below it.
+    The key goes where the block's last row has room to spare, or else below the block.
     """
     width, height = size_px
-    units = len(image_sizes_px)
-    columns = int(np.ceil(np.sqrt(units)))
-    rows = -(-units // columns)
-    spare = rows * columns > units
+    units, square = len(image_sizes_px), int(np.ceil(np.sqrt(len(image_sizes_px))))
     bottom = height - round(PLOTS_SHARE * height)
-    room_high = bottom - HEADER_PX - (0 if spare else KEY_PX)
-    aspect = max(w / h for w, h in image_sizes_px)
-    frame = 2 * BORDER_PX
-    high = room_high / rows - TITLE_PX - frame - GAP_PX
-    wide = min(high * aspect, CAMERAS_SHARE * width / columns - frame - GAP_PX)
-    pitch_u, pitch_v = int(wide) + frame + GAP_PX, int(wide / aspect) + TITLE_PX + frame + GAP_PX
-    corners = [
-        (GAP_PX + column * pitch_u, HEADER_PX + row * pitch_v)
-        for row in range(rows)
-        for column in range(columns)
+    blocks = [
+        _block(columns, (width, bottom), image_sizes_px, strip_px, tree=tree)
+        for columns in (square, square + 1)
+        for strip_px in STRIPS_PX
     ]
+    pitch_u, pitch_v, columns, key = max((block for block in blocks if block), key=lambda block: block[0])
+    corners = [(GAP_PX + k % columns * pitch_u, HEADER_PX + k // columns * pitch_v) for k in range(units)]
     cells = [Box(u, v, pitch_u - GAP_PX, pitch_v - GAP_PX) for u, v in corners]
-    below = HEADER_PX + rows * pitch_v
-    strip = Box(GAP_PX, below - GAP_PX // 2, columns * pitch_u - GAP_PX, bottom - below)
-    key = cells[units] if spare else strip
     left = 2 * GAP_PX + columns * pitch_u
     ground = Box(left, HEADER_PX, width - left - GAP_PX, bottom - HEADER_PX)
     half = (width - 3 * GAP_PX) // 2
     plots = tuple(Box(u, bottom + 4, half, height - bottom - 4) for u in (GAP_PX, width - GAP_PX - half))
-    return Layout(cells[:units], key, ground, (plots[0], plots[1]))
+    return Layout(cells, key, ground, (plots[0], plots[1]))
+
+
+def _block(
+    columns: int,
+    room_px: tuple[int, int],
+    image_sizes_px: Sequence[tuple[int, int]],
+    strip_px: int,
+    *,
+    tree: bool,
+) -> tuple[int, int, int, Box] | None:
+    """Pitches of the cells, px, columns, and a box for the key; None if the key has no room.
+
+    The key is in a strip below the cells, or beside the last row's if that strip is 0 px high.
+    """
+    width, bottom = room_px
+    units = len(image_sizes_px)
+    rows = -(-units // columns)
+    aspect = max(w / h for w, h in image_sizes_px)
+    frame = 2 * BORDER_PX
+    high = (bottom - HEADER_PX - strip_px) / rows - TITLE_PX - frame - GAP_PX
+    wide = min(high * aspect, CAMERAS_SHARE * width / columns - frame - GAP_PX)
+    pitch_u, pitch_v = int(wide) + frame + GAP_PX, int(wide / aspect) + TITLE_PX + frame + GAP_PX
+    below = HEADER_PX + rows * pitch_v
+    if strip_px:
+        key = Box(GAP_PX, below - GAP_PX // 2, columns * pitch_u - GAP_PX, bottom - below)
+    else:
+        filled = units - (rows - 1) * columns
+        left = GAP_PX + filled * pitch_u
+        key = Box(left, below - pitch_v, (columns - filled) * pitch_u - GAP_PX, pitch_v - GAP_PX)
+    fits = wide > 0 and key.width > 0 and key_height_px(key.width, tree=tree) <= key.height
+    return (pitch_u, pitch_v, columns, key) if fits else None
 
 
 class Composer:
@@ -80,31 +111,40 @@ class Composer:
         self._shown = self._canvas.view()
         self._shown.setflags(write=False)
         sizes = [unit.camera.size_px for unit in scenario.units]
-        layout = make_layout(size_px, sizes)
+        tree = scenario.selection.kind == "tree"
+        layout = make_layout(size_px, sizes, tree=tree)
         self._cameras = [
             CameraView(unit, box.of(self._canvas), sizes[unit], scenario.selection.radius)
             for unit, box in enumerate(layout.cameras)
         ]
         self._ground = GroundView(mission, layout.ground.of(self._canvas))
-        draw_key(layout.key.of(self._canvas))
+        draw_key(layout.key.of(self._canvas), tree=tree)
         self._cost, self._scale = self._make_plots(layout)
         self._last: dict[int, UnitFrame] = {}
+        self._tree = TreeWatch()
 
     def compose(self, step: Step) -> Image:
         """Picture (height, width, 3) RGB of a step: read-only, and drawn over by the next call."""
         self._last |= step.frames
+        dead = dead_units(self.mission.scenario, step.time_s)
+        for unit in dead:
+            self._last.pop(unit, None)
+            self._cameras[unit].draw_dead()
         for unit, frame in self._last.items():
             self._cameras[unit].draw(frame, step.control_sets)
-        self._ground.draw(step)
+        self._ground.draw(step, self._tree.see(step, dead))
         seen = step.observation
-        self._cost.add(step.time_s, np.append(seen.V, seen.V_units))
+        cost = np.append(seen.V, seen.V_units)
+        self._cost.add(step.time_s, np.where(cost > LEAST_COST, cost, np.nan))
         self._scale.add(step.time_s, seen.scales)
         self._draw_header(step)
         return self._shown
 
     def _make_plots(self, layout: Layout) -> tuple[PlotView, PlotView]:
         duration_s = self.mission.scenario.duration_s
-        units = [Curve(f"unit {unit}", unit_rgb(unit)) for unit in range(len(self._cameras))]
+        many = len(self._cameras) > MOST_NAMED
+        names = [f"{unit}" if many else f"unit {unit}" for unit in range(len(self._cameras))]
+        units = [Curve(name, unit_rgb(unit)) for unit, name in enumerate(names)]
         cost, scale = (box.of(self._canvas) for box in layout.plots)
         return (
             PlotView(cost, "cost V, m²", [Curve("total", rgb(INK), 4), *units], duration_s, log=True),

@@ -4,15 +4,18 @@ from collections.abc import Iterator
 from itertools import pairwise
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from skyherd.figure_canvas import legend_above, new_figure
 from skyherd.geometry import Array, BoolArray
 from skyherd.history import History
 from skyherd.palette import INK, unit_color
+from skyherd.tree_state import TreeState
 
 HOLDS, BROKEN = "#d5dae1", INK
 BAR = 0.76
@@ -23,18 +26,49 @@ MOST_ROWS_LABELLED = 24
 
 
 def draw_topology(history: History) -> Figure:
-    """A row a robot in the colours of the units that control it, and a row for each of TC1-TC5."""
-    robots = history.ids.size
-    figure = new_figure(2.3 + 0.14 * robots, WIDE_IN)
-    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[0.14 * robots, 0.8])
+    """A row a robot in the colours of the units that control it, and a row for each of TC1-TC5.
+
+    Where units form a tree there is a row a unit, too: when it was in the tree, and when it was dead.
+    """
+    robots, units = history.ids.size, history.controlled.shape[1]
+    members = np.array([_in_tree(tree, units) for tree in history.trees])
+    heights = [0.14 * robots, *([0.14 * units] if members.any() else []), 0.8]
+    figure = new_figure(1.5 + sum(heights), WIDE_IN)
+    rows = figure.subplots(len(heights), 1, sharex=True, height_ratios=heights)
+    upper, lower = rows[0], rows[-1]
     edges_s = np.append(history.times_s, history.times_s[-1] + history.mission.scenario.step_s)
     _draw_control(upper, history, edges_s)
+    if members.any():
+        _draw_members(rows[1], members, edges_s)
     _draw_conditions(lower, history, edges_s)
+    if members.any() and history.ready_row is not None:
+        for axes in rows:
+            axes.axvline(history.times_s[history.ready_row], color=INK, linestyle=(0, (3, 2)), linewidth=1)
     upper.set_xlim(edges_s[0], edges_s[-1])
     colors = {f"unit {unit}": unit_color(unit) for unit in range(history.controlled.shape[1])}
     colors |= {"holds": HOLDS, "does not hold": BROKEN}
-    legend_above(figure, [Patch(color=color, label=label) for label, color in colors.items()], columns=7)
+    handles: list[Artist] = [Patch(color=color, label=label) for label, color in colors.items()]
+    if members.any():
+        handles.append(Line2D([], [], color=INK, linestyle=(0, (3, 2)), linewidth=1, label="tree complete"))
+    legend_above(figure, handles, columns=7)
     return figure
+
+
+def _in_tree(tree: TreeState | None, units: int) -> BoolArray:
+    """(U,) units that belong to the tree."""
+    return np.isin(np.arange(units), [] if tree is None else list(tree.members))
+
+
+def _draw_members(axes: Axes, members: BoolArray, edges_s: Array) -> None:
+    """Bars while a unit (T, U) belongs to the tree; it is dead or outside in between."""
+    for unit, column in enumerate(members.T):
+        for start, end in runs(column[:, None]):
+            if column[start]:
+                bar = _rectangle(edges_s[start], edges_s[end], unit - BAR / 2, BAR)
+                axes.add_collection(PolyCollection([bar], facecolor=unit_color(unit), linewidth=0))
+    axes.set_yticks(range(members.shape[1]), labels=[str(unit) for unit in range(members.shape[1])])
+    _finish_rows(axes, members.shape[1])
+    axes.set_ylabel("in the tree")
 
 
 def _draw_control(axes: Axes, history: History, edges_s: Array) -> None:

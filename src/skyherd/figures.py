@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 from skyherd import figure_curves as curves
 from skyherd import figure_maps as maps
 from skyherd.figure_canvas import DPI, drawing_style
+from skyherd.figure_graph import draw_graph
 from skyherd.figure_topology import draw_topology
 from skyherd.files import write_whole
 from skyherd.history import History
@@ -112,9 +113,16 @@ PANELS = (
         "topology",
         "Control topology",
         "The units that control each robot, by colour (an empty row: none), and when the paper's "
-        "conditions TC1-TC5 hold. TC1 and TC2 suffice for convergence from nearby; all five, from "
-        "anywhere.",
+        "conditions TC1-TC5 hold; of a tree of units, when each belonged to it. TC1 and TC2 suffice for "
+        "convergence from nearby; all five, from anywhere.",
         draw_topology,
+    ),
+    Panel(
+        "graph",
+        "Units and what they share",
+        "The topology at the end, on the ground: thin lines from each unit to the robots that it controls, "
+        "thick ones between units that share two or more; shared robots have a ring for each of their units.",
+        draw_graph,
     ),
 )
 

@@ -24,6 +24,8 @@ from skyherd.loop import Step
 from skyherd.palette import INK, MUTED, PAPER, TEMPLATE_COLOR, rgb, unit_rgb
 from skyherd.render import CameraPose, footprint_m
 from skyherd.ticks import tick_values
+from skyherd.tree_state import TreeState
+from skyherd.tree_view import TreeView, draw_dead, draw_pair_marks
 from skyherd.world import Fleet, make_camera
 
 TITLE_PX = 26
@@ -68,16 +70,17 @@ class GroundView:
         self._past_m: list[Array] = []
         self._center_m, self._px_per_m = np.zeros(2), 0.0
         self._label_sides = [0] * len(self._cameras)
-        title = "the ground from above · axes in metres"
-        draw_text(panel, title, (LEFT_PX, TITLE_PX / 2), rgb(INK), size_px=15)
+        self._tree = TreeView(mission.ids)
+        self._title = panel[:TITLE_PX]
 
     def to_panel(self, points_m: Array) -> Array:
         """Places (..., 2) in the field of ground points (..., 2): x to the right, y up."""
         middle = np.array([self._field.shape[1] - 1, self._field.shape[0] - 1]) / 2
         return np.asarray((points_m - self._center_m) * (self._px_per_m, -self._px_per_m) + middle)
 
-    def draw(self, step: Step) -> None:
-        """Draw the ground at one step."""
+    def draw(self, step: Step, tree: TreeState | None = None) -> None:
+        """Draw the ground at one step, with the tree of units if they have one."""
+        self._write_title(tree)
         corners_m = [footprint_m(c, self._pose(step.fleet, u)) for u, c in enumerate(self._cameras)]
         self._past_m.append(np.concatenate([step.positions_m, step.fleet.positions_m]))
         if not self._in_view(self._past_m[-1]):
@@ -85,11 +88,26 @@ class GroundView:
         self._extend_paths(self._past_m[-2:])
         self._field[:] = self._paper
         self._draw_tails(step.positions_m.shape[0])
+        dead = frozenset[int]() if tree is None else tree.dead
         for unit, corners in enumerate(corners_m):
-            draw_lines(self._field, [self.to_panel(corners)], unit_rgb(unit), 2, closed=True)
+            if unit not in dead:
+                width_px = 2 if tree is None else 1
+                draw_lines(self._field, [self.to_panel(corners)], unit_rgb(unit), width_px, closed=True)
         self._draw_shape(step)
-        self._draw_units(step)
-        self._draw_robots(step)
+        if tree is not None:
+            units, robots = self.to_panel(step.fleet.positions_m), self.to_panel(step.positions_m)
+            self._tree.draw_edges(self._field, tree, units, robots, step.time_s)
+        self._draw_robots(step, tree)
+        self._draw_units(step, tree)
+
+    def _write_title(self, tree: TreeState | None) -> None:
+        """What is shown, on the left, and how the tree stands, on the right."""
+        self._title[:] = rgb(PAPER)
+        title = "the ground from above · axes in metres" if tree is None else "the ground, metres"
+        draw_text(self._title, title, (LEFT_PX, TITLE_PX / 2), rgb(INK), size_px=15)
+        if tree is not None:
+            right = self._title.shape[1] - 2, TITLE_PX / 2
+            draw_text(self._title, _standing(tree), right, rgb(INK), size_px=13, bold=True, align="right")
 
     def _pose(self, fleet: Fleet, unit: int) -> CameraPose:
         tilt_u, tilt_v = np.radians(self.mission.scenario.units[unit].tilt_deg)
@@ -171,17 +189,22 @@ class GroundView:
             draw_circle(self._field, place, 6.0, rgb(PAPER), -1)
             draw_circle(self._field, place, 6.0, rgb(TEMPLATE_COLOR), 1)
 
-    def _draw_units(self, step: Step) -> None:
+    def _draw_units(self, step: Step, tree: TreeState | None) -> None:
         places, robots = self.to_panel(step.fleet.positions_m), self.to_panel(step.positions_m)
         for unit, place in enumerate(places):
             u, v = place.tolist()
-            cross = [[[u - 7, v], [u + 7, v]], [[u, v - 7], [u, v + 7]]]
-            draw_lines(self._field, cross, rgb(PAPER), 6)
-            draw_lines(self._field, cross, unit_rgb(unit), 3)
             others = np.concatenate([robots, np.delete(places, unit, axis=0)])
-            at = self._label_place(unit, place, others)
-            name, halo = f"unit {unit}", rgb(PAPER)
-            draw_text(self._field, name, at, rgb(INK), size_px=12, bold=True, align="center", halo=halo)
+            at, halo = self._label_place(unit, place, others), rgb(PAPER)
+            if tree is not None and unit in tree.dead:
+                draw_dead(self._field, (u, v), 7, rgb(MUTED))
+                name, ink = f"unit {unit} dead", rgb(MUTED)
+            else:
+                cross = [[[u - 8, v], [u + 8, v]], [[u, v - 8], [u, v + 8]]]
+                draw_lines(self._field, cross, rgb(PAPER), 8)
+                draw_lines(self._field, cross, unit_rgb(unit), 3)
+                outside = " outside" if tree is not None and unit in tree.unjoined else ""
+                name, ink = f"unit {unit}{outside}", rgb(INK)
+            draw_text(self._field, name, at, ink, size_px=12, bold=True, align="center", halo=halo)
 
     def _label_place(self, unit: int, place: Array, others: Array) -> tuple[float, float]:
         """Where a unit's name goes: beside its cross, changing sides only when something is in the way."""
@@ -192,11 +215,13 @@ class GroundView:
         u, v = spots[self._label_sides[unit]].tolist()
         return u, v
 
-    def _draw_robots(self, step: Step) -> None:
+    def _draw_robots(self, step: Step, tree: TreeState | None) -> None:
         """Discs with ids, ringed in the colours of the units that control them, noses ahead."""
         radius = max(9.5, 0.5 * self.mission.scenario.marker.side_m * self._px_per_m)
         places = self.to_panel(step.positions_m)
         owners = owners_by_robot(step.control_sets)
+        if tree is not None:
+            draw_pair_marks(self._field, tree.links, self.mission.ids, places, radius)
         nose = np.array([radius + 6, (radius - 2) * np.exp(0.7j), (radius - 2) * np.exp(-0.7j)])
         noses = places[:, None] + to_points(np.exp(-1j * step.headings_rad)[:, None] * nose)
         for robot_id, (u, v), corners in zip(self.mission.ids.tolist(), places.tolist(), noses, strict=True):
@@ -205,3 +230,16 @@ class GroundView:
             colors = [unit_rgb(unit) for unit in owners.get(robot_id, [])]
             draw_ring(self._field, (u, v), radius - 0.5, colors or [rgb(MUTED)], 3)
             draw_text(self._field, str(robot_id), (u, v), rgb(INK), size_px=11, bold=True, align="center")
+
+
+def _standing(tree: TreeState) -> str:
+    """How the tree stands, in a few words."""
+    living = len(tree.members) + len(tree.unjoined)
+    said = [f"{len(tree.members)} of {living} units in the tree"]
+    if not tree.ready:
+        said.append("robots wait")
+    if tree.dead:
+        said.append("dead: " + ", ".join(str(unit) for unit in sorted(tree.dead)))
+    if tree.missing_ids:
+        said.append("missing: " + ", ".join(str(robot) for robot in sorted(tree.missing_ids)))
+    return " · ".join(said)

@@ -9,7 +9,8 @@ import numpy as np
 from skyherd.control.topology import control_matrix
 from skyherd.datasets import Mission
 from skyherd.geometry import Array, BoolArray, IntArray
-from skyherd.loop import Step
+from skyherd.loop import Step, dead_units
+from skyherd.tree_state import TreeState, TreeWatch
 
 
 @dataclass(frozen=True)
@@ -46,6 +47,7 @@ class History:
         conditions: (T, 5) whether TC1-TC5 hold.
         controlled: (T, U, N) S_j^c.
         commanded: (T, N) whether each robot follows a goal heard of late.
+        trees: the tree of units at each step, None where sets come from the safety radius alone.
         traces: image traces by unit.
         frames: images taken.
         whole: markers whose card was whole in an image, over all images.
@@ -74,6 +76,7 @@ class History:
     conditions: BoolArray
     controlled: BoolArray
     commanded: BoolArray
+    trees: list[TreeState | None]
     traces: list[ImageTrace]
     frames: int
     whole: int
@@ -84,6 +87,13 @@ class History:
     def ids(self) -> IntArray:
         """(N,) robots."""
         return self.mission.ids
+
+    @property
+    def ready_row(self) -> int | None:
+        """First step with the topology in place: the tree was ready; where none is built first, 0."""
+        if self.mission.scenario.selection.kind != "tree":
+            return 0
+        return next((row for row, tree in enumerate(self.trees) if tree and tree.ready), None)
 
 
 _COLUMNS = {
@@ -123,12 +133,18 @@ def make_history(mission: Mission, steps: Iterable[Step]) -> History:
         conditions=np.array([[c.tc1, c.tc2, c.tc3, c.tc4, c.tc5] for c in conditions]),
         controlled=np.array([control_matrix(step.control_sets, mission.ids) for step in steps]),
         commanded=np.array([np.isin(mission.ids, step.commanded_ids) for step in steps]),
+        trees=_trees(mission, steps),
         traces=[_trace(mission, steps, unit) for unit in range(len(mission.scenario.units))],
         frames=len(frames),
         whole=sum(frame.sight.whole_ids.size for frame in frames),
         found=sum(frame.sight.found_ids.size for frame in frames),
         false_detections=sum(frame.sight.false_detections for frame in frames),
     )
+
+
+def _trees(mission: Mission, steps: list[Step]) -> list[TreeState | None]:
+    watch = TreeWatch()
+    return [watch.see(step, dead_units(mission.scenario, step.time_s)) for step in steps]
 
 
 def _trace(mission: Mission, steps: list[Step], unit: int) -> ImageTrace:

@@ -2,6 +2,8 @@
 
 from collections.abc import Callable
 
+import numpy as np
+
 from skyherd.camera_view import FOREIGN
 from skyherd.canvas import (
     Image,
@@ -16,6 +18,7 @@ from skyherd.canvas import (
     text_width,
 )
 from skyherd.palette import INK, MUTED, PAPER, TEMPLATE_COLOR, rgb, unit_rgb
+from skyherd.tree_view import FLASH, draw_dead, draw_link, draw_turn
 
 SYMBOL_PX = 38
 ROW_PX = 23
@@ -71,12 +74,51 @@ ITEMS: tuple[tuple[Callable[[Image, float, float], None], str], ...] = (
 )
 
 
-def draw_key(panel: Image) -> None:
-    """Draw the key in as few rows as the panel is wide enough for."""
-    pitch = SYMBOL_PX + max(text_width(text, TEXT_PX) for _, text in ITEMS) + 6
-    columns = min(len(ITEMS), max(1, int(panel.shape[1] // pitch)))
-    rows = -(-len(ITEMS) // columns)
-    for k, (draw, text) in enumerate(ITEMS):
+def _edge(image: Image, u: float, v: float) -> None:
+    ends = np.array([[u - 15, v], [u + 15, v]])
+    draw_link(image, ends, np.array([[u, v - 8], [u, v + 8]]), (0, 1))
+    draw_turn(image, (u - 8, v), FIRST)
+
+
+def _exchange(image: Image, u: float, v: float) -> None:
+    draw_circle(image, (u, v), 11, FLASH, -1)
+    draw_ring(image, (u, v), 6, [FIRST, SECOND], 3)
+
+
+def _granted(image: Image, u: float, v: float) -> None:
+    draw_segments(image, *dashes([[u - 15, v]], [[u + 15, v]]), rgb(MUTED), 2)
+
+
+def _dead(image: Image, u: float, v: float) -> None:
+    draw_dead(image, (u, v), 6, rgb(MUTED))
+
+
+TREE_ITEMS: tuple[tuple[Callable[[Image, float, float], None], str], ...] = (
+    (_edge, "edge by a pair; whose turn"),
+    (_exchange, "pair just exchanged"),
+    (_granted, "edge that one unit knows"),
+    (_dead, "dead unit"),
+)
+
+
+def key_height_px(width_px: int, *, tree: bool = False) -> int:
+    """Height of the key in a panel of some width."""
+    return _grid(width_px, tree=tree)[1] * ROW_PX
+
+
+def _grid(width_px: int, *, tree: bool) -> tuple[float, int]:
+    """Width of a column, px, and rows."""
+    items = ITEMS + TREE_ITEMS if tree else ITEMS
+    pitch = SYMBOL_PX + max(text_width(text, TEXT_PX) for _, text in items) + 6
+    columns = min(len(items), max(1, int(width_px // pitch)))
+    return pitch, -(-len(items) // columns)
+
+
+def draw_key(panel: Image, *, tree: bool = False) -> None:
+    """Draw the key, with the tree's symbols if there is one, in as few rows as the panel has room for."""
+    items = ITEMS + TREE_ITEMS if tree else ITEMS
+    pitch, rows = _grid(panel.shape[1], tree=tree)
+    for k, (draw, text) in enumerate(items):
         u, v = k // rows * pitch + SYMBOL_PX / 2, (k % rows + 0.5) * ROW_PX
         draw(panel, u, v)
         draw_text(panel, text, (u + SYMBOL_PX / 2 + 2, v), rgb(INK), size_px=TEXT_PX)

@@ -147,7 +147,7 @@ def run_steps(mission: Mission, perception: Perception | None = None) -> Iterato
     for tick in range(round(scenario.duration_s / scenario.step_s) + 1):
         time_s = tick * scenario.step_s
         frames = {}
-        dead = _dead(scenario, time_s)
+        dead = dead_units(scenario, time_s)
         for unit in dead:
             crew[unit], rectifiers[unit] = make_controller(mission, unit), Rectifier()
             sets[unit] = NO_ROBOTS
@@ -183,7 +183,7 @@ def run_steps(mission: Mission, perception: Perception | None = None) -> Iterato
         world.advance(command, time_s, scenario.step_s)
 
 
-def _dead(scenario: Scenario, time_s: float) -> list[int]:
+def dead_units(scenario: Scenario, time_s: float) -> list[int]:
     """Units that are in an outage now."""
     return [
         unit

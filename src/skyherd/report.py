@@ -125,7 +125,8 @@ def _tables(summary: Mapping[str, object]) -> str:
     known = {field.key for field in _fields()} | {"final_positions_m"}
     if others := tuple(Field(key, key) for key in summary if key not in known):
         groups["Other"] = others
-    tables = [_table(name, fields, summary) for name, fields in groups.items()]
+    shown = {name: fields for name, fields in groups.items() if any(field.key in summary for field in fields)}
+    tables = [_table(name, fields, summary) for name, fields in shown.items()]
     return "\n".join([*tables, _positions(summary.get("final_positions_m"))])
 
 

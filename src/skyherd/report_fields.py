@@ -27,6 +27,9 @@ TC_MEANINGS = (
     "The units and their neighbours make a tree, without cycles.",
 )
 
+TREE = "Tree of units"
+"""Group of the keys that only missions with a tree of units have."""
+
 GROUPS: Mapping[str, tuple[Field, ...]] = {
     "Outcome": (
         Field("converged", "Converged", "", "The shape error stayed below its goal to the end."),
@@ -51,7 +54,10 @@ GROUPS: Mapping[str, tuple[Field, ...]] = {
             "angle",
         ),
         Field(
-            "V_start", "Cost V at the start", "m²", "Half the sum of squared distances to the desired points."
+            "V_start",
+            "Cost V at the start",
+            "m²",
+            "Half the sum of squared distances to the desired points, when robots begin to move.",
         ),
         Field("V_end", "Cost V at the end", "m²", "Zero where every unit's robots are in the shape."),
     ),
@@ -86,9 +92,27 @@ GROUPS: Mapping[str, tuple[Field, ...]] = {
             "",
             "Instants when a unit took a robot over or gave one up.",
         ),
+        Field("p_violation_s", "Outside P", "s", "Time in which any of TC1-TC5 was violated."),
         *(
             Field(f"tc{number}_violation_s", f"TC{number} violated", "s", meaning)
             for number, meaning in enumerate(TC_MEANINGS, 1)
+        ),
+    ),
+    TREE: (
+        Field("ready_s", "Tree complete", "s", "Robots move from then on; violations count from then on."),
+        Field(
+            "missing_robots",
+            "Missing robots",
+            "",
+            "At the end: controlled by no unit, or not seen by theirs for long.",
+            "ids",
+        ),
+        Field(
+            "unjoined_units",
+            "Units outside the tree",
+            "",
+            "Living units that were not admitted by the end.",
+            "ids",
         ),
     ),
     "Run": (
@@ -102,7 +126,7 @@ GROUPS: Mapping[str, tuple[Field, ...]] = {
         Field("frames_per_s", "Images processed", "per second"),
     ),
 }
-"""Every key of the summary that is a single value, in the order shown."""
+"""Every key of the summary but the final positions, in the order shown."""
 
 
 def value_text(field: Field, value: object) -> str:
@@ -111,6 +135,8 @@ def value_text(field: Field, value: object) -> str:
         return UNKNOWN
     if isinstance(value, bool):
         return "yes" if value else "no"
+    if field.kind == "ids" and isinstance(value, list):
+        return ", ".join(str(item) for item in value) or "none"
     if not isinstance(value, int | float):
         return str(value)
     if field.kind == "angle":

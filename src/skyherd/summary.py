@@ -20,11 +20,13 @@ def summarize(history: History, wall_s: float | None) -> dict[str, Any]:
     """Summary of a run; `wall_s` is None for one that was cut short.
 
     Keys carry their units; `shape_error` is the RMS distance to the best-fitting similarity of the template
-    over the formation's RMS radius, `scale` is in metres a template unit, both from truth.
+    over the formation's RMS radius, `scale` is in metres a template unit, both from truth. Violations count
+    from `ready_s` on, when the tree of units is complete; from the start, if it never is.
     """
     scenario, times = history.mission.scenario, history.times_s
     steps, simulated_s = int(times.size), float(times[-1])
-    violated_s = (~history.conditions[:-1]).sum(axis=0) * scenario.step_s
+    counted = history.conditions[history.ready_row or 0 : -1]
+    violated_s = (~counted).sum(axis=0) * scenario.step_s
     switches = (history.controlled[1:] != history.controlled[:-1]).any(axis=(1, 2))
     travelled = np.linalg.norm(np.diff(history.positions_m, axis=0), axis=2).sum()
 
@@ -47,12 +49,14 @@ def summarize(history: History, wall_s: float | None) -> dict[str, Any]:
         "shape_error": float(history.shape_error[-1]),
         "scale": float(history.shape_scale[-1]),
         "rotation_rad": float(history.shape_rotation_rad[-1]),
-        "V_start": float(history.V[0]),
+        "V_start": float(history.V[history.ready_row or 0]),
         "V_end": float(history.V[-1]),
         "detection_recall": history.found / history.whole if history.whole else None,
         "false_detections": history.false_detections,
         "topology_switches": int(switches.sum()),
+        "p_violation_s": float((~counted.all(axis=1)).sum() * scenario.step_s),
         **{f"tc{number}_violation_s": float(violated_s[number - 1]) for number in range(1, 6)},
+        **_tree(history),
         "uncommanded_robot_s": float((~history.commanded[:-1]).sum() * scenario.step_s),
         "min_separation_m": float(history.min_separation_m.min()),
         "path_length_m": float(travelled),
@@ -60,4 +64,17 @@ def summarize(history: History, wall_s: float | None) -> dict[str, Any]:
             str(robot): position.tolist()
             for robot, position in zip(history.ids.tolist(), history.positions_m[-1], strict=True)
         },
+    }
+
+
+def _tree(history: History) -> dict[str, Any]:
+    """How the tree of units stands; nothing where sets come from the safety radius alone."""
+    tree, ready = history.trees[-1], history.ready_row
+    if tree is None:
+        return {}
+    alone = history.ids[~history.controlled[-1].any(axis=0)].tolist()
+    return {
+        "ready_s": None if ready is None else float(history.times_s[ready]),
+        "missing_robots": sorted(tree.missing_ids.union(alone)),
+        "unjoined_units": sorted(tree.unjoined),
     }

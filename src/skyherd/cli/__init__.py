@@ -1,7 +1,8 @@
 """The command line: one file a verb, each thin: parse, check, one call.
 
 Exit codes: 0 done; 1 the run did not reach its goal, `detect --require` found a file without a marker, of
-`study` a run failed, or `dataset check` found a problem; 2 bad input or output; 130 interrupted.
+`study` a run failed, `dataset check` found a problem, or `topology` a violated condition; 2 bad input or
+output; 130 interrupted.
 """
 
 import sys
@@ -19,6 +20,7 @@ from skyherd.cli.report import report
 from skyherd.cli.run import run
 from skyherd.cli.scenario import scenario_app
 from skyherd.cli.study import study
+from skyherd.cli.topology import topology
 from skyherd.errors import SkyherdError
 
 UsageError: type[Exception] = typer.BadParameter.__base__ or typer.BadParameter
@@ -32,6 +34,7 @@ app = typer.Typer(
 )
 app.command()(run)
 app.command()(report)
+app.command()(topology)
 app.command()(detect)
 app.command()(markers)
 app.command()(study)

@@ -20,8 +20,8 @@ def measure(key: str, mission: Mission, curves: Sequence[str]) -> Outcome:
     """Run a mission on one thread.
 
     Returns:
-        its `key`, its `error` (None if all went well), and then the summary's values and the named arrays
-        of its history, as `history.NAME`.
+        its `key`, its `error` (None if all went well), and then the summary's values, None for those that
+        the mission has not, and the named arrays of its history, as `history.NAME`.
     """
     cv2.setNumThreads(1)
     started_s = perf_counter()
@@ -32,7 +32,7 @@ def measure(key: str, mission: Mission, curves: Sequence[str]) -> Outcome:
         return failure(key, str(error))
     except Exception as error:  # whatever it is, the other runs go on
         return failure(key, f"{type(error).__name__}: {error}")
-    values = {name: summary[name] for name in SUMMARY_FIELDS}
+    values = {name: summary.get(name) for name in SUMMARY_FIELDS}
     return {"key": key, "error": None, **values, **{CURVE + name: getattr(history, name) for name in curves}}
 
 

@@ -15,7 +15,7 @@ BUILT_IN = "skyherd.study.specs"
 CURVE = "history."
 """Before the name of a field of a run's history, an array over time."""
 
-SUMMARY_FIELDS = {field.key: field for group in GROUPS.values() for field in group}
+SUMMARY_FIELDS = {field.key: field for group in GROUPS.values() for field in group if field.kind != "ids"}
 _KINDS = {"uniform", "log", "whole", "choice"}
 
 

@@ -32,7 +32,10 @@ class Cohesion:
 
 
 def _parts(unit: Standing, time_s: float) -> list[set[int]]:
-    """Members that are heard and this unit, by the edges that they name, dead units in between as well."""
+    """Members that are heard and this unit, by the edges that they name, dead units in between as well.
+
+    Parts with an edge to a unit that is not heard, dead or out of range, may be one part beyond it.
+    """
     links = {heard.report.unit_id: heard.tree.neighbor_ids.tolist() for heard in unit.heard.members(time_s)}
     links[unit.unit_id] = list(unit.edges)
     parts: list[set[int]] = []
@@ -40,4 +43,6 @@ def _parts(unit: Standing, time_s: float) -> list[set[int]]:
         linked = {member, *neighbors}
         touched = [part for part in parts if part & linked]
         parts = [part for part in parts if not part & linked] + [linked.union(*touched)]
-    return [part & links.keys() for part in parts]
+    ended = [part for part in parts if part <= links.keys()]
+    open_ended = [part & links.keys() for part in parts if not part <= links.keys()]
+    return ended + ([set().union(*open_ended)] if open_ended else [])

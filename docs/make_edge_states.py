@@ -58,7 +58,7 @@ ARROWS = (
     Arrow("no edge", "asked", "outside: k is the member with\nmost own robots in common", 0.0, 0.1, 0.0),
     Arrow("no edge", "granted", "member: k asks me;\nlend ≥ 2 robots, turn theirs", 0.0, 0.0, 0.4),
     Arrow("asked", "turn mine", "k's report: edge to me\nwithout a pair, robots lent", 0.0, 0.0, 0.4),
-    Arrow("granted", "turn mine", "k's report: turn + 1, first pair", 0.0, 0.2, 0.0),
+    Arrow("granted", "turn mine", "k's report: turn + 1,\nfirst pair", 0.0, 0.2, 0.0),
     Arrow("granted", "no edge", "k went elsewhere,\nor is silent", 0.32, 0.0, 1.35),
     Arrow("turn mine", "turn theirs", "hand over: turn + 1,\npair, robots lent", -0.25, 0.4, 1.25),
     Arrow("turn theirs", "turn mine", "k's report: turn + 1,\npair, robots lent", -0.25, 0.0, 0.0),

@@ -7,12 +7,6 @@ from skyherd.control.pairing import choose_pair
 from skyherd.control.standing import Standing
 from skyherd.messages import NOBODY
 
-MUCH_NEARER = 0.8
-"""A surplus robot goes to a neighbour that sees it nearer to its centre by this factor."""
-
-SURPLUS = 2
-"""Surplus robots offered at a time: as many as a pair can carry."""
-
 
 def take_turns(unit: Standing, time_s: float, at_slot: bool) -> None:
     """Take the turn on each edge where it is the unit's.
@@ -66,18 +60,13 @@ def _better_pair(unit: Standing, edge: Edge) -> Robots | None:
 
 
 def _unwanted(unit: Standing, edge: Edge, lent: Robots) -> Robots:
-    """Of the robots lent those that the unit would rather lose: leaving its view, or its surplus.
+    """Of the robots lent those that leave the unit's view and that the neighbour sees well.
 
     None, if it could take none of the neighbour's in return: the pair would only change about.
     """
     there = unit.heard.newest[edge.neighbor_id]
-    if len((there.controlled - there.paired) & unit.visible & there.near(unit.rule.radius)) < 2:
+    near = there.near(unit.rule.radius)
+    if len((there.controlled - there.paired) & unit.visible & near) < 2:
         return NO_ROBOTS
-    here = {robot: unit.distances.get(robot, np.inf) for robot in lent & there.near(unit.rule.radius)}
     leaving = unit.rule.radius * (1 + unit.rule.hysteresis)
-    out = [robot for robot, distance in here.items() if distance > leaving]
-    if len(unit.controlled) - len(there.controlled) < unit.rule.balance:
-        return frozenset(out)
-    nearer = [robot for robot, distance in here.items() if there.distances[robot] < MUCH_NEARER * distance]
-    nearer.sort(key=lambda robot: there.distances[robot] - here[robot])
-    return frozenset(out + nearer[:SURPLUS])
+    return frozenset(r for r in lent & near if unit.distances.get(r, np.inf) > leaving)

@@ -36,7 +36,7 @@ from skyherd.control.succession import GRACE
 
 IMAGE_S = 0.9
 """The longest time between two images of a unit."""
-RULE = TreeRule(gain=1.05, balance=2)
+RULE = TreeRule(gain=1.05)
 SETTLING_S = RULE.dwell_s + RULE.silence_s + 2 * IMAGE_S
 
 DISTANCES = st.sampled_from([None, 0.1, 0.3, 0.5, 0.7, 0.9, 1.0, 1.2])

@@ -28,6 +28,8 @@ TIMEOUT_S = 5.0
 WORKER_DEATHS = 2
 """A run that was under way in more workers than this when they died is taken as what killed them."""
 
+GONE = "the scheduler is gone; the same command goes on from here"
+
 LOGGERS = ("distributed", "distributed.client", "distributed.utils", "tornado", "asyncio")
 """What goes wrong with a cluster is told once, in our words."""
 
@@ -73,12 +75,20 @@ def run_missions(
     """
     waiting, done = iter(missions), as_completed()
     while True:
-        threads = max(1, sum(client.nthreads().values()))
+        threads = _threads(client)
         for key, mission in islice(waiting, max(0, WINDOW * threads - done.count())):
             done.add(client.submit(measure, key, mission, curves, key=f"run-{key}", pure=False))
         if done.is_empty():
             return
         yield [_outcome(future) for future in done.next_batch()]
+
+
+def _threads(client: Client) -> int:
+    """Threads that the cluster has now; the first that notices a scheduler that went between two batches."""
+    try:
+        return max(1, sum(client.nthreads().values()))
+    except OSError:
+        raise OutputError(GONE) from None
 
 
 def _outcome(future: Any) -> Outcome:
@@ -87,7 +97,7 @@ def _outcome(future: Any) -> Outcome:
         result: Outcome = future.result()
         return result
     if future.status != "error":
-        raise OutputError("the scheduler is gone; the same command goes on from here")
+        raise OutputError(GONE)
     error = future.exception()
     if isinstance(error, KilledWorker):
         return failure(key, "each worker that tried it died, perhaps for want of memory")

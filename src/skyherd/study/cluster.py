@@ -86,9 +86,10 @@ def run_missions(
 def _threads(client: Client) -> int:
     """Threads that the cluster has now; the first that notices a scheduler that went between two batches."""
     try:
-        return max(1, sum(client.nthreads().values()))
+        threads: int = sum(client.nthreads().values())
     except OSError:
         raise OutputError(GONE) from None
+    return max(1, threads)
 
 
 def _outcome(future: Any) -> Outcome:

@@ -24,6 +24,7 @@ import cv2
 import numpy as np
 
 import skyherd.loop
+from skyherd.control import AerialController
 from skyherd.datasets import load_mission
 from skyherd.loop import run_steps
 from skyherd.markers import load_dictionary
@@ -59,8 +60,8 @@ def measure(name: str, duration_s: float) -> dict[str, Any]:
     perception = Rendered(mission, np.random.default_rng(mission.scenario.seed))
     perception.renderer.render = laps.timed("render", perception.renderer.render)  # type: ignore[method-assign]
     perception.detector.detect = laps.timed("detect", perception.detector.detect)  # type: ignore[method-assign]
-    originals = skyherd.loop.AerialController.step, skyherd.loop.robot_commands
-    skyherd.loop.AerialController.step = laps.timed("control", originals[0])  # type: ignore[method-assign]
+    originals = AerialController.step, skyherd.loop.robot_commands
+    AerialController.step = laps.timed("control", originals[0])  # type: ignore[method-assign]
     skyherd.loop.robot_commands = laps.timed("control", originals[1])
     try:
         with (
@@ -75,7 +76,7 @@ def measure(name: str, duration_s: float) -> dict[str, Any]:
                 step_s.append(perf_counter() - started)
                 started = perf_counter()
     finally:
-        skyherd.loop.AerialController.step, skyherd.loop.robot_commands = originals  # type: ignore[method-assign]
+        AerialController.step, skyherd.loop.robot_commands = originals  # type: ignore[method-assign]
     return _account(name, mission.scenario.marker.dictionary, step_s, laps, images)
 
 

@@ -127,14 +127,17 @@ class Standing:
         """Own robots, undisputed, that a unit sees and that are lent to nobody else.
 
         Robots that several neighbours see, or units that ask to become neighbours, go to one after the other,
-        slot by slot, two by two: so none is left out, and none gets a robot alone, which makes no pair.
+        slot by slot, two by two: so none is left out, and none gets a robot alone, which makes no pair. Those
+        that have no pair yet come first.
         """
         free = self.undisputed(time_s).intersection(self.heard.seen_by(unit)) - self.lent(but=unit)
-        sharers = sorted(self.edges.keys() | self.askers(time_s) | {unit})
+        newcomers = self.askers(time_s) | {other for other, edge in self.edges.items() if not edge.pair}
+        sharers = sorted(newcomers | self.edges.keys() | {unit})
         lent = set()
         for rank, robot in enumerate(sorted(self.own)):
             seeing = [other for other in sharers if robot in self.heard.seen_by(other)]
-            if robot in free and seeing[(rank // 2 + self.slot) % len(seeing)] == unit:
+            first = [other for other in seeing if other in newcomers] or seeing
+            if robot in free and first[(rank // 2 + self.slot) % len(first)] == unit:
                 lent.add(robot)
         return frozenset(lent)
 

@@ -43,12 +43,11 @@ def _better_pair(unit: Standing, edge: Edge) -> Robots | None:
     """The pair to exchange the present one for, if any is better."""
     there = unit.heard.newest[edge.neighbor_id]
     ours = unit.controlled - edge.pair
+    within_view = unit.visible & (there.near(unit.rule.radius) | edge.wished)
     return choose_pair(
         unit.rule.share,
         unit.template,
-        candidates=frozenset(
-            (edge.pair | edge.reach) & there.controlled & there.near(unit.rule.radius) & unit.visible - ours
-        ),
+        candidates=frozenset((edge.pair | edge.reach) & there.controlled & within_view - ours),
         distances=unit.distances,
         present=edge.pair,
         theirs=there.report.controlled_ids,

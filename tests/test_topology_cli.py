@@ -40,7 +40,9 @@ def test_a_scenario_is_shown_after_deployment(tmp_path, capsys, monkeypatch) -> 
     code, said, _ = call(capsys, "topology", "failure")
     assert code == 0
     assert "VIOLATED" not in said
-    for words in ("failure at 8.", "slowest mode", "predicted"):
+    steps = run_steps(load_mission("failure", ["perception=ideal"]))
+    ready_s = next(s.time_s for s in steps if any(f.decision.report.tree.ready for f in s.frames.values()))
+    for words in (f"failure at {ready_s:.1f} s", "slowest mode", "predicted"):
         assert words in said
     assert "measured" not in said
     assert is_picture(tmp_path / "failure-topology.png")

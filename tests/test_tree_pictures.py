@@ -21,6 +21,7 @@ def word(*edges: tuple[int, int, tuple[int, int]], tree_id=0, asks_id=NOBODY, he
     return TreeWord(
         tree_id=tree_id,
         asks_id=asks_id,
+        ask_turn=-1,
         heir_id=heir_id,
         ready=ready,
         neighbor_ids=np.array([edge[0] for edge in edges], dtype=np.int64),

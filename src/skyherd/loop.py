@@ -5,40 +5,17 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from skyherd.control import (
-    AerialController,
-    Follow,
-    FreeRule,
-    GroundMap,
-    Hover,
-    Inboxes,
-    MarkerGains,
-    Perimeter,
-    PixelGains,
-    Rectifier,
-    SafetyRadius,
-    Selection,
-    Serve,
-    Template,
-    TreeRule,
-    robot_commands,
-)
-from skyherd.control.flight import Flight
-from skyherd.control.robot_law import Gains
+from skyherd.control import GroundMap, Inboxes, Rectifier, robot_commands
 from skyherd.control.selection import NO_ROBOTS
 from skyherd.control.unit import Decision
+from skyherd.crew import make_controller, make_gains
 from skyherd.datasets import Mission, Scenario
-from skyherd.datasets.models import FlightModel, SelectionModel
 from skyherd.geometry import IntArray
 from skyherd.messages import FlightCommand, VelocityCommand
 from skyherd.network import Network
 from skyherd.observer import Observation, Observer
 from skyherd.perception import Perception, Sight, make_perception
 from skyherd.world import Fleet, World
-
-REPORT_LIFETIME_S = 2.0
-REPORTS_MISSED = 5
-"""A unit counts as silent after this long, and not before this many of its images."""
 
 
 @dataclass(frozen=True)
@@ -75,57 +52,6 @@ class Step:
             for unit, frame in self.frames.items()
         }
         return replace(self, frames=frames)
-
-
-def make_flight(model: FlightModel, template: Template) -> Flight:
-    """The motion law a scenario asks for."""
-    yaw_rate = float(np.radians(model.yaw_rate_degps))
-    if model.kind == "hover":
-        return Hover(yaw_rate)
-    if model.kind == "perimeter":
-        return Perimeter(
-            model.desired_radius, model.speed_mps, model.lateral_gain_mps, model.climb_gain_mps, yaw_rate
-        )
-    if model.kind == "serve":
-        return Serve(
-            template,
-            model.desired_radius,
-            model.lateral_gain_mps,
-            model.climb_gain_mps,
-            model.zoom_gain_ps,
-            model.dead_band,
-            model.separation_sides,
-        )
-    return Follow(model.desired_radius, model.lateral_gain_mps, model.climb_gain_mps, model.dead_band)
-
-
-def make_gains(scenario: Scenario) -> Gains:
-    """The robots' gains a scenario asks for."""
-    control = scenario.control
-    if control.gains == "pixel":
-        return PixelGains(control.k_v, control.k_omega, control.b_th)
-    return MarkerGains(control.k, control.k_omega, control.b_th, scenario.marker.side_m)
-
-
-def make_selection(model: SelectionModel) -> Selection:
-    """The rule by which a scenario's units choose their sets."""
-    free = SafetyRadius(model.radius, model.hysteresis, model.dwell_s)
-    tree = TreeRule(model.share, model.radius, model.hysteresis, model.dwell_s, silence_s=model.silence_s)
-    rules: dict[str, Selection] = {"radius": free, "tree": tree, "radius-then-tree": FreeRule(free, tree)}
-    return rules[model.kind]
-
-
-def make_controller(mission: Mission, unit: int) -> AerialController:
-    """The mind of one unit of a mission, knowing nothing yet."""
-    scenario, template = mission.scenario, mission.template
-    slowest_s = max(model.latency_s + REPORTS_MISSED / model.frame_rate_hz for model in scenario.units)
-    return AerialController(
-        template,
-        make_selection(scenario.selection),
-        make_flight(scenario.units[unit].flight, template),
-        nearest=scenario.control.neighbors,
-        report_lifetime_s=max(REPORT_LIFETIME_S, slowest_s),
-    )
 
 
 def run_steps(mission: Mission, perception: Perception | None = None) -> Iterator[Step]:

@@ -81,7 +81,8 @@ class Serve:
         if not len(seen):
             return away
         centers = np.array([[c.real, c.imag] for c in self.memory.centers_px.values()]).reshape(-1, 2)
-        least = self.separation_sides * float(np.sort(seen.sides_px)[len(seen) // 2]) / (seen.image_size_px.min() / 2)
+        side_px = float(np.sort(seen.sides_px)[len(seen) // 2])
+        least = self.separation_sides * side_px / (seen.image_size_px.min() / 2)
         for offset in centred(centers, seen.image_size_px):
             distance = float(np.linalg.norm(offset))
             if distance < least:

@@ -31,10 +31,9 @@ class Orphans:
         if not at_slot or said_s < (unit.slot - 1) * unit.rule.dwell_s:
             return
         for robot in orphans:
-            nearest = (
-                min((heard.distances.get(robot, np.inf), heard.report.unit_id) for heard in members)
-                if members
-                else (np.inf, unit.unit_id)
+            nearest = min(
+                ((heard.distances.get(robot, np.inf), heard.report.unit_id) for heard in members),
+                default=(np.inf, unit.unit_id),
             )
             waited_s = time_s - self.since_s[robot]
             if waited_s >= unit.rule.dwell_s / 2 and (told.get(robot, np.inf), unit.unit_id) <= nearest:

@@ -18,9 +18,9 @@ class Serve:
     Towards the middle of the set, `v = gain c`, with c the centre of its bounding box in the image; up, and
     the zoom out, in proportion to how much farther than `desired_radius` the farthest robot is; down and in
     if it is nearer. Robots that the unit does not see count where memory has them (control/memory.py), so
-    that a unit that takes over robots outside its view flies to where they are; one that is not found there
-    makes it climb. A unit without robots keeps in view all that it sees, and climbs to see more. Units that
-    come too near to one another, measured between image centres in marker sides, part. Of several units
+    that a unit that takes over robots outside its view flies to where they are; while one of them has no
+    place yet, it climbs. A unit without robots keeps in view all that it sees, and climbs to see more. Units
+    that come too near to one another, measured between image centres in marker sides, part. Of several units
     with the same set, all but the first stay.
 
     Attributes:
@@ -31,7 +31,6 @@ class Serve:
         zoom_gain_ps: relative change of zoom for the same, 1/s.
         dead_band: errors of radius below this change nothing.
         separation_sides: least distance between the image centres of two units, in marker sides.
-        search_s: a robot that should be in view and was not seen for so long makes the unit climb.
     """
 
     template: Template
@@ -41,7 +40,6 @@ class Serve:
     zoom_gain_ps: float = 0.3
     dead_band: float = 0.02
     separation_sides: float = 6.0
-    search_s: float = 2.0
     memory: ImageMemory = field(init=False)
 
     def __post_init__(self) -> None:
@@ -61,19 +59,13 @@ class Serve:
             return FlightCommand(seen.unit_id, self._part(seen), self.climb_gain_mps / 2, 0.0)
         middle = (points.min(axis=0) + points.max(axis=0)) / 2
         excess = float(np.linalg.norm(points, axis=1).max()) - self.desired_radius
-        if self._is_searching(seen, controlled) or not controlled.size:
+        if not controlled.size or not self.memory.known[self.memory.rows(controlled)].all():
             excess = max(excess, self.desired_radius / 2)
         excess -= float(np.clip(excess, -self.dead_band, self.dead_band))
         lateral = self.lateral_gain_mps * middle + self._part(seen)
         return FlightCommand(
             seen.unit_id, lateral, self.climb_gain_mps * excess, 0.0, -self.zoom_gain_ps * excess
         )
-
-    def _is_searching(self, seen: Detections, controlled: IntArray) -> bool:
-        """Whether a robot in duty should be in view and has not been seen for some time, if it ever was."""
-        rows = self.memory.rows(np.setdiff1d(controlled, seen.ids))
-        unseen = seen.time_s - self.memory.seen_s[rows] > self.search_s
-        return bool((unseen & ~self.memory.known[rows]).any())
 
     def _part(self, seen: Detections) -> Array:
         """Velocity (2,) away from units that are too near."""

@@ -7,7 +7,7 @@ from pydantic import Field, FiniteFloat, model_validator
 
 from skyherd.datasets.fields import Coordinate, Model, NotNegative, Point, Positive
 from skyherd.errors import InputError
-from skyherd.render import Camera, Disc, Distortion, Illumination, Quad, Shutter
+from skyherd.render import Camera, Disc, Distortion, Illumination, Quad, Sensor, Shutter
 
 Coefficient = Annotated[FiniteFloat, Field(ge=-10, le=10)]
 Share = Annotated[FiniteFloat, Field(ge=0, le=1)]
@@ -101,6 +101,17 @@ class SensorModel(Model):
     jpeg_quality: Annotated[int, Field(ge=1, le=100)] | None = Field(
         None, description="images go through a JPEG"
     )
+
+    def make(self, rng: np.random.Generator) -> Sensor:
+        """The sensor, its noise drawn from `rng`; `psf_px` and `shutter` are the renderer's."""
+        return Sensor(
+            self.noise,
+            rng,
+            shot=self.shot,
+            gain=self.gain,
+            illumination=self.illumination(),
+            jpeg_quality=self.jpeg_quality,
+        )
 
     def illumination(self) -> Illumination:
         """Where how much light arrives."""

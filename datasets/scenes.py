@@ -27,7 +27,6 @@ from skyherd.render import (
     Ground,
     Motion,
     Renderer,
-    Sensor,
     footprint_m,
     project_markers,
 )
@@ -122,14 +121,7 @@ class Scene:
             self.dictionary,
             1.0,
             ground,
-            Sensor(
-                sensor.noise,
-                rng,
-                shot=sensor.shot,
-                gain=sensor.gain,
-                illumination=sensor.illumination(),
-                jpeg_quality=sensor.jpeg_quality,
-            ),
+            sensor.make(rng),
             psf_px=sensor.psf_px,
             black=self.black,
             white=self.white,

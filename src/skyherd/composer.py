@@ -22,6 +22,9 @@ STRIPS_PX = (0, *range(80, 320, 24))
 """Heights that are tried for a strip with the key below the cameras; 0 is none."""
 
 GAP_PX = 14
+MUCH_LARGER = 1.2
+"""Cameras in a wide block must gain this much, since it leaves less to the ground and more paper bare."""
+
 MOST_NAMED = 5
 """With more units than this the curves' names are bare numbers."""
 
@@ -42,7 +45,7 @@ class Layout:
 def make_layout(
     size_px: tuple[int, int], image_sizes_px: Sequence[tuple[int, int]], *, tree: bool = False
 ) -> Layout:
-    """Cameras in a block on the left, as large as they can be, the ground beside it, the plots below.
+    """Cameras in a near-square block on the left, the ground beside it, the plots below.
 
     The key goes where the block's last row has room to spare, or else below the block.
     """
@@ -54,7 +57,10 @@ def make_layout(
         for columns in (square, square + 1)
         for strip_px in STRIPS_PX
     ]
-    pitch_u, pitch_v, columns, key = max((block for block in blocks if block), key=lambda block: block[0])
+    pitch_u, pitch_v, columns, key = max(
+        (block for block in blocks if block),
+        key=lambda block: block[0] if block[2] == square else block[0] / MUCH_LARGER,
+    )
     corners = [(GAP_PX + k % columns * pitch_u, HEADER_PX + k // columns * pitch_v) for k in range(units)]
     cells = [Box(u, v, pitch_u - GAP_PX, pitch_v - GAP_PX) for u, v in corners]
     left = 2 * GAP_PX + columns * pitch_u

@@ -1,15 +1,21 @@
 """The minds of a scenario's units and robots, as its file asks for them."""
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
 
 from skyherd.control import (
     AerialController,
+    Decision,
     Follow,
     FreeRule,
+    GroundMap,
     Hover,
     MarkerGains,
     Perimeter,
     PixelGains,
+    Rectifier,
     SafetyRadius,
     Selection,
     Serve,
@@ -20,6 +26,7 @@ from skyherd.control.flight import Flight
 from skyherd.control.robot_law import Gains
 from skyherd.datasets import Mission, Scenario
 from skyherd.datasets.models import FlightModel, SelectionModel
+from skyherd.messages import Detections, UnitReport
 
 REPORT_LIFETIME_S = 2.0
 REPORTS_MISSED = 5
@@ -64,14 +71,37 @@ def make_selection(model: SelectionModel) -> Selection:
     return rules[model.kind]
 
 
-def make_controller(mission: Mission, unit: int) -> AerialController:
+@dataclass
+class Mind:
+    """One unit's mind: what its camera does to the ground is taken off, then it decides.
+
+    Attributes:
+        controller: decides on detections as an ideal camera would give them.
+        rectifier: learns the camera from the markers; None if the scenario takes images as they are.
+    """
+
+    controller: AerialController
+    rectifier: Rectifier | None
+
+    def decide(self, seen: Detections, reports: Sequence[UnitReport]) -> Decision:
+        """What to do after an image, given the last report heard from each other unit."""
+        return self.controller.step(self.rectifier.rectify(seen) if self.rectifier else seen, reports)
+
+    @property
+    def ground_map(self) -> GroundMap:
+        """The map that the last detections were taken through."""
+        return self.rectifier.ground_map if self.rectifier else GroundMap()
+
+
+def make_mind(mission: Mission, unit: int) -> Mind:
     """The mind of one unit of a mission, knowing nothing yet."""
     scenario, template = mission.scenario, mission.template
     slowest_s = max(model.latency_s + REPORTS_MISSED / model.frame_rate_hz for model in scenario.units)
-    return AerialController(
+    controller = AerialController(
         template,
         make_selection(scenario.selection),
         make_flight(scenario.units[unit].flight, template),
         nearest=scenario.control.neighbors,
         report_lifetime_s=max(REPORT_LIFETIME_S, slowest_s),
     )
+    return Mind(controller, Rectifier() if scenario.control.rectify else None)

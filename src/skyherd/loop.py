@@ -5,10 +5,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from skyherd.control import GroundMap, Inboxes, Rectifier, robot_commands
+from skyherd.control import GroundMap, Inboxes, robot_commands
 from skyherd.control.selection import NO_ROBOTS
 from skyherd.control.unit import Decision
-from skyherd.crew import make_controller, make_gains
+from skyherd.crew import make_gains, make_mind
 from skyherd.datasets import Mission, Scenario
 from skyherd.geometry import IntArray
 from skyherd.messages import FlightCommand, VelocityCommand
@@ -62,10 +62,9 @@ def run_steps(mission: Mission, perception: Perception | None = None) -> Iterato
     scenario = mission.scenario
     sight_rng, network_rng, frame_rng = (np.random.default_rng([scenario.seed, part]) for part in (1, 2, 3))
     world, observer = World(mission), Observer(mission.template, mission.ids)
-    crew = [make_controller(mission, unit) for unit in range(len(scenario.units))]
+    crew = [make_mind(mission, unit) for unit in range(len(scenario.units))]
     perception = perception or make_perception(mission, sight_rng)
     network = Network(scenario.network, network_rng, len(crew))
-    rectifiers = [Rectifier() for _ in crew]
     gains, sets = make_gains(scenario), {unit: NO_ROBOTS for unit in range(len(crew))}
     inboxes = Inboxes(
         mission.ids, np.arange(len(crew)), scenario.robots.timeout_s, distances=gains.needs_distances
@@ -75,22 +74,18 @@ def run_steps(mission: Mission, perception: Perception | None = None) -> Iterato
         frames = {}
         dead = dead_units(scenario, time_s)
         for unit in dead:
-            crew[unit], rectifiers[unit] = make_controller(mission, unit), Rectifier()
-            sets[unit] = NO_ROBOTS
+            crew[unit], sets[unit] = make_mind(mission, unit), NO_ROBOTS
             network.forget(unit)
             world.fly(FlightCommand(unit, np.zeros(2), 0.0, 0.0))
         for unit in _due(scenario, tick, dead):
             if frame_rng.random() < scenario.network.frame_loss:
                 continue
             sight = perception.look(world, unit, time_s)
-            seen = (
-                rectifiers[unit].rectify(sight.detections) if scenario.control.rectify else sight.detections
-            )
-            decision = crew[unit].step(seen, list(network.reports[unit].values()))
+            decision = crew[unit].decide(sight.detections, list(network.reports[unit].values()))
             arrival_s = time_s + scenario.units[unit].latency_s
             network.send(decision.goals, decision.report, arrival_s, world.in_range(unit))
             world.fly(decision.flight)
-            frames[unit] = UnitFrame(sight, decision, rectifiers[unit].ground_map)
+            frames[unit] = UnitFrame(sight, decision, crew[unit].ground_map)
             sets[unit] = decision.report.controlled_ids
         for goals, received in network.deliver(time_s):
             inboxes.receive(goals, time_s, received)

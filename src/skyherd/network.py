@@ -21,7 +21,7 @@ class Network:
         model: losses, delay and repeats.
         rng: what decides.
         units: how many there are.
-        reports: by receiving unit, the last report to arrive from each other one, which may be an old one.
+        reports: by receiving unit, the newest report that arrived from each other one.
     """
 
     model: NetworkModel
@@ -64,7 +64,8 @@ class Network:
                 delivered.append((message, self._heard(len(message))))
                 continue
             for unit, heard in zip(receivers, self._heard(len(receivers)).tolist(), strict=True):
-                if heard:
+                last = self.reports[unit].get(message.unit_id)
+                if heard and (last is None or message.time_s >= last.time_s):
                     self.reports[unit][message.unit_id] = message
         return delivered
 

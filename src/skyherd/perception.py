@@ -18,7 +18,6 @@ from skyherd.render import (
     Ground,
     Motion,
     Renderer,
-    Sensor,
     Shutter,
     project_markers,
 )
@@ -98,14 +97,7 @@ def make_renderer(mission: Mission, rng: np.random.Generator) -> Renderer:
             image=mission.ground_image,
             clutter=clutter,
         ),
-        Sensor(
-            sensor.noise,
-            rng,
-            shot=sensor.shot,
-            gain=sensor.gain,
-            illumination=sensor.illumination(),
-            jpeg_quality=sensor.jpeg_quality,
-        ),
+        sensor.make(rng),
         psf_px=sensor.psf_px,
         shutter=sensor.shutter(),
     )

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from skyherd.bench.design import Cell, full_design, quick_design
 from skyherd.bench.entrants import DEFAULT_DICTIONARY, default_entrants
@@ -14,7 +13,7 @@ from skyherd.bench.page import write_outputs
 from skyherd.bench.result import Result, environment
 from skyherd.bench.runner import Plan, measure_cells
 from skyherd.bench.timing import measure_times, timing_cells
-from skyherd.cli.console import err, out, warn
+from skyherd.cli.console import CountBar, out, warn
 from skyherd.errors import InputError
 from skyherd.files import write_text
 
@@ -86,19 +85,11 @@ def _check(chosen: list[str], jobs: int | None, clutter_images: int | None) -> N
         raise InputError("--clutter-images", str(clutter_images), "0 or more")
 
 
-class _Watcher(Progress):
-    """Progress bars of the two parts; nothing where stderr is no terminal."""
+class _Watcher(CountBar):
+    """Progress bars of the two parts."""
 
     def __init__(self, cells: int, timed: int) -> None:
-        super().__init__(
-            TextColumn("{task.description}"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TimeRemainingColumn(),
-            console=err,
-            disable=not err.is_terminal,
-            transient=True,
-        )
+        super().__init__()
         self.accuracy: Callable[[Cell], None] = self._bar("accuracy", cells)
         self.timing: Callable[[Cell], None] = self._bar("time per frame", timed)
 

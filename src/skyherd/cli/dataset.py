@@ -6,10 +6,9 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from skyherd.cli.console import complain, err, out
+from skyherd.cli.console import CountBar, complain, out
 from skyherd.datasets.check import Verdict, check_dataset
 from skyherd.datasets.make import make_dataset
 from skyherd.datasets.spec import DatasetSpec, load_spec, spec_names, spec_text
@@ -32,7 +31,7 @@ def make(
     file = load_spec(spec, seed=seed, images=images)
     folder = out_dir or Path("labelled") / Path(spec).stem
     try:
-        with _bar() as progress:
+        with CountBar() as progress:
             task = progress.add_task("images", total=file.spec.images)
             dataset = make_dataset(
                 file,
@@ -99,16 +98,3 @@ def _tell(folder: Path, verdict: Verdict) -> None:
             f"({found.recall:.1%}), RMS error {found.rmse_px:.4f} px and {found.rmse_deg:.3f} deg",
             markup=False,
         )
-
-
-def _bar() -> Progress:
-    """Progress over the images; nothing where stderr is no terminal."""
-    return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-        console=err,
-        disable=not err.is_terminal,
-        transient=True,
-    )

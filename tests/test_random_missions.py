@@ -1,0 +1,91 @@
+"""Random missions keep what they promise, and a few of them keep TC1-TC5 and reach their shape."""
+
+import argparse
+import importlib.util
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.distance import pdist
+
+from skyherd.control import fit_similarity
+from skyherd.datasets import make_mission
+from skyherd.datasets.random_missions import IN_COMMON, SIDE_M, random_mission, star_mission
+from skyherd.geometry import to_complex, to_points
+from skyherd.loop import run_steps
+
+BENCHMARK = Path(__file__).parents[1] / "benchmarks" / "topology.py"
+
+
+def benchmark():
+    spec = importlib.util.spec_from_file_location("topology_benchmark", BENCHMARK)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def options(**changed) -> argparse.Namespace:
+    usual = {
+        "start": "random",
+        "share": "leverage",
+        "perception": "noisy",
+        "network": "perfect",
+        "kill": False,
+    }
+    return argparse.Namespace(**(usual | changed))
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_random_mission_keeps_its_promises(seed) -> None:
+    mission = make_mission(random_mission(seed) | {"perception": "ideal"})
+    robots, template = to_complex(mission.positions_m), mission.template.points_px.conj()
+    assert 4 * len(mission.scenario.units) <= mission.ids.size <= 64
+    fitted = fit_similarity(template, robots)(template)
+    assert pdist(to_points(fitted)).min() >= 2 * SIDE_M
+    first = next(iter(run_steps(mission)))
+    seen = [set(frame.sight.detections.ids.tolist()) for frame in first.frames.values()]
+    assert set().union(*seen) == set(mission.ids.tolist())
+    reached, left = {0}, set(range(1, len(seen)))
+    while left and (more := {u for u in left if any(len(seen[u] & seen[k]) >= IN_COMMON for k in reached)}):
+        reached, left = reached | more, left - more
+    assert not left, "neighbours that see enough in common connect all units"
+
+
+def test_the_same_seed_is_the_same_mission() -> None:
+    assert random_mission(4) == random_mission(4) != random_mission(5)
+    assert star_mission(4) == star_mission(4) != star_mission(5)
+
+
+@pytest.mark.parametrize("network", ["perfect", "lossy"])
+@pytest.mark.parametrize("seed", [0, 9])
+def test_a_few_missions_stay_inside_p_and_reach_their_shape(seed, network) -> None:
+    """Two and five units; what `benchmarks/topology.py` does a thousand times."""
+    row = benchmark().run_mission(seed, options(network=network))
+    assert row["converged"] and row["p_violation_s"] == 0.0
+    assert row["time_to_1pct_s"] < 1.5 * row["predicted_s"]
+
+
+def test_a_unit_that_dies_is_succeeded() -> None:
+    row = benchmark().run_mission(2, options(kill=True))
+    assert row["converged"]
+    assert 0 < row["tc12_back_s"] < 30 and row["covered_s"] < 30
+
+
+def test_the_benchmark_notices_a_topology_that_leaves_p() -> None:
+    """Negative control: free overlaps are outside P from the first instant that counts."""
+    module = benchmark()
+    made = module.mission_tree
+    module.mission_tree = lambda seed, chosen: made(seed, chosen) | {"selection": {"kind": "radius"}}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module.Watch, "see", _count_from_the_start(module.Watch.see))
+        row = module.run_mission(0, options())
+    assert row["p_violation_s"] > 1.0
+
+
+def _count_from_the_start(see):
+    def counted(watch, step) -> None:
+        if watch.ready_s is None:
+            watch.ready_s, watch.log_need = 0.0, float(np.log(step.observation.shape.error / 0.01))
+        see(watch, step)
+
+    return counted

@@ -77,6 +77,12 @@ class FreeThenTree:
         """Robots of the set that are well held now."""
         return (self.tree or self.free).secure(seen)
 
+    def reshape(self, template: Template) -> None:
+        """Robots have exchanged places."""
+        self.template = template
+        if self.tree is not None:
+            self.tree.reshape(template)
+
     def word(self, time_s: float) -> TreeWord | None:
         """What the unit says of its standing in the tree, once there is one."""
         return None if self.tree is None else self.tree.word(time_s)

@@ -2,14 +2,20 @@
 
 import numpy as np
 
-from skyherd.control.similarity import desired_points
+from skyherd.control.similarity import fit_similarity
 from skyherd.control.template import Template
 from skyherd.geometry import Array, BoolArray, IntArray, to_complex, wrap_angle
 from skyherd.messages import Detections, MotionGoals
 
 
 def motion_goals(
-    seen: Detections, controlled_ids: IntArray, template: Template, *, shared_ids: IntArray, nearest: int
+    seen: Detections,
+    controlled_ids: IntArray,
+    template: Template,
+    *,
+    shared_ids: IntArray,
+    nearest: int,
+    scales: tuple[float, float] = (0.0, np.inf),
 ) -> MotionGoals:
     """Goals of one unit for the robots it controls and sees.
 
@@ -24,13 +30,15 @@ def motion_goals(
         template: the whole shape.
         shared_ids: robots that other units control as well; their distances are always sent.
         nearest: distances are also sent to this many nearest robots in the image.
+        scales: bounds of the similarity's scale, image pixels a template pixel (control/size.py).
 
     Raises:
         DegenerateSetError: the controlled robots seen define no similarity.
     """
     robots = seen.select(controlled_ids)
     current = to_complex(robots.centers_px)
-    rho = desired_points(template.points_of(robots.ids), current) - current
+    points = template.points_of(robots.ids)
+    rho = fit_similarity(points, current).resized(*scales)(points) - current
     neighbor_ids, neighbor_distances = _neighbors(robots, seen, shared_ids, nearest)
     return MotionGoals(
         unit_id=seen.unit_id,

@@ -80,6 +80,10 @@ class Roster:
         """Robots of the set that are seen inside the radius now."""
         return np.array(sorted(self.unit.controlled & self.unit.visible), dtype=np.int64)
 
+    def reshape(self, template: Template) -> None:
+        """Robots have exchanged places: which pairs bind best follows the new ones."""
+        self.unit.template = template
+
     def word(self, time_s: float) -> TreeWord:
         """What the unit says of its standing."""
         unit = self.unit

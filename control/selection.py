@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from skyherd.control.template import Template
 from skyherd.geometry import Array, IntArray
 from skyherd.messages import Detections, UnitReport, centred
 
@@ -62,6 +63,9 @@ class ControlSet:
     def secure(self, seen: Detections) -> IntArray:
         """Robots of the set that are well held now: detected inside the radius."""
         return np.intersect1d(self.ids, self._inside(seen))
+
+    def reshape(self, template: Template) -> None:
+        """Sets do not depend on the shape."""
 
     def word(self, time_s: float) -> None:
         """No word of a tree: sets overlap as they will."""

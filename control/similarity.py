@@ -32,6 +32,16 @@ class Similarity:
         """phi_j, from +u to +v."""
         return float(np.angle(self.turn))
 
+    def resized(self, low: float, high: float) -> "Similarity":
+        """The same with its scale kept between two bounds, about the centroids.
+
+        Of all similarities within the bounds it is the nearest fit: for a given rotation the residual is
+        quadratic in the scale, and the best rotation does not depend on the scale.
+        """
+        if low <= self.scale <= high:
+            return self
+        return Similarity(self.turn / self.scale * min(max(self.scale, low), high), self.source, self.target)
+
     def __call__(self, points: ComplexArray) -> ComplexArray:
         """Map template points to desired points."""
         return np.asarray(self.turn * (points - self.source) + self.target)

@@ -5,27 +5,35 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from skyherd.control.encounters import BodyRule, encounters
 from skyherd.control.flight import Flight
 from skyherd.control.free import FreeRule, FreeThenTree, cost_share
 from skyherd.control.goals import motion_goals
+from skyherd.control.panorama import panorama
+from skyherd.control.roles import RoleRule, Roles
 from skyherd.control.roster import Roster
 from skyherd.control.selection import ControlSet, SafetyRadius
+from skyherd.control.size import SizeRule, Yardstick
 from skyherd.control.standing import TreeRule
 from skyherd.control.template import Template
 from skyherd.errors import DegenerateSetError
 from skyherd.geometry import IntArray
-from skyherd.messages import Detections, FlightCommand, MotionGoals, UnitReport, shared_ids
+from skyherd.messages import Detections, Encounters, FlightCommand, MotionGoals, UnitReport, shared_ids
 
 Selection = SafetyRadius | TreeRule | FreeRule
 
 
 @dataclass(frozen=True)
 class Decision:
-    """What a unit does after one image; `goals` is None if it sees too few of its robots for a shape."""
+    """What a unit does after one image.
+
+    `goals` is None if it sees too few of its robots for a shape, `encounters` where robots are points.
+    """
 
     goals: MotionGoals | None
     report: UnitReport
     flight: FlightCommand
+    encounters: Encounters | None = None
 
 
 class AerialController:
@@ -37,6 +45,9 @@ class AerialController:
         flight: how it flies.
         nearest: neighbours whose distances it tells each robot.
         report_lifetime_s: a report older than this counts no more: its sender may be gone.
+        roles: how robots exchange their places; None for places that are fixed.
+        size: bounds on the shape's size.
+        bodies: how large robots and obstacles are; None for points.
     """
 
     def __init__(
@@ -47,17 +58,24 @@ class AerialController:
         *,
         nearest: int = 3,
         report_lifetime_s: float = 2.0,
+        roles: RoleRule | None = None,
+        size: SizeRule | None = None,
+        bodies: BodyRule | None = None,
     ) -> None:
         self.template, self.flight, self.nearest = template, flight, nearest
         self.report_lifetime_s = report_lifetime_s
         self.control_set = _begin(selection, template)
+        self.roles, self.bodies = Roles(roles, template), bodies
+        self.size, self.yardstick = size or SizeRule(), Yardstick()
 
     def step(self, detections: Detections, reports: Sequence[UnitReport] = ()) -> Decision:
         """Decide on one image, given the last report heard from each other unit."""
         seen = detections.select(self.template.ids)
         reports = [r for r in reports if r.time_s >= detections.time_s - self.report_lifetime_s]
+        self._choose_roles(seen, reports)
+        side_px = 0.0 if self.size.is_free else self.yardstick.update(seen, reports)
         controlled = self.control_set.update(seen, reports)
-        goals = self._goals(seen, controlled, reports) if self.control_set.ready else None
+        goals = self._goals(seen, controlled, reports, side_px) if self.control_set.ready else None
         report = UnitReport(
             unit_id=seen.unit_id,
             time_s=seen.time_s,
@@ -68,21 +86,33 @@ class AerialController:
             secure_ids=self.control_set.secure(seen),
             tree=self.control_set.word(seen.time_s),
             cost_sides2=cost_share(goals),
+            side_px=side_px,
+            roles=self.roles.word,
         )
         self.control_set.note(seen.time_s, report, reports)
         keep = controlled if self.control_set.ready else np.union1d(controlled, seen.ids)
-        return Decision(goals, report, self.flight.command(seen, keep, reports))
+        flight = self.flight.command(seen, keep, reports)
+        near = encounters(detections, self.template.ids, self.bodies) if self.bodies else None
+        return Decision(goals, report, flight, near)
+
+    def _choose_roles(self, seen: Detections, reports: Sequence[UnitReport]) -> None:
+        if self.roles.rule is None:
+            return
+        self.roles.hear(reports)
+        self.roles.exchange(seen.unit_id, seen.time_s, panorama(self.template.ids, seen, reports), reports)
+        self.control_set.reshape(self.roles.shape)
 
     def _goals(
-        self, seen: Detections, controlled: IntArray, reports: Sequence[UnitReport]
+        self, seen: Detections, controlled: IntArray, reports: Sequence[UnitReport], side_px: float
     ) -> MotionGoals | None:
         try:
             return motion_goals(
                 seen,
                 controlled,
-                self.template,
+                self.roles.shape,
                 shared_ids=shared_ids(controlled, reports),
                 nearest=self.nearest,
+                scales=self.size.scales(self.roles.shape, side_px),
             )
         except DegenerateSetError:
             return None

@@ -5,6 +5,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, FiniteFloat, model_validator
 
+from skyherd.datasets.body_models import AvoidanceModel, RolesModel, SizeModel
 from skyherd.datasets.fields import Fraction, Model, NotNegative, Point, Positive
 from skyherd.datasets.scene_models import CameraModel, GroundModel, OccluderModel, SensorModel
 
@@ -49,6 +50,9 @@ class RobotsModel(Model):
     )
     max_speed_mps: Positive = Field(1.0, description="limit of |v|")
     max_turn_radps: Positive = Field(3.0, description="limit of |omega|")
+    body_radius_sides: NotNegative = Field(
+        0.0, description="radius of the round body about the marker's centre, in marker sides; 0 for points"
+    )
     timeout_s: Positive = Field(
         0.5,
         description="a goal is forgotten after this; keep it above the time between two images",
@@ -212,6 +216,9 @@ class Scenario(Model):
     marker: MarkerModel
     control: ControlModel = ControlModel()
     selection: SelectionModel = SelectionModel()
+    roles: RolesModel = RolesModel()
+    size: SizeModel = SizeModel()
+    avoidance: AvoidanceModel = AvoidanceModel()
     units: list[UnitModel] = Field(min_length=1, max_length=256)
     autopilot: AutopilotModel = AutopilotModel()
     network: NetworkModel = NetworkModel()

@@ -42,7 +42,7 @@ def random_mission(seed: int, crowd: Crowd | None = None) -> dict[str, Any]:
     crowd = crowd or random_crowd(rng)
     for _ in range(TRIES):
         centers, parents = _tree(rng, crowd)
-        cameras = [_camera(rng) for _ in centers]
+        cameras = [random_camera(rng) for _ in centers]
         heights = rng.uniform(8.0, 12.0, crowd.units)
         radii = _radii(heights, cameras)
         robots = _robots(rng, crowd, centers, parents, 0.85 * radii)
@@ -53,7 +53,7 @@ def random_mission(seed: int, crowd: Crowd | None = None) -> dict[str, Any]:
             break
     else:
         raise RuntimeError(f"seed {seed}: no start in {TRIES} tries")
-    return _scenario(seed, rng, centers, heights, cameras, robots, template)
+    return make_tree(seed, rng, centers, heights, cameras, robots, template)
 
 
 def star_mission(seed: int) -> dict[str, Any]:
@@ -62,12 +62,12 @@ def star_mission(seed: int) -> dict[str, Any]:
     robots = None
     while robots is None:
         centers, heights = np.array([-5.0, 0.0, 5.0], dtype=np.complex128), np.full(3, 10.0)
-        cameras = [_camera(rng) for _ in centers]
+        cameras = [random_camera(rng) for _ in centers]
         radii = _radii(heights, cameras)
         robots = _robots(rng, Crowd(3, 5), centers, [-1, 0, 1], 0.85 * radii, extra=1)
     spread = 1.3 * np.abs(robots - robots.mean()).std() + np.abs(robots - robots.mean()).mean()
     shape = to_complex(shape_points("star", 16)) * spread
-    return _scenario(seed, rng, centers, heights, cameras, robots, _assign(shape, robots))
+    return make_tree(seed, rng, centers, heights, cameras, robots, _assign(shape, robots))
 
 
 def _radii(heights_m: Array, cameras: list[dict[str, Any]]) -> Array:
@@ -75,7 +75,7 @@ def _radii(heights_m: Array, cameras: list[dict[str, Any]]) -> Array:
     return np.asarray(heights_m * np.tan(np.radians([camera["half_angle_deg"] for camera in cameras])))
 
 
-def _scenario(
+def make_tree(
     seed: int,
     rng: np.random.Generator,
     centers: ComplexArray,
@@ -84,6 +84,7 @@ def _scenario(
     robots: ComplexArray,
     template: ComplexArray,
 ) -> dict[str, Any]:
+    """A scenario of units at places and heights, m, robots at theirs, and template points in their order."""
     units = [
         {
             "position_m": to_points(center).tolist(),
@@ -129,7 +130,8 @@ def _tree(rng: np.random.Generator, crowd: Crowd) -> tuple[ComplexArray, list[in
     return np.array(centers), parents
 
 
-def _camera(rng: np.random.Generator) -> dict[str, Any]:
+def random_camera(rng: np.random.Generator) -> dict[str, Any]:
+    """A camera of random size, focal length and principal point."""
     size = int(rng.choice([640, 800, 1000]))
     return {
         "half_angle_deg": float(rng.uniform(28.0, 38.0)),

@@ -19,7 +19,7 @@ def send_many(make_goals, make_report):
     def send(model: NetworkModel, seed: int = 1) -> Network:
         network = Network(model, np.random.default_rng(seed), 3)
         for _ in range(400):
-            network.send(make_goals(0, [0], [1]), make_report(0, [0], [0], [0]), 1.0)
+            network.send([make_goals(0, [0], [1])], make_report(0, [0], [0], [0]), 1.0)
         return network
 
     return send
@@ -41,7 +41,7 @@ def test_each_receiver_has_a_delay_of_its_own(make_report) -> None:
     first = np.zeros(2)
     for seed in range(400):
         network = Network(NetworkModel(delay_s=1.0), np.random.default_rng(seed), 3)
-        network.send(None, make_report(0, [0], [0], [0]), 0.0)
+        network.send([], make_report(0, [0], [0], [0]), 0.0)
         for time_s in np.arange(0.0, 1.01, 0.01):
             network.deliver(time_s)
             if network.reports[1] or network.reports[2]:
@@ -60,8 +60,8 @@ def test_repeats_are_of_the_stated_share_and_the_same_message(send_many) -> None
 def test_a_report_that_was_overtaken_changes_nothing(make_report) -> None:
     network = Network(NetworkModel(), np.random.default_rng(0), 2)
     report = make_report(0, [0], [0], [0])
-    network.send(None, replace(report, time_s=5.0), 1.0)
-    network.send(None, replace(report, time_s=4.0), 1.5)
+    network.send([], replace(report, time_s=5.0), 1.0)
+    network.send([], replace(report, time_s=4.0), 1.5)
     network.deliver(1.0)
     network.deliver(2.0)
     assert network.reports[1][0].time_s == 5.0
@@ -69,7 +69,7 @@ def test_a_report_that_was_overtaken_changes_nothing(make_report) -> None:
 
 def test_the_dead_forget(make_report) -> None:
     network = Network(NetworkModel(), np.random.default_rng(0), 2)
-    network.send(None, make_report(0, [0], [0], [0]), 0.0)
+    network.send([], make_report(0, [0], [0], [0]), 0.0)
     network.deliver(0.0)
     network.forget(1)
     assert network.reports == [{}, {}]

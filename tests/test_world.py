@@ -242,7 +242,7 @@ def test_wheels_have_limits(mission_of) -> None:
 
 def test_messages_arrive_after_their_latency_and_once(make_goals, make_report) -> None:
     network = Network(NetworkModel(), np.random.default_rng(0), 2)
-    network.send(make_goals(0, [1, 2], [1, 2]), make_report(0, [1, 2], [0, 1], [1, 2]), 0.25)
+    network.send([make_goals(0, [1, 2], [1, 2])], make_report(0, [1, 2], [0, 1], [1, 2]), 0.25)
     assert network.deliver(0.2) == []
     assert network.reports == [{}, {}]
     ((goals, received),) = network.deliver(0.3)
@@ -259,7 +259,7 @@ def test_losses_are_independent_and_of_the_stated_share(make_goals, make_report,
     network = Network(NetworkModel(message_loss=loss), np.random.default_rng(1), 2)
     heard, reports = [], 0
     for n in range(1000):
-        network.send(make_goals(0, [0, 1, 2, 3], [1, 1, 1, 1]), make_report(0, [0], [0], [0]), n)
+        network.send([make_goals(0, [0, 1, 2, 3], [1, 1, 1, 1])], make_report(0, [0], [0], [0]), n)
         network.reports[1].clear()
         heard += [received for _, received in network.deliver(n)]
         reports += len(network.reports[1])
@@ -276,7 +276,7 @@ def test_losses_come_from_the_generator(make_goals, make_report) -> None:
         network = Network(NetworkModel(message_loss=0.4), np.random.default_rng(seed), 1)
         result = []
         for n in range(30):
-            network.send(make_goals(0, [0, 1], [1, 1]), make_report(0, [0], [0], [0]), n)
+            network.send([make_goals(0, [0, 1], [1, 1])], make_report(0, [0], [0], [0]), n)
             result += [received.tolist() for _, received in network.deliver(n)]
         return result
 

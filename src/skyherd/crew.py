@@ -4,21 +4,29 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.distance import pdist
 
 from skyherd.control import (
     AerialController,
+    AvoidanceRule,
+    BodyRule,
     Decision,
     Follow,
     FreeRule,
     GroundMap,
     Hover,
+    Inboxes,
     MarkerGains,
     Perimeter,
     PixelGains,
     Rectifier,
+    RoleRule,
     SafetyRadius,
     Selection,
     Serve,
+    SizeRule,
+    Surroundings,
+    Team,
     Template,
     TreeRule,
 )
@@ -26,6 +34,7 @@ from skyherd.control.flight import Flight
 from skyherd.control.robot_law import Gains
 from skyherd.datasets import Mission, Scenario
 from skyherd.datasets.models import FlightModel, SelectionModel
+from skyherd.geometry import to_points
 from skyherd.messages import Detections, UnitReport
 
 REPORT_LIFETIME_S = 2.0
@@ -103,5 +112,57 @@ def make_mind(mission: Mission, unit: int) -> Mind:
         make_flight(scenario.units[unit].flight, template),
         nearest=scenario.control.neighbors,
         report_lifetime_s=max(REPORT_LIFETIME_S, slowest_s),
+        roles=make_roles(scenario),
+        size=make_size(mission),
+        bodies=make_bodies(mission),
     )
     return Mind(controller, Rectifier() if scenario.control.rectify else None)
+
+
+def make_roles(scenario: Scenario) -> RoleRule | None:
+    """How units exchange the robots' places; None if they do not."""
+    model = scenario.roles
+    if not model.exchange:
+        return None
+    classes = None if model.classes is None else tuple(model.classes)
+    return RoleRule(model.period_s, model.gain, classes=classes)
+
+
+def make_size(mission: Mission) -> SizeRule:
+    """Bounds on the shape's size, in marker sides."""
+    model, side_m = mission.scenario.size, mission.scenario.marker.side_m
+    if model.unit_m is not None:
+        nearest = float(pdist(to_points(mission.template.points_px)).min())
+        return SizeRule(nearest * model.unit_m / side_m, nearest * model.unit_m / side_m)
+    if model.spacing_sides is not None:
+        return SizeRule(model.spacing_sides, model.spacing_sides)
+    return SizeRule(model.least_spacing_sides)
+
+
+def make_bodies(mission: Mission) -> BodyRule | None:
+    """What units know of bodies; None where robots are points."""
+    model = mission.scenario.avoidance
+    if not model.on:
+        return None
+    radius = mission.scenario.robots.body_radius_sides
+    return BodyRule(radius, model.margin_sides, model.horizon_sides)
+
+
+def make_team(mission: Mission) -> Team:
+    """The robots' minds."""
+    scenario, gains = mission.scenario, make_gains(mission.scenario)
+    units = np.arange(len(scenario.units))
+    inboxes = Inboxes(mission.ids, units, scenario.robots.timeout_s, distances=gains.needs_distances)
+    if not scenario.avoidance.on:
+        return Team(inboxes, gains)
+    robots, lifetime_s = scenario.robots, scenario.avoidance.lifetime_s
+    rule = AvoidanceRule(
+        side_m=scenario.marker.side_m,
+        max_speed_mps=robots.max_speed_mps,
+        max_turn_radps=robots.max_turn_radps,
+        prompt_s=max(unit.latency_s + 1 / unit.frame_rate_hz for unit in scenario.units),
+        step_s=scenario.step_s,
+        lifetime_s=lifetime_s,
+        steers=scenario.avoidance.steer,
+    )
+    return Team(inboxes, gains, Surroundings(mission.ids, mission.ids, lifetime_s), rule)

@@ -44,6 +44,7 @@ class History:
         shape_scale: (T,) metres a template unit.
         shape_rotation_rad: (T,).
         min_separation_m: (T,).
+        roles: (T, N) row of the template's point that each robot goes to.
         conditions: (T, 5) whether TC1-TC5 hold.
         controlled: (T, U, N) S_j^c.
         commanded: (T, N) whether each robot follows a goal heard of late.
@@ -73,6 +74,7 @@ class History:
     shape_scale: Array
     shape_rotation_rad: Array
     min_separation_m: Array
+    roles: IntArray
     conditions: BoolArray
     controlled: BoolArray
     commanded: BoolArray
@@ -114,6 +116,7 @@ _COLUMNS = {
     "shape_scale": "observation.shape.scale",
     "shape_rotation_rad": "observation.shape.rotation_rad",
     "min_separation_m": "observation.min_separation_m",
+    "roles": "roles",
 }
 """Field of the history: where a step has it."""
 

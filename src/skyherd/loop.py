@@ -5,10 +5,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from skyherd.control import GroundMap, Inboxes, robot_commands
+from skyherd.control import GroundMap, newest_roles
 from skyherd.control.selection import NO_ROBOTS
 from skyherd.control.unit import Decision
-from skyherd.crew import make_gains, make_mind
+from skyherd.crew import make_mind, make_team
 from skyherd.datasets import Mission, Scenario
 from skyherd.geometry import IntArray
 from skyherd.messages import FlightCommand, VelocityCommand
@@ -32,7 +32,7 @@ class Step:
     """All that happened at one instant, before the world moves on.
 
     `control_sets` are the units' S_j^c; `commanded_ids` the robots that follow a goal heard of late, the
-    others hold still.
+    others hold still; `roles` (N,) the row of the template's point that each robot goes to.
     """
 
     time_s: float
@@ -44,6 +44,7 @@ class Step:
     commanded_ids: IntArray
     control_sets: dict[int, IntArray]
     observation: Observation
+    roles: IntArray
 
     def without_images(self) -> "Step":
         """The same step, less what takes the memory."""
@@ -65,10 +66,7 @@ def run_steps(mission: Mission, perception: Perception | None = None) -> Iterato
     crew = [make_mind(mission, unit) for unit in range(len(scenario.units))]
     perception = perception or make_perception(mission, sight_rng)
     network = Network(scenario.network, network_rng, len(crew))
-    gains, sets = make_gains(scenario), {unit: NO_ROBOTS for unit in range(len(crew))}
-    inboxes = Inboxes(
-        mission.ids, np.arange(len(crew)), scenario.robots.timeout_s, distances=gains.needs_distances
-    )
+    team, sets = make_team(mission), {unit: NO_ROBOTS for unit in range(len(crew))}
     for tick in range(round(scenario.duration_s / scenario.step_s) + 1):
         time_s = tick * scenario.step_s
         frames = {}
@@ -83,13 +81,15 @@ def run_steps(mission: Mission, perception: Perception | None = None) -> Iterato
             sight = perception.look(world, unit, time_s)
             decision = crew[unit].decide(sight.detections, list(network.reports[unit].values()))
             arrival_s = time_s + scenario.units[unit].latency_s
-            network.send(decision.goals, decision.report, arrival_s, world.in_range(unit))
+            to_robots = decision.goals, decision.encounters
+            network.send(to_robots, decision.report, arrival_s, world.in_range(unit))
             world.fly(decision.flight)
             frames[unit] = UnitFrame(sight, decision, crew[unit].ground_map)
             sets[unit] = decision.report.controlled_ids
-        for goals, received in network.deliver(time_s):
-            inboxes.receive(goals, time_s, received)
-        command = world.limit(robot_commands(inboxes, gains, time_s))
+        for message, heard in network.deliver(time_s):
+            team.receive(message, time_s, heard)
+        command = world.limit(team.command(time_s))
+        roles = newest_roles([mind.controller.roles.word for mind in crew], mission.ids.size)
         yield Step(
             time_s=time_s,
             positions_m=world.positions_m,
@@ -97,9 +97,10 @@ def run_steps(mission: Mission, perception: Perception | None = None) -> Iterato
             fleet=world.fleet,
             frames=frames,
             command=command,
-            commanded_ids=mission.ids[inboxes.fresh(time_s).any(axis=0)],
+            commanded_ids=team.commanded_ids(time_s),
             control_sets=dict(sets),
-            observation=observer.observe(world.positions_m, sets, dead),
+            observation=observer.observe(world.positions_m, sets, dead, roles),
+            roles=roles,
         )
         world.advance(command, time_s, scenario.step_s)
 

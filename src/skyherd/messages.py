@@ -10,9 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from skyherd.encounter_messages import Encounters as Encounters
 from skyherd.errors import MessageError
 from skyherd.frozen import freeze, freeze_ids
 from skyherd.geometry import Array, IntArray
+from skyherd.role_messages import RoleMap as RoleMap
 from skyherd.tree_messages import NOBODY as NOBODY
 from skyherd.tree_messages import TreeWord as TreeWord
 
@@ -174,6 +176,8 @@ class UnitReport:
         secure_ids: (L,) those of them that it sees inside its safety radius now.
         tree: its standing in the tree of units; None where sets come from the safety radius alone.
         cost_sides2: its share V_j of the cost function, in marker sides squared.
+        side_px: a marker side in its image, as agreed with its neighbours; 0 where sizes are free.
+        roles: the map from robots to template points that it follows; None where roles are fixed.
     """
 
     unit_id: int
@@ -185,6 +189,8 @@ class UnitReport:
     secure_ids: IntArray
     tree: TreeWord | None = None
     cost_sides2: float = 0.0
+    side_px: float = 0.0
+    roles: RoleMap | None = None
 
     def __post_init__(self) -> None:
         n = freeze_ids(self, "ids")

@@ -7,7 +7,10 @@ import numpy as np
 
 from skyherd.datasets.models import NetworkModel
 from skyherd.geometry import BoolArray
-from skyherd.messages import MotionGoals, UnitReport
+from skyherd.messages import Encounters, MotionGoals, UnitReport
+
+ToRobots = MotionGoals | Encounters
+"""What units send to robots."""
 
 
 @dataclass
@@ -28,7 +31,7 @@ class Network:
     rng: np.random.Generator
     units: int
     reports: list[dict[int, UnitReport]] = field(init=False)
-    _waiting: list[tuple[float, Sequence[int], MotionGoals | UnitReport]] = field(
+    _waiting: list[tuple[float, Sequence[int], ToRobots | UnitReport]] = field(
         default_factory=list, init=False
     )
 
@@ -37,12 +40,12 @@ class Network:
 
     def send(
         self,
-        goals: MotionGoals | None,
+        to_robots: Sequence[ToRobots | None],
         report: UnitReport,
         arrival_s: float,
         receivers: Sequence[int] | None = None,
     ) -> None:
-        """Send one unit's goals to its robots and its report to other units, all if `receivers` is None."""
+        """Send what one unit tells robots, and its report to other units, all if `receivers` is None."""
         others = [
             unit for unit in (range(self.units) if receivers is None else receivers) if unit != report.unit_id
         ]
@@ -51,16 +54,17 @@ class Network:
                 self._post(arrival_s, [unit], report)
         else:
             self._waiting.append((arrival_s, others, report))
-        if goals is not None:
-            self._post(arrival_s, [], goals)
+        for message in to_robots:
+            if message is not None:
+                self._post(arrival_s, [], message)
 
-    def deliver(self, time_s: float) -> list[tuple[MotionGoals, BoolArray]]:
-        """Goals that arrive by now, each with (N,) which of its robots heard it; reports are kept."""
+    def deliver(self, time_s: float) -> list[tuple[ToRobots, BoolArray]]:
+        """Messages to robots that arrive by now, each with (N,) who of its ids heard it; reports are kept."""
         arrived = [item for item in self._waiting if item[0] <= time_s + 1e-9]
         self._waiting = [item for item in self._waiting if item[0] > time_s + 1e-9]
-        delivered = []
+        delivered: list[tuple[ToRobots, BoolArray]] = []
         for _, receivers, message in sorted(arrived, key=lambda item: item[0]):
-            if isinstance(message, MotionGoals):
+            if not isinstance(message, UnitReport):
                 delivered.append((message, self._heard(len(message))))
                 continue
             for unit, heard in zip(receivers, self._heard(len(receivers)).tolist(), strict=True):
@@ -73,7 +77,7 @@ class Network:
         """What a unit had heard is gone with it."""
         self.reports[unit].clear()
 
-    def _post(self, arrival_s: float, receivers: Sequence[int], message: MotionGoals | UnitReport) -> None:
+    def _post(self, arrival_s: float, receivers: Sequence[int], message: ToRobots | UnitReport) -> None:
         self._waiting.append((arrival_s + self._delay_s(), receivers, message))
         if self.model.repeats and self.rng.random() < self.model.repeats:
             self._waiting.append((arrival_s + self._delay_s(), receivers, message))

@@ -70,14 +70,24 @@ class Observer:
         self.ids = ids
         self.template_ground = template.points_of(ids).conj()
 
-    def observe(self, positions_m: Array, sets: ControlSets, dead: Sequence[int] = ()) -> Observation:
-        """Judge robots at positions (N, 2) under the topology `sets`, in which dead units have no part."""
+    def observe(
+        self,
+        positions_m: Array,
+        sets: ControlSets,
+        dead: Sequence[int] = (),
+        roles: IntArray | None = None,
+    ) -> Observation:
+        """Judge robots at positions (N, 2) under the topology `sets`, in which dead units have no part.
+
+        `roles` (N,) is the row of the template's point that each robot goes to; its own if None.
+        """
+        template = self.template_ground if roles is None else self.template_ground[roles]
         positions = to_complex(positions_m)
         controlled = control_matrix(sets, self.ids)
         partial = np.full((len(controlled), 3), np.nan)
         for unit, mine in enumerate(controlled):
             try:
-                fit = fit_shape(self.template_ground[mine], positions[mine])
+                fit = fit_shape(template[mine], positions[mine])
             except DegenerateSetError:
                 continue
             partial[unit] = fit.squares_m2 / 2, fit.scale, fit.rotation_rad
@@ -87,6 +97,6 @@ class Observer:
             scales=partial[:, 1],
             rotations_rad=partial[:, 2],
             conditions=check_conditions(np.delete(controlled, list(dead), axis=0)),
-            shape=fit_shape(self.template_ground, positions),
+            shape=fit_shape(template, positions),
             min_separation_m=float(pdist(positions_m).min()),
         )

@@ -3,7 +3,8 @@
 A topic for each vehicle and kind of message, JSON with a schema, so that any MCAP viewer opens it. A run
 that is killed leaves a file that reads up to its last whole chunk.
 
-Topics: `/mission` (first), `/unit/J/detections`, `/unit/J/goals`, `/unit/J/report`, `/unit/J/flight`,
+Topics: `/mission` (first), `/unit/J/detections`, `/unit/J/goals`, `/unit/J/encounters` (where robots
+keep apart), `/unit/J/report`, `/unit/J/flight`,
 `/unit/J/map` (of a unit that rectifies), `/unit/J/truth`, `/unit/J/image` (on request),
 `/robots/command`, `/world`, `/observer` (last of a step), `/end` (of a run that came to its end).
 """
@@ -68,6 +69,7 @@ class Recorder:
         record = to_plain(step.observation) | {
             "control_sets": to_plain(step.control_sets),
             "commanded_ids": to_plain(step.commanded_ids),
+            "roles": to_plain(step.roles),
         }
         self._put("/observer", step.time_s, record, "skyherd.Observation", json_schema(Observation))
         self._file.flush()  # a killed run keeps all chunks that were whole by then
@@ -82,6 +84,8 @@ class Recorder:
         self._put_value(f"{topic}/detections", time_s, sight.detections)
         if decision.goals is not None:
             self._put_value(f"{topic}/goals", time_s, decision.goals)
+        if decision.encounters is not None:
+            self._put_value(f"{topic}/encounters", time_s, decision.encounters)
         self._put_value(f"{topic}/report", time_s, decision.report)
         self._put_value(f"{topic}/flight", time_s, decision.flight)
         if not frame.ground_map.ideal:

@@ -20,10 +20,11 @@ from skyherd.control.topology import Conditions
 from skyherd.datasets import Mission, Scenario
 from skyherd.errors import InputError
 from skyherd.loop import Step, UnitFrame
-from skyherd.messages import Detections, FlightCommand, MotionGoals, UnitReport, VelocityCommand
+from skyherd.messages import Detections, Encounters, FlightCommand, MotionGoals, UnitReport, VelocityCommand
 from skyherd.observer import Observation, ShapeFit
 from skyherd.perception import Sight
 from skyherd.plain import from_plain
+from skyherd.role_messages import RoleMap
 from skyherd.tree_messages import TreeWord
 from skyherd.world import Fleet
 
@@ -158,14 +159,16 @@ def _read_step(time_s: float, records: dict[str, Any]) -> Step:
             conditions=Conditions(**observer["conditions"]),
             shape=ShapeFit(**observer["shape"]),
         ),
+        roles=np.array(observer["roles"], dtype=np.int64),
     )
 
 
 def _read_frame(topic: str, records: dict[str, Any]) -> UnitFrame:
-    truth, goals, image = (
+    truth, goals, image, near = (
         records[f"{topic}/truth"],
         records.get(f"{topic}/goals"),
         records.get(f"{topic}/image"),
+        records.get(f"{topic}/encounters"),
     )
     sight = Sight(
         detections=from_plain(Detections, records[f"{topic}/detections"]),
@@ -178,6 +181,7 @@ def _read_frame(topic: str, records: dict[str, Any]) -> UnitFrame:
         goals=None if goals is None else from_plain(MotionGoals, goals),
         report=_read_report(records[f"{topic}/report"]),
         flight=from_plain(FlightCommand, records[f"{topic}/flight"]),
+        encounters=None if near is None else from_plain(Encounters, near),
     )
     ground_map = records.get(f"{topic}/map")
     if ground_map is None:
@@ -186,8 +190,13 @@ def _read_frame(topic: str, records: dict[str, Any]) -> UnitFrame:
 
 
 def _read_report(record: dict[str, Any]) -> UnitReport:
-    tree = record.get("tree")
-    return from_plain(UnitReport, record, tree=None if tree is None else from_plain(TreeWord, tree))
+    tree, roles = record.get("tree"), record.get("roles")
+    return from_plain(
+        UnitReport,
+        record,
+        tree=None if tree is None else from_plain(TreeWord, tree),
+        roles=None if roles is None else from_plain(RoleMap, roles),
+    )
 
 
 def _decode(data: str) -> Any:

@@ -16,7 +16,7 @@ class RoleMap:
     Attributes:
         version: exchanges made so far; of two maps the one with the higher version holds,
         author_id: and of one version that of the lower unit.
-        roles: (N,) row of each robot's template point, robots in the order of the template's ids: a permutation.
+        roles: (N,) row of each robot's template point, in the order of the template's ids: a permutation.
     """
 
     version: int

@@ -5,7 +5,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, FiniteFloat, model_validator
 
-from skyherd.datasets.fields import Fraction, Model, NotNegative, Point, Positive
+from skyherd.datasets.fields import Coordinate, Fraction, Model, NotNegative, Point, Positive
 from skyherd.datasets.scene_models import CameraModel, GroundModel, OccluderModel, SensorModel
 
 
@@ -33,6 +33,33 @@ class ScatterModel(Model):
     center_m: Point = Field((0.0, 0.0), description="where the shape's centroid is put")
 
 
+class DriveModel(Model):
+    """What the robots' wheels make of a command; each part is off at 0, limits when left out."""
+
+    max_accel_mps2: Positive | None = Field(None, description="limit of the change of v")
+    max_turn_accel_radps2: Positive | None = Field(None, description="limit of the change of omega")
+    wheel_step_mps: NotNegative = Field(0.0, description="wheel speeds are multiples of this")
+    dead_zone_mps: NotNegative = Field(0.0, description="wheel speeds below this are 0")
+    gain_error: Fraction = Field(
+        0.0, description="each wheel is faster or slower by up to this share, drawn once"
+    )
+    track_m: Positive = Field(0.2, description="between the wheels, which the three above are about")
+    slip: Fraction = Field(
+        0.0, description="standard deviation of what v and omega gain or lose on the ground, as a share"
+    )
+    delay_s: NotNegative = Field(
+        0.0, description="from a command to its effect, in whole time steps, rounded up"
+    )
+    axis_offset_m: Coordinate = Field(
+        0.0, description="how far ahead of the wheel axis the body's centre and the marker lie"
+    )
+
+    @property
+    def has_wheels(self) -> bool:
+        """Whether anything happens to single wheels."""
+        return bool(self.wheel_step_mps or self.dead_zone_mps or self.gain_error)
+
+
 class RobotsModel(Model):
     """The ground team: where it starts, or how it is scattered."""
 
@@ -53,6 +80,7 @@ class RobotsModel(Model):
         0.5,
         description="a goal is forgotten after this; keep it above the time between two images",
     )
+    drive: DriveModel = DriveModel()
 
 
 class MarkerModel(Model):

@@ -8,6 +8,8 @@ from pydantic import Field, FiniteFloat, model_validator
 from skyherd.datasets.fields import Coordinate, Fraction, Model, NotNegative, Point, Positive
 from skyherd.datasets.scene_models import CameraModel, GroundModel, OccluderModel, SensorModel
 
+MarkerId = Annotated[int, Field(ge=0, lt=2**31)]
+
 
 class TemplateModel(Model):
     """The shape: exactly one of `points`, `shape` and `image`."""
@@ -47,7 +49,7 @@ class DriveModel(Model):
     slip: Fraction = Field(
         0.0, description="standard deviation of what v and omega gain or lose on the ground, as a share"
     )
-    delay_s: NotNegative = Field(
+    delay_s: Annotated[FiniteFloat, Field(ge=0, le=60)] = Field(
         0.0, description="from a command to its effect, in whole time steps, rounded up"
     )
     axis_offset_m: Coordinate = Field(
@@ -71,14 +73,15 @@ class RobotsModel(Model):
     count: Annotated[int, Field(ge=2, le=10_000)] | None = Field(
         None, description="robots, where nothing else tells"
     )
-    ids: list[Annotated[int, Field(ge=0, lt=2**31)]] | None = Field(
-        None, description="marker ids; 0, 1, … if left out"
-    )
+    ids: list[MarkerId] | None = Field(None, description="marker ids; 0, 1, … if left out")
     max_speed_mps: Positive = Field(1.0, description="limit of |v|")
     max_turn_radps: Positive = Field(3.0, description="limit of |omega|")
     timeout_s: Positive = Field(
         0.5,
         description="a goal is forgotten after this; keep it above the time between two images",
+    )
+    body_radius_sides: NotNegative = Field(
+        0.0, description="of the round body about the marker, in marker sides; robots are points at 0"
     )
     drive: DriveModel = DriveModel()
 
@@ -88,6 +91,15 @@ class MarkerModel(Model):
 
     dictionary: str = Field("4X4_50", description="OpenCV dictionary, without DICT_")
     side_m: Positive = Field(description="side of the black square")
+
+
+class ObstacleModel(Model):
+    """Something round that stands still, with a marker like a robot's at its middle."""
+
+    id: MarkerId = Field(description="its marker, which is no robot's")
+    position_m: Point
+    heading_deg: FiniteFloat = Field(0.0, description="of its marker, counter-clockwise from +x")
+    radius_sides: Positive = Field(1.0, description="of its body, in marker sides")
 
 
 class ControlModel(Model):
@@ -246,6 +258,7 @@ class Scenario(Model):
     sensor: SensorModel = SensorModel()
     ground: GroundModel = GroundModel()
     occluders: list[OccluderModel] = Field(default=[], max_length=1000)
+    obstacles: list[ObstacleModel] = Field(default=[], max_length=1000)
     goal: GoalModel = GoalModel()
 
     @model_validator(mode="after")

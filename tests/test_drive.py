@@ -197,7 +197,7 @@ def test_a_scenario_names_parts_by_single_keys(scenario_tree) -> None:
     tree["robots"]["drive"] = {"slip": 0.1, "delay_s": 0.2, "max_accel_mps2": 0.5, "wheel_step_mps": 0.01}
     assert make_mission(tree).scenario.robots.drive.slip == 0.1
     for key, value in {
-        "slip": 0.9,
+        "slip": 1.0,
         "max_accel_mps2": 0.0,
         "delay_s": -1.0,
         "track_m": 0.0,

@@ -9,7 +9,7 @@ from skyherd.datasets import Mission, Scenario
 from skyherd.datasets.models import AutopilotModel, UnitModel
 from skyherd.datasets.scene_models import CameraModel
 from skyherd.drive import Drive, limit
-from skyherd.geometry import Array, to_complex, to_points, wrap_angle
+from skyherd.geometry import Array, IntArray, to_complex, to_points, wrap_angle
 from skyherd.messages import FlightCommand, VelocityCommand
 from skyherd.render import Camera, CameraPose, Motion
 
@@ -35,12 +35,21 @@ def move_bodies(
     step_s: float,
     axis_offset_m: float,
 ) -> tuple[Array, Array]:
-    """`move_unicycles` for bodies whose centres lie `axis_offset_m` ahead of their wheel axes, which v is of."""
+    """`move_unicycles` for bodies whose centres lie `axis_offset_m` ahead of their axes, which v is of."""
     if not axis_offset_m:
         return move_unicycles(positions_m, headings_rad, v_mps, omega_radps, step_s)
     ahead = axis_offset_m * np.exp(1j * headings_rad)
     axes_m, turned = move_unicycles(positions_m - to_points(ahead), headings_rad, v_mps, omega_radps, step_s)
     return axes_m + to_points(axis_offset_m * np.exp(1j * turned)), turned
+
+
+@dataclass(frozen=True)
+class Markers:
+    """All markers on the ground, M of them, the robots' first: ids (M,), places (M, 2), headings (M,)."""
+
+    ids: IntArray
+    positions_m: Array
+    headings_rad: Array
 
 
 @dataclass(frozen=True)
@@ -87,6 +96,7 @@ class World:
     """
 
     def __init__(self, mission: Mission) -> None:
+        self.mission = mission
         self.scenario: Scenario = mission.scenario
         self.ids = mission.ids
         self.positions_m, self.headings_rad = mission.positions_m.copy(), mission.headings_rad.copy()
@@ -104,6 +114,16 @@ class World:
         self._fleet_before, self._step_s = self.fleet, 1.0
         self._commands = [FlightCommand(unit, np.zeros(2), 0.0, 0.0) for unit in range(len(units))]
 
+    @property
+    def markers(self) -> Markers:
+        """Where all markers are: those of the robots, then those of the obstacles."""
+        mission = self.mission
+        return Markers(
+            np.concatenate([self.ids, mission.obstacle_ids]),
+            np.concatenate([self.positions_m, mission.obstacle_positions_m]),
+            np.concatenate([self.headings_rad, mission.obstacle_headings_rad]),
+        )
+
     def camera_pose(self, unit: int) -> CameraPose:
         """Where one unit's camera is now."""
         fleet = self.fleet
@@ -117,12 +137,13 @@ class World:
         )
 
     def motion(self, unit: int) -> Motion:
-        """Velocities of one unit's camera and of the robots over the last step; zero before the first."""
+        """Velocities of one unit's camera and of all markers over the last step; zero before the first."""
         old, new = self._fleet_before, self.fleet
         x, y = ((new.positions_m[unit] - old.positions_m[unit]) / self._step_s).tolist()
         climb = float(new.heights_m[unit] - old.heights_m[unit]) / self._step_s
         turn = float(wrap_angle(new.yaws_rad[unit] - old.yaws_rad[unit])) / self._step_s
-        return Motion((x, y, climb), turn, *self._rates)
+        still, (mps, radps) = self.mission.obstacle_ids.size, self._rates
+        return Motion((x, y, climb), turn, np.pad(mps, ((0, still), (0, 0))), np.pad(radps, (0, still)))
 
     def in_range(self, unit: int) -> list[int] | None:
         """Units that hear a unit's radio; None for all."""

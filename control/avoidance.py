@@ -32,7 +32,9 @@ class AvoidanceRule:
         prompt_s: age of news that come as they should: latency and the time between two images.
         step_s: how long a command lasts.
         lag_s: how late the wheels may obey: command delay, and top speed over acceleration.
-        overshoot: share by which the wheels may be faster than commanded.
+        overshoot: share by which the wheels may be faster than commanded,
+        creep_mps: and by how much besides.
+        turn_error_radps: how far its rate of turn may be off.
         axis_offset_m: the body's centre is so far ahead of the wheel axis.
         lifetime_s: news older than this are forgotten.
         steers: whether it looks for a way around; else it only stops.
@@ -45,6 +47,8 @@ class AvoidanceRule:
     step_s: float
     lag_s: float = 0.0
     overshoot: float = 0.0
+    creep_mps: float = 0.0
+    turn_error_radps: float = 0.0
     axis_offset_m: float = 0.0
     lifetime_s: float = 2.0
     steers: bool = True
@@ -82,14 +86,15 @@ def closing_bounds(around: Surroundings, rule: AvoidanceRule, time_s: float) -> 
     age_s = np.maximum(time_s - around.imaged_s[pair], 0.0)
     distances, reaches = around.distances_sides[pair], around.reaches_sides[pair]
     gaps_m = np.maximum(distances - reaches, 0.0) * rule.side_m
-    gamma = rule.gamma_ps
-    decay = np.exp(-gamma * (age_s + rule.step_s + rule.lag_s))
+    gamma, held_s = rule.gamma_ps, age_s + rule.step_s + rule.lag_s
+    allowed = around.shares[pair] * gamma * gaps_m * np.exp(-gamma * held_s)
     late_s = np.maximum(age_s - rule.prompt_s, 0.0)
     return Bounds(
         rows=pair[0],
         bearings_rad=around.bearings_rad(pair),
-        speeds_mps=around.shares[pair] * gamma * gaps_m * decay / (1 + rule.overshoot),
-        slack_rad=2 * rule.max_speed_mps * late_s / np.maximum(distances * rule.side_m, 1e-9),
+        speeds_mps=np.maximum(allowed - rule.creep_mps, 0.0) / (1 + rule.overshoot),
+        slack_rad=rule.turn_error_radps * held_s
+        + 2 * rule.max_speed_mps * late_s / np.maximum(distances * rule.side_m, 1e-9),
     )
 
 

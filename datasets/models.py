@@ -6,8 +6,10 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, FiniteFloat, model_validator
 
 from skyherd.datasets.body_models import AvoidanceModel, RolesModel, SizeModel
-from skyherd.datasets.fields import Fraction, Model, NotNegative, Point, Positive
+from skyherd.datasets.fields import Coordinate, Fraction, Model, NotNegative, Point, Positive
 from skyherd.datasets.scene_models import CameraModel, GroundModel, OccluderModel, SensorModel
+
+MarkerId = Annotated[int, Field(ge=0, lt=2**31)]
 
 
 class TemplateModel(Model):
@@ -34,6 +36,33 @@ class ScatterModel(Model):
     center_m: Point = Field((0.0, 0.0), description="where the shape's centroid is put")
 
 
+class DriveModel(Model):
+    """What the robots' wheels make of a command; each part is off at 0, limits when left out."""
+
+    max_accel_mps2: Positive | None = Field(None, description="limit of the change of v")
+    max_turn_accel_radps2: Positive | None = Field(None, description="limit of the change of omega")
+    wheel_step_mps: NotNegative = Field(0.0, description="wheel speeds are multiples of this")
+    dead_zone_mps: NotNegative = Field(0.0, description="wheel speeds below this are 0")
+    gain_error: Fraction = Field(
+        0.0, description="each wheel is faster or slower by up to this share, drawn once"
+    )
+    track_m: Positive = Field(0.2, description="between the wheels, which the three above are about")
+    slip: Fraction = Field(
+        0.0, description="standard deviation of what v and omega gain or lose on the ground, as a share"
+    )
+    delay_s: Annotated[FiniteFloat, Field(ge=0, le=60)] = Field(
+        0.0, description="from a command to its effect, in whole time steps, rounded up"
+    )
+    axis_offset_m: Coordinate = Field(
+        0.0, description="how far ahead of the wheel axis the body's centre and the marker lie"
+    )
+
+    @property
+    def has_wheels(self) -> bool:
+        """Whether anything happens to single wheels."""
+        return bool(self.wheel_step_mps or self.dead_zone_mps or self.gain_error)
+
+
 class RobotsModel(Model):
     """The ground team: where it starts, or how it is scattered."""
 
@@ -45,18 +74,17 @@ class RobotsModel(Model):
     count: Annotated[int, Field(ge=2, le=10_000)] | None = Field(
         None, description="robots, where nothing else tells"
     )
-    ids: list[Annotated[int, Field(ge=0, lt=2**31)]] | None = Field(
-        None, description="marker ids; 0, 1, … if left out"
-    )
+    ids: list[MarkerId] | None = Field(None, description="marker ids; 0, 1, … if left out")
     max_speed_mps: Positive = Field(1.0, description="limit of |v|")
     max_turn_radps: Positive = Field(3.0, description="limit of |omega|")
-    body_radius_sides: NotNegative = Field(
-        0.0, description="radius of the round body about the marker's centre, in marker sides; 0 for points"
-    )
     timeout_s: Positive = Field(
         0.5,
         description="a goal is forgotten after this; keep it above the time between two images",
     )
+    body_radius_sides: NotNegative = Field(
+        0.0, description="of the round body about the marker, in marker sides; robots are points at 0"
+    )
+    drive: DriveModel = DriveModel()
 
 
 class MarkerModel(Model):
@@ -64,6 +92,15 @@ class MarkerModel(Model):
 
     dictionary: str = Field("4X4_50", description="OpenCV dictionary, without DICT_")
     side_m: Positive = Field(description="side of the black square")
+
+
+class ObstacleModel(Model):
+    """Something round that stands still, with a marker like a robot's at its middle."""
+
+    id: MarkerId = Field(description="its marker, which is no robot's")
+    position_m: Point
+    heading_deg: FiniteFloat = Field(0.0, description="of its marker, counter-clockwise from +x")
+    radius_sides: Positive = Field(1.0, description="of its body, in marker sides")
 
 
 class ControlModel(Model):
@@ -225,6 +262,7 @@ class Scenario(Model):
     sensor: SensorModel = SensorModel()
     ground: GroundModel = GroundModel()
     occluders: list[OccluderModel] = Field(default=[], max_length=1000)
+    obstacles: list[ObstacleModel] = Field(default=[], max_length=1000)
     goal: GoalModel = GoalModel()
 
     @model_validator(mode="after")

@@ -3,15 +3,19 @@
 import tomllib
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from pydantic import ValidationError
 
+from skyherd.bodies import Bodies
 from skyherd.control import Template
-from skyherd.datasets.models import RobotsModel, ScatterModel, Scenario, TemplateModel
+from skyherd.datasets.models import RobotsModel, Scenario, TemplateModel
+from skyherd.datasets.obstacles import check_obstacles, in_order, make_bodies
 from skyherd.datasets.shapes import shape_points
+from skyherd.datasets.start import coincident, start_headings, start_positions
 from skyherd.datasets.template_image import read_template_image
 from skyherd.datasets.toml_files import (
     built_in_names,
@@ -28,7 +32,6 @@ from skyherd.markers import dictionary_size
 from skyherd.vision import detector_names
 
 BUILT_IN = "skyherd.datasets.scenarios"
-SCATTER_TRIES = 2000
 
 
 def scenario_names() -> list[str]:
@@ -60,6 +63,31 @@ class Mission:
     positions_m: Array
     headings_rad: Array
     ground_image: Grey | None = None
+
+    @cached_property
+    def bodies(self) -> Bodies:
+        """The room that robots and obstacles take."""
+        return make_bodies(self.scenario)
+
+    @cached_property
+    def obstacle_ids(self) -> IntArray:
+        """(K,) markers of the obstacles, ascending."""
+        return np.array([obstacle.id for obstacle in in_order(self.scenario)], dtype=np.int64)
+
+    @cached_property
+    def obstacle_headings_rad(self) -> Array:
+        """(K,) of the obstacles' markers."""
+        return np.radians([obstacle.heading_deg for obstacle in in_order(self.scenario)])
+
+    @property
+    def obstacle_positions_m(self) -> Array:
+        """(K, 2)."""
+        return self.bodies.obstacles_m
+
+    @property
+    def obstacle_radii_m(self) -> Array:
+        """(K,) of the obstacles' bodies."""
+        return self.bodies.obstacle_radii_m
 
 
 @dataclass(frozen=True)
@@ -141,8 +169,9 @@ def _complete(scenario: Scenario, folder: Path) -> Mission:
             f"ids from 0 to {limit - 1}, or a larger marker.dictionary",
         )
     _check_template(ids, template)
-    positions = _positions(scenario.robots, ids, template, rng)
-    headings = _headings(scenario.robots, ids.size, rng)
+    check_obstacles(scenario.obstacles, ids, limit, scenario.marker)
+    positions = start_positions(scenario, ids, template, rng)
+    headings = start_headings(scenario.robots, ids.size, rng)
     order = np.argsort(ids)
     picture = scenario.ground.image
     ground_image = None if picture is None else read_grey(folder / picture)
@@ -202,57 +231,8 @@ def _check_template(ids: IntArray, template: Template) -> None:
         )
         raise InputError("template", what, "one point for each robot")
     points = np.column_stack([template.points_px.real, template.points_px.imag])
-    if (pair := _coincident(points, 1e-9 * float(np.ptp(points)))) is not None:
+    if (pair := coincident(points, 1e-9 * float(np.ptp(points)))) is not None:
         first, second = template.ids[pair[0]], template.ids[pair[1]]
         raise InputError(
             "template", f"robots {first} and {second} have one point", "each robot its own place"
         )
-
-
-def _coincident(points: Array, distance: float) -> tuple[int, int] | None:
-    """Indices of two points (N, 2) within a distance of each other, or None."""
-    distances = np.linalg.norm(points[:, None] - points[None], axis=2)
-    first, second = np.nonzero(np.triu(distances <= distance, 1))
-    return (int(first[0]), int(second[0])) if first.size else None
-
-
-def _positions(robots: RobotsModel, ids: IntArray, template: Template, rng: np.random.Generator) -> Array:
-    if (robots.positions_m is None) == (robots.scatter is None):
-        raise InputError("robots", "needs a start", "exactly one of positions_m and scatter")
-    if robots.scatter is not None:
-        return _scatter(robots.scatter, template.points_of(ids).conj(), rng)
-    positions = np.array(robots.positions_m, dtype=float)
-    if (pair := _coincident(positions, 1e-9)) is not None:
-        raise InputError(
-            "robots.positions_m",
-            f"robots {ids[pair[0]]} and {ids[pair[1]]} are on one spot, {positions[pair[0]].tolist()}",
-            "each robot its own place",
-        )
-    return positions
-
-
-def _scatter(model: ScatterModel, points: np.ndarray, rng: np.random.Generator) -> Array:
-    turned = (points - points.mean()) * model.scale_m * np.exp(1j * np.radians(model.rotation_deg))
-    home = np.column_stack([turned.real, turned.imag]) + model.center_m
-    placed = np.zeros((0, 2))
-    for place in home:
-        for _ in range(SCATTER_TRIES):
-            at = place + rng.uniform(-model.jitter_m, model.jitter_m, size=2)
-            if not (np.linalg.norm(placed - at, axis=1) < model.spacing_m).any():
-                break
-        else:
-            raise InputError(
-                "robots.scatter", f"no room for {len(home)} robots", "a smaller spacing_m or a larger scale_m"
-            )
-        placed = np.vstack([placed, at])
-    return placed
-
-
-def _headings(robots: RobotsModel, count: int, rng: np.random.Generator) -> Array:
-    if robots.headings_deg is None:
-        return rng.uniform(-np.pi, np.pi, size=count)
-    if len(robots.headings_deg) != count:
-        raise InputError(
-            "robots.headings_deg", f"{len(robots.headings_deg)} headings for {count} robots", "one for each"
-        )
-    return np.radians(robots.headings_deg)

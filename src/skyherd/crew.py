@@ -38,6 +38,8 @@ from skyherd.geometry import to_points
 from skyherd.messages import Detections, UnitReport
 
 REPORT_LIFETIME_S = 2.0
+SLIPS = 3.0
+"""Standard deviations of slip that robots reckon with."""
 REPORTS_MISSED = 5
 """A unit counts as silent after this long, and not before this many of its images."""
 
@@ -144,8 +146,9 @@ def make_bodies(mission: Mission) -> BodyRule | None:
     model = mission.scenario.avoidance
     if not model.on:
         return None
+    obstacles = {obstacle.id: obstacle.radius_sides for obstacle in mission.scenario.obstacles}
     radius = mission.scenario.robots.body_radius_sides
-    return BodyRule(radius, model.margin_sides, model.horizon_sides)
+    return BodyRule(radius, model.margin_sides, model.horizon_sides, obstacles)
 
 
 def make_team(mission: Mission) -> Team:
@@ -155,14 +158,29 @@ def make_team(mission: Mission) -> Team:
     inboxes = Inboxes(mission.ids, units, scenario.robots.timeout_s, distances=gains.needs_distances)
     if not scenario.avoidance.on:
         return Team(inboxes, gains)
-    robots, lifetime_s = scenario.robots, scenario.avoidance.lifetime_s
-    rule = AvoidanceRule(
+    bodies = np.union1d(mission.ids, mission.obstacle_ids)
+    around = Surroundings(mission.ids, bodies, scenario.avoidance.lifetime_s)
+    return Team(inboxes, gains, around, make_avoidance(scenario))
+
+
+def make_avoidance(scenario: Scenario) -> AvoidanceRule:
+    """What robots know of their own wheels, and of how fresh their news are."""
+    robots, drive, step_s = scenario.robots, scenario.robots.drive, scenario.step_s
+    brakes_s = robots.max_speed_mps / drive.max_accel_mps2 if drive.max_accel_mps2 else 0.0
+    wheels_mps = drive.wheel_step_mps / 2 + drive.dead_zone_mps
+    share = drive.gain_error + SLIPS * drive.slip
+    turns_radps = 2 * (wheels_mps + drive.gain_error * robots.max_speed_mps) / drive.track_m
+    return AvoidanceRule(
         side_m=scenario.marker.side_m,
         max_speed_mps=robots.max_speed_mps,
         max_turn_radps=robots.max_turn_radps,
         prompt_s=max(unit.latency_s + 1 / unit.frame_rate_hz for unit in scenario.units),
-        step_s=scenario.step_s,
-        lifetime_s=lifetime_s,
+        step_s=step_s,
+        lag_s=np.ceil(drive.delay_s / step_s - 1e-9) * step_s + brakes_s,
+        overshoot=share,
+        creep_mps=wheels_mps,
+        turn_error_radps=turns_radps + SLIPS * drive.slip * robots.max_turn_radps,
+        axis_offset_m=drive.axis_offset_m,
+        lifetime_s=scenario.avoidance.lifetime_s,
         steers=scenario.avoidance.steer,
     )
-    return Team(inboxes, gains, Surroundings(mission.ids, mission.ids, lifetime_s), rule)

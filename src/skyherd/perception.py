@@ -34,9 +34,9 @@ class Sight:
 
     Attributes:
         detections: for the controller.
-        whole_ids: robots whose whole marker card is in the image.
+        whole_ids: robots and obstacles whose whole marker card is in the image.
         found_ids: those of them that were detected.
-        false_detections: detections that are of no robot, or farther than half a side from theirs.
+        false_detections: detections of neither robot nor obstacle, or farther than half a side from theirs.
         image: the picture, if one was made.
     """
 
@@ -67,13 +67,15 @@ def make_perception(mission: Mission, rng: np.random.Generator) -> Perception:
 
 
 def _project(world: World, unit: int, side_m: float, dictionary: str) -> FrameTruth:
+    markers = world.markers
     return project_markers(
         world.cameras[unit],
         world.camera_pose(unit),
-        world.positions_m,
-        world.headings_rad,
+        markers.positions_m,
+        markers.headings_rad,
         side_m,
         side_m * card_side(dictionary),
+        ids=markers.ids,
     )
 
 
@@ -118,15 +120,16 @@ class Rendered:
     def look(self, world: World, unit: int, time_s: float) -> Sight:
         """Render the unit's image and detect the markers in it."""
         camera, pose = world.cameras[unit], world.camera_pose(unit)
-        team = world.ids, world.positions_m, world.headings_rad
+        markers = world.markers
+        team = markers.ids, markers.positions_m, markers.headings_rad
         motion = world.motion(unit) if self._moves else Motion()
         image = self.renderer.render(camera, pose, *team, motion=motion, occluders=self._occluders)
         truth = self.renderer.truth(camera, pose, *team, motion=motion, occluders=self._occluders)
         detections = self.detector.detect(image, time_s=time_s, unit_id=unit)
-        whole_ids = world.ids[truth.whole]
+        whole_ids = truth.ids[truth.whole]
         if unit in self._unproven:
             self._prove_unmirrored(unit, image, len(detections))
-        right = _right(detections, world.ids, truth)
+        right = _right(detections, truth)
         found_ids = np.intersect1d(whole_ids, detections.ids[right])
         return Sight(detections, whole_ids, found_ids, int((~right).sum()), image)
 
@@ -138,15 +141,17 @@ class Rendered:
             self._unproven.discard(unit)
 
 
-def _right(detections: Detections, ids: IntArray, truth: FrameTruth) -> BoolArray:
-    """Which detections (N,) are of a robot of the team and within half a side of it."""
-    row = np.searchsorted(ids, detections.ids).clip(max=ids.size - 1)
+def _right(detections: Detections, truth: FrameTruth) -> BoolArray:
+    """Which detections (N,) are of a marker that is there, and within half a side of it."""
+    order = np.argsort(truth.ids)
+    place = np.searchsorted(truth.ids, detections.ids, sorter=order).clip(max=truth.ids.size - 1)
+    row = order[place]
     error = np.linalg.norm(truth.centers_px[row] - detections.centers_px, axis=1)
-    return np.asarray((ids[row] == detections.ids) & (error <= detections.sides_px / 2))
+    return np.asarray((truth.ids[row] == detections.ids) & (error <= detections.sides_px / 2))
 
 
 class Projected:
-    """Exact projection of every robot whose card is whole in view, with measured noise if asked.
+    """Exact projection of every marker whose card is whole in view, with measured noise if asked.
 
     Args:
         side_m: side of the markers.
@@ -167,9 +172,9 @@ class Projected:
         self.rng = rng or np.random.default_rng(0)
 
     def look(self, world: World, unit: int, time_s: float) -> Sight:
-        """Project the robots into the unit's image."""
+        """Project the markers into the unit's image."""
         truth = _project(world, unit, self.side_m, self.dictionary)
-        ids = world.ids[truth.whole]
+        ids = truth.ids[truth.whole]
         centers, corners = truth.centers_px[truth.whole], truth.corners_px[truth.whole]
         headings, sides = _headings_and_sides(centers, corners)
         covariances = np.zeros((ids.size, 3, 3))

@@ -76,7 +76,7 @@ GROUPS: Mapping[str, tuple[Field, ...]] = {
             "detection_recall",
             "Markers detected",
             "",
-            "Share of the markers that were whole in an image.",
+            "Share of the markers, of robots and obstacles alike, that were whole in an image.",
             "share",
         ),
         Field("false_detections", "False detections", "", "Markers reported where there was none."),

@@ -8,7 +8,8 @@ import numpy as np
 from skyherd.datasets import Mission, Scenario
 from skyherd.datasets.models import AutopilotModel, UnitModel
 from skyherd.datasets.scene_models import CameraModel
-from skyherd.geometry import Array, to_complex, to_points, wrap_angle
+from skyherd.drive import Drive, limit
+from skyherd.geometry import Array, IntArray, to_complex, to_points, wrap_angle
 from skyherd.messages import FlightCommand, VelocityCommand
 from skyherd.render import Camera, CameraPose, Motion
 
@@ -24,6 +25,31 @@ def move_unicycles(
     turn = omega_radps * step_s
     chord = v_mps * step_s * np.sinc(turn / (2 * np.pi)) * np.exp(1j * (headings_rad + turn / 2))
     return positions_m + to_points(chord), wrap_angle(headings_rad + turn)
+
+
+def move_bodies(
+    positions_m: Array,
+    headings_rad: Array,
+    v_mps: Array,
+    omega_radps: Array,
+    step_s: float,
+    axis_offset_m: float,
+) -> tuple[Array, Array]:
+    """`move_unicycles` for bodies whose centres lie `axis_offset_m` ahead of their axes, which v is of."""
+    if not axis_offset_m:
+        return move_unicycles(positions_m, headings_rad, v_mps, omega_radps, step_s)
+    ahead = axis_offset_m * np.exp(1j * headings_rad)
+    axes_m, turned = move_unicycles(positions_m - to_points(ahead), headings_rad, v_mps, omega_radps, step_s)
+    return axes_m + to_points(axis_offset_m * np.exp(1j * turned)), turned
+
+
+@dataclass(frozen=True)
+class Markers:
+    """All markers on the ground, M of them, the robots' first: ids (M,), places (M, 2), headings (M,)."""
+
+    ids: IntArray
+    positions_m: Array
+    headings_rad: Array
 
 
 @dataclass(frozen=True)
@@ -70,6 +96,7 @@ class World:
     """
 
     def __init__(self, mission: Mission) -> None:
+        self.mission = mission
         self.scenario: Scenario = mission.scenario
         self.ids = mission.ids
         self.positions_m, self.headings_rad = mission.positions_m.copy(), mission.headings_rad.copy()
@@ -81,9 +108,21 @@ class World:
             yaws_rad=np.radians([unit.yaw_deg for unit in units]),
             zooms=self._limited(np.ones(len(units)), 0.0),
         )
+        robots = self.scenario.robots
+        self._drive = Drive(robots.drive, self.ids.size, self.scenario.step_s, self.scenario.seed)
         self._rates = (np.zeros_like(self.positions_m), np.zeros_like(self.headings_rad))
         self._fleet_before, self._step_s = self.fleet, 1.0
         self._commands = [FlightCommand(unit, np.zeros(2), 0.0, 0.0) for unit in range(len(units))]
+
+    @property
+    def markers(self) -> Markers:
+        """Where all markers are: those of the robots, then those of the obstacles."""
+        mission = self.mission
+        return Markers(
+            np.concatenate([self.ids, mission.obstacle_ids]),
+            np.concatenate([self.positions_m, mission.obstacle_positions_m]),
+            np.concatenate([self.headings_rad, mission.obstacle_headings_rad]),
+        )
 
     def camera_pose(self, unit: int) -> CameraPose:
         """Where one unit's camera is now."""
@@ -98,12 +137,13 @@ class World:
         )
 
     def motion(self, unit: int) -> Motion:
-        """Velocities of one unit's camera and of the robots over the last step; zero before the first."""
+        """Velocities of one unit's camera and of all markers over the last step; zero before the first."""
         old, new = self._fleet_before, self.fleet
         x, y = ((new.positions_m[unit] - old.positions_m[unit]) / self._step_s).tolist()
         climb = float(new.heights_m[unit] - old.heights_m[unit]) / self._step_s
         turn = float(wrap_angle(new.yaws_rad[unit] - old.yaws_rad[unit])) / self._step_s
-        return Motion((x, y, climb), turn, *self._rates)
+        still, (mps, radps) = self.mission.obstacle_ids.size, self._rates
+        return Motion((x, y, climb), turn, np.pad(mps, ((0, still), (0, 0))), np.pad(radps, (0, still)))
 
     def in_range(self, unit: int) -> list[int] | None:
         """Units that hear a unit's radio; None for all."""
@@ -118,21 +158,19 @@ class World:
         self._commands[command.unit_id] = command
 
     def limit(self, command: VelocityCommand) -> VelocityCommand:
-        """What the wheels make of a command: v and omega within their limits."""
-        robots = self.scenario.robots
-        return VelocityCommand(
-            command.ids,
-            np.clip(command.v_mps, -robots.max_speed_mps, robots.max_speed_mps),
-            np.clip(command.omega_radps, -robots.max_turn_radps, robots.max_turn_radps),
-        )
+        """A command as the robots take it: v and omega within their limits."""
+        return limit(command, self.scenario.robots)
 
     def advance(self, command: VelocityCommand, time_s: float, step_s: float) -> None:
-        """Move all from `time_s` to `time_s + step_s`; `command` is for all robots, in order."""
-        self.positions_m, self.headings_rad = move_unicycles(
-            self.positions_m, self.headings_rad, command.v_mps, command.omega_radps, step_s
+        """Move all from `time_s` to `time_s + step_s`; `command` is for all robots, in order, and limited."""
+        offset_m = self.scenario.robots.drive.axis_offset_m
+        v_mps, omega_radps = self._drive.step(command)
+        self.positions_m, self.headings_rad = move_bodies(
+            self.positions_m, self.headings_rad, v_mps, omega_radps, step_s, offset_m
         )
         forward = np.column_stack([np.cos(self.headings_rad), np.sin(self.headings_rad)])
-        self._rates = command.v_mps[:, None] * forward, command.omega_radps
+        left = np.column_stack([-forward[:, 1], forward[:, 0]])
+        self._rates = v_mps[:, None] * forward + offset_m * omega_radps[:, None] * left, omega_radps
         self._fleet_before, self._step_s = self.fleet, step_s
         fleet = _fly(self.fleet, self._commands, self.scenario.autopilot, step_s)
         zooms = self._limited(fleet.zooms / self._scripted(time_s), time_s + step_s)

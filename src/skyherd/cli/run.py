@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 import typer
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
@@ -63,6 +64,7 @@ class Watcher(Progress):
             transient=True,
         )
         self._started: set[int] = set()
+        self._robots = mission.ids
         for unit, model in enumerate(mission.scenario.units):
             if mission.scenario.robots.timeout_s * model.frame_rate_hz < 1:
                 warn(f"unit {unit} takes an image less often than robots.timeout_s: its robots stop and go")
@@ -72,7 +74,7 @@ class Watcher(Progress):
     def step(self, step: Step) -> None:
         """Show one step."""
         for unit, frame in step.frames.items():
-            if unit not in self._started and not frame.sight.whole_ids.size:
+            if unit not in self._started and not np.isin(frame.sight.whole_ids, self._robots).any():
                 warn(f"unit {unit} sees no robot at the start")
             self._started.add(unit)
         seen = sum(frame.sight.found_ids.size for frame in step.frames.values())

@@ -8,7 +8,7 @@ from skyherd.control.fusion import Inboxes
 from skyherd.control.goals import motion_goals
 from skyherd.control.ground_map import GroundMap
 from skyherd.control.rectifier import Rectifier, rectified
-from skyherd.control.robot_law import MarkerGains, PixelGains, robot_commands
+from skyherd.control.robot_law import MarkerGains, PixelGains, Wheels, robot_commands
 from skyherd.control.roles import RoleRule, newest_roles
 from skyherd.control.roster import Roster
 from skyherd.control.selection import ControlSet, SafetyRadius
@@ -48,6 +48,7 @@ __all__ = [
     "Team",
     "Template",
     "TreeRule",
+    "Wheels",
     "desired_points",
     "fit_similarity",
     "motion_goals",

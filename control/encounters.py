@@ -44,6 +44,7 @@ def encounters(detections: Detections, team_ids: IntArray, rule: BodyRule) -> En
     return Encounters(
         unit_id=bodies.unit_id,
         time_s=bodies.time_s,
+        horizon_sides=rule.horizon_sides,
         ids=bodies.ids,
         robot_ids=bodies.ids[robot],
         other_ids=bodies.ids[other],

@@ -85,6 +85,25 @@ class MarkerGains:
         return self.k * self.side_m * rho
 
 
+@dataclass(frozen=True)
+class Wheels:
+    """What a robot can do.
+
+    Attributes:
+        max_speed_mps: limit of |v|.
+        max_turn_radps: limit of |omega|.
+        axis_offset_m: its marker's centre is so far ahead of the wheel axis.
+    """
+
+    max_speed_mps: float
+    max_turn_radps: float
+    axis_offset_m: float = 0.0
+
+
+UNLIMITED = Wheels(np.inf, np.inf)
+"""The paper's point robots."""
+
+
 def _above(rho: ComplexArray, threshold: float) -> ComplexArray:
     return np.where(np.abs(rho) >= threshold, rho, 0)
 
@@ -105,7 +124,33 @@ def unicycle_law(rho: ComplexArray, gains: Gains) -> tuple[Array, Array]:
     return v_mps, gains.k_omega * wrap_angle(np.where(rho.real <= 0, 0.0, np.pi) - alpha)
 
 
-def robot_commands(inboxes: Inboxes, gains: Gains, time_s: float) -> VelocityCommand:
+def offset_law(rho: ComplexArray, gains: Gains, wheels: Wheels) -> tuple[Array, Array]:
+    """Speeds of robots whose markers lie ahead of the wheel axis, by l: then a centre can move any way.
+
+        v = k rho_forward,   omega = k rho_left / l,
+
+    so that the centre moves straight to the goal; slower, but no other way, where a limit would be passed.
+    """
+    v_mps, omega_radps = gains.speed_mps(rho.real), gains.speed_mps(rho.imag) / wheels.axis_offset_m
+    excess = np.maximum(np.abs(v_mps) / wheels.max_speed_mps, np.abs(omega_radps) / wheels.max_turn_radps)
+    slower = np.maximum(excess, 1.0)
+    return v_mps / slower, omega_radps / slower
+
+
+def wheel_law(rho: ComplexArray, gains: Gains, wheels: Wheels) -> tuple[Array, Array]:
+    """Speeds v (N,), m/s, and omega (N,), rad/s, within the limits, for vectors in the robots' frames."""
+    if wheels.axis_offset_m:
+        return offset_law(rho, gains, wheels)
+    v_mps, omega_radps = unicycle_law(rho, gains)
+    return (
+        np.clip(v_mps, -wheels.max_speed_mps, wheels.max_speed_mps),
+        np.clip(omega_radps, -wheels.max_turn_radps, wheels.max_turn_radps),
+    )
+
+
+def robot_commands(
+    inboxes: Inboxes, gains: Gains, time_s: float, wheels: Wheels = UNLIMITED
+) -> VelocityCommand:
     """What all robots do now, each from its own inbox; one that hears nothing, or is there, holds still."""
-    v_mps, omega_radps = unicycle_law(gains.follow(inboxes, time_s), gains)
+    v_mps, omega_radps = wheel_law(gains.follow(inboxes, time_s), gains, wheels)
     return VelocityCommand(inboxes.ids, v_mps, omega_radps)

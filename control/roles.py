@@ -3,10 +3,11 @@
 The map from robots to points is one value with a version, and every report carries it whole. A unit follows
 the newest map that it has heard of; so no unit ever gives one point to two robots, a lost message costs
 time and nothing else, and a unit that dies takes nothing with it. Only the unit whose slot of the common
-clock it is may make a newer map, and only if all units that it hears have named the map that it starts
-from: at most two maps are about at a time, and for no longer than the newer one takes to be heard. An
-exchange must leave less to do by a share of what there is; what is left falls by the robots' own motion as
-well, so that exchanges come to an end.
+clock it is, among those that it hears, may make a newer map, and only if all of them have named the map that
+it starts from. Until a newer map is heard two units may give one point to two robots: for one message's
+delay, and with a share p of messages lost for longer than n messages with probability p^n. An exchange must
+leave less to do by a share of what there is; what is left falls by the robots' own motion as well, so that
+exchanges come to an end.
 """
 
 from collections.abc import Sequence

@@ -22,6 +22,8 @@ class Surroundings:
         shares: (N, M) part of the gap that is the robot's.
         directions_rad: (N, M) in the frame of each robot at the start.
         imaged_s: (N, M) time of the image; -inf where nothing is known, or they are far apart.
+        horizon_sides: (N,) what the robot was not told of was farther away than this,
+        seen_s: (N,) when it was last seen by a unit that it heard; -inf if never.
     """
 
     def __init__(self, ids: IntArray, other_ids: IntArray, lifetime_s: float) -> None:
@@ -32,6 +34,8 @@ class Surroundings:
         self.shares: Array = np.ones(shape)
         self.directions_rad: Array = np.zeros(shape)
         self.imaged_s: Array = np.full(shape, -np.inf)
+        self.horizon_sides: Array = np.zeros(ids.size)
+        self.seen_s: Array = np.full(ids.size, -np.inf)
         self._turned_rad: Array = np.zeros(ids.size)
         self._turns: deque[tuple[float, Array]] = deque()
 
@@ -39,6 +43,8 @@ class Surroundings:
         """Take in what a unit tells; `received` (N,) says which of those addressed heard it, all if None."""
         heard = np.ones(len(message), dtype=bool) if received is None else received
         rows = np.searchsorted(self.ids, np.intersect1d(message.ids[heard], self.ids))
+        now = rows[self.seen_s[rows] <= message.time_s]
+        self.seen_s[now], self.horizon_sides[now] = message.time_s, message.horizon_sides
         columns = np.searchsorted(self.other_ids, np.intersect1d(message.ids, self.other_ids))
         block = np.ix_(rows, columns)
         self.imaged_s[block] = np.where(self.imaged_s[block] <= message.time_s, -np.inf, self.imaged_s[block])

@@ -6,7 +6,7 @@ import numpy as np
 
 from skyherd.control.avoidance import AvoidanceRule, avoiding_law
 from skyherd.control.fusion import Inboxes
-from skyherd.control.robot_law import Gains, robot_commands
+from skyherd.control.robot_law import Gains, Wheels, robot_commands
 from skyherd.control.surroundings import Surroundings
 from skyherd.geometry import BoolArray, IntArray
 from skyherd.messages import Encounters, MotionGoals, VelocityCommand
@@ -19,12 +19,14 @@ class Team:
     Attributes:
         inboxes: goals heard from units.
         gains: of the robots' law.
+        wheels: what the robots can do.
         around: bodies heard of; None where robots are points.
         rule: how robots keep apart; None where they do not.
     """
 
     inboxes: Inboxes
     gains: Gains
+    wheels: Wheels
     around: Surroundings | None = None
     rule: AvoidanceRule | None = None
 
@@ -38,7 +40,7 @@ class Team:
     def command(self, time_s: float) -> VelocityCommand:
         """What all robots do from now on until the next command."""
         if self.around is None or self.rule is None:
-            return robot_commands(self.inboxes, self.gains, time_s)
+            return robot_commands(self.inboxes, self.gains, time_s, self.wheels)
         rho = self.gains.follow(self.inboxes, time_s)
         v_mps, omega_radps = avoiding_law(rho, self.gains, self.around, self.rule, time_s)
         self.around.turn(omega_radps, time_s, self.rule.step_s)

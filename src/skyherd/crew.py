@@ -29,6 +29,7 @@ from skyherd.control import (
     Team,
     Template,
     TreeRule,
+    Wheels,
 )
 from skyherd.control.flight import Flight
 from skyherd.control.robot_law import Gains
@@ -157,30 +158,35 @@ def make_team(mission: Mission) -> Team:
     units = np.arange(len(scenario.units))
     inboxes = Inboxes(mission.ids, units, scenario.robots.timeout_s, distances=gains.needs_distances)
     if not scenario.avoidance.on:
-        return Team(inboxes, gains)
+        return Team(inboxes, gains, make_wheels(scenario))
     bodies = np.union1d(mission.ids, mission.obstacle_ids)
     around = Surroundings(mission.ids, bodies, scenario.avoidance.lifetime_s)
-    return Team(inboxes, gains, around, make_avoidance(scenario))
+    return Team(inboxes, gains, make_wheels(scenario), around, make_avoidance(scenario))
+
+
+def make_wheels(scenario: Scenario) -> Wheels:
+    """What a robot knows of its own wheels."""
+    robots = scenario.robots
+    return Wheels(robots.max_speed_mps, robots.max_turn_radps, robots.drive.axis_offset_m)
 
 
 def make_avoidance(scenario: Scenario) -> AvoidanceRule:
     """What robots know of their own wheels, and of how fresh their news are."""
     robots, drive, step_s = scenario.robots, scenario.robots.drive, scenario.step_s
     brakes_s = robots.max_speed_mps / drive.max_accel_mps2 if drive.max_accel_mps2 else 0.0
-    wheels_mps = drive.wheel_step_mps / 2 + drive.dead_zone_mps
+    news_s = [unit.latency_s + 1 / unit.frame_rate_hz for unit in scenario.units]
     share = drive.gain_error + SLIPS * drive.slip
-    turns_radps = 2 * (wheels_mps + drive.gain_error * robots.max_speed_mps) / drive.track_m
+    wheel_mps = drive.wheel_step_mps / 2 + drive.dead_zone_mps + drive.gain_error * robots.max_speed_mps
     return AvoidanceRule(
         side_m=scenario.marker.side_m,
-        max_speed_mps=robots.max_speed_mps,
-        max_turn_radps=robots.max_turn_radps,
-        prompt_s=max(unit.latency_s + 1 / unit.frame_rate_hz for unit in scenario.units),
+        wheels=make_wheels(scenario),
+        prompt_s=max(news_s),
+        next_s=min(news_s),
         step_s=step_s,
         lag_s=np.ceil(drive.delay_s / step_s - 1e-9) * step_s + brakes_s,
         overshoot=share,
-        creep_mps=wheels_mps,
-        turn_error_radps=turns_radps + SLIPS * drive.slip * robots.max_turn_radps,
-        axis_offset_m=drive.axis_offset_m,
+        creep_mps=drive.wheel_step_mps / 2,
+        turn_error_radps=2 * wheel_mps / drive.track_m + SLIPS * drive.slip * robots.max_turn_radps,
         lifetime_s=scenario.avoidance.lifetime_s,
         steers=scenario.avoidance.steer,
     )

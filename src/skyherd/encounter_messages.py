@@ -16,6 +16,7 @@ class Encounters:
     Attributes:
         unit_id: the sender.
         time_s: when its image was taken.
+        horizon_sides: gaps wider than this are not told of.
         ids: (N,) bodies seen; the robots among them are addressed, whether the unit controls them or not.
         robot_ids: (P,) who is told,
         other_ids: (P,) of whom: a robot or an obstacle.
@@ -27,6 +28,7 @@ class Encounters:
 
     unit_id: int
     time_s: float
+    horizon_sides: float
     ids: IntArray
     robot_ids: IntArray
     other_ids: IntArray

@@ -4,6 +4,8 @@ from typing import Any
 
 import numpy as np
 
+from skyherd.geometry import to_complex
+from skyherd.hindsight import shortest_path
 from skyherd.history import History
 
 
@@ -21,7 +23,9 @@ def summarize(history: History, wall_s: float | None) -> dict[str, Any]:
 
     Keys carry their units; `shape_error` is the RMS distance to the best-fitting similarity of the template
     over the formation's RMS radius, `scale` is in metres a template unit, both from truth. Violations count
-    from `ready_s` on, when the tree of units is complete; from the start, if it never is.
+    from `ready_s` on, when the tree of units is complete; from the start, if it never is. `min_separation_m`
+    is between the middles of robots, `min_gap_m` between bodies, obstacles' too; both, and collisions, are
+    judged at the steps.
     """
     scenario, times = history.mission.scenario, history.times_s
     steps, simulated_s = int(times.size), float(times[-1])
@@ -29,6 +33,7 @@ def summarize(history: History, wall_s: float | None) -> dict[str, Any]:
     violated_s = (~counted).sum(axis=0) * scenario.step_s
     switches = (history.controlled[1:] != history.controlled[:-1]).any(axis=(1, 2))
     travelled = np.linalg.norm(np.diff(history.positions_m, axis=0), axis=2).sum()
+    collisions, min_gap_m = _contacts(history)
 
     def per_wall(amount: float) -> float | None:
         return None if not wall_s else amount / wall_s
@@ -59,12 +64,34 @@ def summarize(history: History, wall_s: float | None) -> dict[str, Any]:
         **_tree(history),
         "uncommanded_robot_s": float((~history.commanded[:-1]).sum() * scenario.step_s),
         "min_separation_m": float(history.min_separation_m.min()),
+        "min_gap_m": min_gap_m,
+        "collisions": collisions,
         "path_length_m": float(travelled),
+        "shortest_path_m": _shortest_path_m(history),
         "final_positions_m": {
             str(robot): position.tolist()
             for robot, position in zip(history.ids.tolist(), history.positions_m[-1], strict=True)
         },
     }
+
+
+def _contacts(history: History) -> tuple[int, float]:
+    """How many times two bodies began to overlap, counting the start, and the least room between any two."""
+    bodies = history.mission.bodies
+    before, begun, least_m = np.zeros(1, dtype=bool), 0, np.inf
+    for positions_m in history.positions_m:
+        gaps_m = bodies.gaps_m(positions_m)
+        begun += int(((gaps_m < 0) & ~before).sum())
+        before, least_m = gaps_m < 0, min(least_m, float(gaps_m.min()))
+    return begun, least_m
+
+
+def _shortest_path_m(history: History) -> float:
+    """Straight lines from the start to the best place, size and turn of the shape, each robot in its role."""
+    template = history.mission.template.points_of(history.ids).conj()
+    return shortest_path(
+        template, to_complex(history.positions_m[0]), classes=np.arange(history.ids.size)
+    ).length
 
 
 def _tree(history: History) -> dict[str, Any]:

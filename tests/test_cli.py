@@ -45,6 +45,7 @@ SUMMARY_KEYS = [
     "min_separation_m",
     "min_gap_m",
     "collisions",
+    "role_exchanges",
     "shortest_path_m",
     "path_length_m",
     "final_positions_m",

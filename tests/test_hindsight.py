@@ -59,7 +59,7 @@ def test_no_assignment_of_all_does_better(seed: int, spacing: float) -> None:
     template, starts = random_points(rng, 5), 3 * random_points(rng, 5)
     size = spacing / pdist(to_points(template)).min()
     best = min(least_sum(template[list(order)], starts, size) for order in permutations(range(5)))
-    path = shortest_path(template, starts, spacing=spacing)
+    path = shortest_path(template, starts, spacing=(spacing, np.inf))
     assert path.length <= best * (1 + 1e-6)
     if not spacing:
         assert path.length >= best - 5e-6, "with a free size each assignment's sum is convex"
@@ -115,7 +115,11 @@ def test_less_freedom_is_never_shorter() -> None:
         assert free.length < halves.length < fixed.length
         assert (fixed.order == np.arange(14)).all() and (halves.order % 2 == np.arange(14) % 2).all()
         spacing = 1.5 * pdist(to_points(free.places)).min()
-        wide = shortest_path(template, starts, spacing=spacing)
+        wide = shortest_path(template, starts, spacing=(spacing, np.inf))
         assert wide.length > free.length
         assert pdist(to_points(wide.places)).min() >= spacing * (1 - 1e-9)
-        assert abs(assert_places_belong(wide, template, starts)) > 0
+        small = shortest_path(template, starts, spacing=(0.0, spacing / 3))
+        assert small.length > free.length
+        for path, wanted in ((wide, spacing), (small, spacing / 3)):
+            size = abs(assert_places_belong(path, template, starts))
+            assert size * pdist(to_points(template)).min() == pytest.approx(wanted, rel=1e-9), "and no more"

@@ -36,7 +36,11 @@ class ShortestPath:
 
 
 def shortest_path(
-    template: ComplexArray, starts: ComplexArray, *, classes: IntArray | None = None, spacing: float = 0.0
+    template: ComplexArray,
+    starts: ComplexArray,
+    *,
+    classes: IntArray | None = None,
+    spacing: tuple[float, float] = (0.0, np.inf),
 ) -> ShortestPath:
     """The least `Σ_i |a p_σ(i) + b - x_i|` over assignments σ and similarities (a, b), a ≠ 0.
 
@@ -51,13 +55,13 @@ def shortest_path(
         template: p (N,), in the sense of the starts.
         starts: x (N,).
         classes: (N,) only robots of one class exchange their points; all may if None.
-        spacing: the shape's two nearest points are at least so far apart, in the starts' unit.
+        spacing: least and greatest distance of the shape's two nearest points, in the starts' unit.
     """
     groups = _groups(np.zeros(starts.size, dtype=int) if classes is None else classes)
-    nearest = pdist(to_points(template)).min() if spacing else 1.0
-    least_size = float(spacing / nearest)
+    nearest = float(pdist(to_points(template)).min())
+    sizes = spacing[0] / nearest, spacing[1] / nearest
     found = [
-        _follow_up(template, starts, order, groups, least_size)
+        _follow_up(template, starts, order, groups, sizes)
         for order in _choice(template, starts, groups)[:REFINED]
     ]
     return min(found, key=lambda path: path.length)
@@ -105,12 +109,12 @@ def _follow_up(
     starts: ComplexArray,
     order: IntArray,
     groups: list[IntArray],
-    least_size: float,
+    sizes: tuple[float, float],
 ) -> ShortestPath:
     """Similarity and assignment in turn, by the distances themselves, until the sum stays."""
     best: ShortestPath | None = None
     while True:
-        a, b = _nearest_similarity(template[order], starts, least_size)
+        a, b = _nearest_similarity(template[order], starts, sizes)
         places = a * template + b
         path = ShortestPath(float(np.abs(places[order] - starts).sum()), order, places[order])
         if best is not None and path.length >= best.length * (1 - TOLERANCE):
@@ -120,12 +124,12 @@ def _follow_up(
 
 
 def _nearest_similarity(
-    points: ComplexArray, starts: ComplexArray, least_size: float
+    points: ComplexArray, starts: ComplexArray, sizes: tuple[float, float]
 ) -> tuple[complex, complex]:
-    """The (a, b), `|a| >= least_size`, with the least `Σ |a p + b - x|`, by reweighted least squares.
+    """The (a, b), |a| within `sizes`, with the least `Σ |a p + b - x|`, by reweighted least squares.
 
-    The weighted squares are `const + W |a - a0|²` in a, so that the best a of at least some size is a0 drawn
-    out along its own direction.
+    The weighted squares are `const + W |a - a0|²` in a, so that the best a within sizes is the nearest to a0
+    along its own direction.
     """
     weights, length = np.ones(starts.size), np.inf
     hair = 1e-9 * (np.ptp(starts.real) + np.ptp(starts.imag))
@@ -134,8 +138,8 @@ def _nearest_similarity(
         point, start = share @ points, share @ starts
         arms = points - point
         a = complex((share * arms.conj()) @ (starts - start) / (share @ np.abs(arms) ** 2))
-        if abs(a) < least_size:
-            a = least_size * (a / abs(a) if a else 1.0)
+        if not sizes[0] <= abs(a) <= sizes[1]:
+            a = float(np.clip(abs(a), *sizes)) * (a / abs(a) if a else 1.0)
         b = complex(start - a * point)
         distances = np.abs(a * points + b - starts)
         total = float(distances.sum())

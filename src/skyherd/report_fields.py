@@ -81,6 +81,7 @@ GROUPS: Mapping[str, tuple[Field, ...]] = {
             "s",
             "Times of all robots added up; they hold still.",
         ),
+        Field("role_exchanges", "Role exchanges", "", "Instants when robots exchanged places in the shape."),
         Field("path_length_m", "Distance travelled", "m", "All robots together."),
         Field(
             "shortest_path_m",

@@ -3,8 +3,9 @@
 from typing import Any
 
 import numpy as np
+from scipy.spatial.distance import pdist
 
-from skyherd.geometry import to_complex
+from skyherd.geometry import IntArray, to_complex, to_points
 from skyherd.hindsight import shortest_path
 from skyherd.history import History
 
@@ -66,6 +67,7 @@ def summarize(history: History, wall_s: float | None) -> dict[str, Any]:
         "min_separation_m": float(history.min_separation_m.min()),
         "min_gap_m": min_gap_m,
         "collisions": collisions,
+        "role_exchanges": int((history.roles[1:] != history.roles[:-1]).any(axis=1).sum()),
         "path_length_m": float(travelled),
         "shortest_path_m": _shortest_path_m(history),
         "final_positions_m": {
@@ -87,11 +89,23 @@ def _contacts(history: History) -> tuple[int, float]:
 
 
 def _shortest_path_m(history: History) -> float:
-    """Straight lines from the start to the best place, size and turn of the shape, each robot in its role."""
-    template = history.mission.template.points_of(history.ids).conj()
-    return shortest_path(
-        template, to_complex(history.positions_m[0]), classes=np.arange(history.ids.size)
-    ).length
+    """Straight lines from the start into the shape, at the best place, size and turn that are allowed.
+
+    Robots that may exchange their places have the best ones too.
+    """
+    scenario, template = history.mission.scenario, history.mission.template.points_of(history.ids).conj()
+    classes: IntArray | None = np.arange(history.ids.size)
+    if scenario.roles.exchange:
+        classes = None if scenario.roles.classes is None else np.array(scenario.roles.classes)
+    size, side_m, spacing_m = scenario.size, scenario.marker.side_m, (0.0, np.inf)
+    if size.unit_m is not None:
+        spacing_m = (size.unit_m * pdist(to_points(template)).min(),) * 2
+    elif size.spacing_sides is not None:
+        spacing_m = (size.spacing_sides * side_m,) * 2
+    elif size.least_spacing_sides:
+        spacing_m = size.least_spacing_sides * side_m, np.inf
+    start = to_complex(history.positions_m[0])
+    return shortest_path(template, start, classes=classes, spacing=spacing_m).length
 
 
 def _tree(history: History) -> dict[str, Any]:

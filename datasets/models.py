@@ -16,7 +16,7 @@ class TemplateModel(Model):
     """The shape: exactly one of `points`, `shape` and `image`."""
 
     points: list[Point] | None = Field(None, description="a point for each robot, x right, y up, any unit")
-    shape: str | None = Field(None, description="a named shape")
+    shape: str | None = Field(None, description="a named shape, or a word such as word:SKY")
     image: str | None = Field(None, description="a PNG with every robot's marker in it, beside the scenario")
 
     @model_validator(mode="after")

@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from skyherd.datasets.words import PREFIX, word_points
 from skyherd.errors import InputError
 from skyherd.geometry import Array
 
@@ -61,7 +62,13 @@ SHAPES: dict[str, Callable[[int], Array]] = {
 
 
 def shape_points(name: str, count: int) -> Array:
-    """Points of a named shape for `count` robots; InputError names the shapes there are."""
+    """Points of a named shape, or of a word such as `word:SKY`, for `count` robots.
+
+    Raises:
+        InputError: there is no such shape, or not for so many robots; it names those that there are.
+    """
+    if name.startswith(PREFIX):
+        return word_points(name.removeprefix(PREFIX), count)
     if name not in SHAPES:
-        raise InputError("template.shape", f"no shape {name!r}", f"one of {', '.join(SHAPES)}")
+        raise InputError("template.shape", f"no shape {name!r}", f"one of {', '.join(SHAPES)}, {PREFIX}SKY")
     return SHAPES[name](count)

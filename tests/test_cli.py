@@ -43,6 +43,10 @@ SUMMARY_KEYS = [
     "tc4_violation_s",
     "tc5_violation_s",
     "min_separation_m",
+    "min_gap_m",
+    "collisions",
+    "role_exchanges",
+    "shortest_path_m",
     "path_length_m",
     "final_positions_m",
 ]

@@ -64,12 +64,31 @@ GROUPS: Mapping[str, tuple[Field, ...]] = {
     "Robots": (
         Field("min_separation_m", "Closest two robots", "m", "Between centres, over the whole run."),
         Field(
+            "min_gap_m",
+            "Least gap",
+            "m",
+            "Between the bodies of two robots, or of a robot and an obstacle; below zero in a collision.",
+        ),
+        Field(
+            "collisions",
+            "Collisions",
+            "",
+            "Times that two bodies began to overlap; robots without a body are points.",
+        ),
+        Field(
             "uncommanded_robot_s",
             "Robots without a goal",
             "s",
             "Times of all robots added up; they hold still.",
         ),
+        Field("role_exchanges", "Role exchanges", "", "Instants when robots exchanged places in the shape."),
         Field("path_length_m", "Distance travelled", "m", "All robots together."),
+        Field(
+            "shortest_path_m",
+            "Shortest distance",
+            "m",
+            "All robots together: the best in hindsight, along straight lines from the start into the shape.",
+        ),
     ),
     "Vision": (
         Field(

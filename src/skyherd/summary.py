@@ -3,7 +3,10 @@
 from typing import Any
 
 import numpy as np
+from scipy.spatial.distance import pdist
 
+from skyherd.geometry import IntArray, to_complex, to_points
+from skyherd.hindsight import shortest_path
 from skyherd.history import History
 
 
@@ -21,7 +24,9 @@ def summarize(history: History, wall_s: float | None) -> dict[str, Any]:
 
     Keys carry their units; `shape_error` is the RMS distance to the best-fitting similarity of the template
     over the formation's RMS radius, `scale` is in metres a template unit, both from truth. Violations count
-    from `ready_s` on, when the tree of units is complete; from the start, if it never is.
+    from `ready_s` on, when the tree of units is complete; from the start, if it never is. `min_separation_m`
+    is between the middles of robots, `min_gap_m` between bodies, obstacles' too; both, and collisions, are
+    judged at the steps.
     """
     scenario, times = history.mission.scenario, history.times_s
     steps, simulated_s = int(times.size), float(times[-1])
@@ -29,6 +34,7 @@ def summarize(history: History, wall_s: float | None) -> dict[str, Any]:
     violated_s = (~counted).sum(axis=0) * scenario.step_s
     switches = (history.controlled[1:] != history.controlled[:-1]).any(axis=(1, 2))
     travelled = np.linalg.norm(np.diff(history.positions_m, axis=0), axis=2).sum()
+    collisions, min_gap_m = _contacts(history)
 
     def per_wall(amount: float) -> float | None:
         return None if not wall_s else amount / wall_s
@@ -59,12 +65,47 @@ def summarize(history: History, wall_s: float | None) -> dict[str, Any]:
         **_tree(history),
         "uncommanded_robot_s": float((~history.commanded[:-1]).sum() * scenario.step_s),
         "min_separation_m": float(history.min_separation_m.min()),
+        "min_gap_m": min_gap_m,
+        "collisions": collisions,
+        "role_exchanges": int((history.roles[1:] != history.roles[:-1]).any(axis=1).sum()),
         "path_length_m": float(travelled),
+        "shortest_path_m": _shortest_path_m(history),
         "final_positions_m": {
             str(robot): position.tolist()
             for robot, position in zip(history.ids.tolist(), history.positions_m[-1], strict=True)
         },
     }
+
+
+def _contacts(history: History) -> tuple[int, float]:
+    """How many times two bodies began to overlap, counting the start, and the least room between any two."""
+    bodies = history.mission.bodies
+    before, begun, least_m = np.zeros(1, dtype=bool), 0, np.inf
+    for positions_m in history.positions_m:
+        gaps_m = bodies.gaps_m(positions_m)
+        begun += int(((gaps_m < 0) & ~before).sum())
+        before, least_m = gaps_m < 0, min(least_m, float(gaps_m.min()))
+    return begun, least_m
+
+
+def _shortest_path_m(history: History) -> float:
+    """Straight lines from the start into the shape, at the best place, size and turn that are allowed.
+
+    Robots that may exchange their places have the best ones too.
+    """
+    scenario, template = history.mission.scenario, history.mission.template.points_of(history.ids).conj()
+    classes: IntArray | None = np.arange(history.ids.size)
+    if scenario.roles.exchange:
+        classes = None if scenario.roles.classes is None else np.array(scenario.roles.classes)
+    size, side_m, spacing_m = scenario.size, scenario.marker.side_m, (0.0, np.inf)
+    if size.unit_m is not None:
+        spacing_m = (size.unit_m * pdist(to_points(template)).min(),) * 2
+    elif size.spacing_sides is not None:
+        spacing_m = (size.spacing_sides * side_m,) * 2
+    elif size.least_spacing_sides:
+        spacing_m = size.least_spacing_sides * side_m, np.inf
+    start = to_complex(history.positions_m[0])
+    return shortest_path(template, start, classes=classes, spacing=spacing_m).length
 
 
 def _tree(history: History) -> dict[str, Any]:

@@ -1,0 +1,44 @@
+"""Rows of a benchmark over many seeds: run in parallel, written as they end, and gone on with."""
+
+import json
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+from typing import Any
+
+Row = dict[str, Any]
+
+
+def read_rows(path: Path) -> list[Row]:
+    """Rows of a file; an unfinished last line is left out."""
+    rows = []
+    for line in path.read_text().splitlines() if path.exists() else []:
+        try:
+            rows.append(json.loads(line))
+        except json.JSONDecodeError:
+            break
+    return rows
+
+
+def gather(run: Callable[[int], Row], seeds: range, jobs: int, path: Path | None) -> list[Row]:
+    """All rows of `seeds`: those in the file, and the others as they end, printed and added to it."""
+    rows = [row for row in read_rows(path) if row["seed"] in seeds] if path else []
+    done = {row["seed"] for row in rows}
+    if path:
+        path.write_text("".join(json.dumps(row) + "\n" for row in read_rows(path)))
+    for row in _run(run, [seed for seed in seeds if seed not in done], jobs):
+        line = json.dumps(row)
+        print(line, flush=True)
+        rows.append(row)
+        if path:
+            with path.open("a") as file:
+                file.write(line + "\n")
+    return rows
+
+
+def _run(run: Callable[[int], Row], seeds: list[int], jobs: int) -> Iterator[Row]:
+    if jobs == 1:
+        yield from map(run, seeds)
+        return
+    with ProcessPoolExecutor(jobs) as pool:
+        yield from pool.map(run, seeds)

@@ -3,6 +3,7 @@
 import cv2
 import numpy as np
 
+from skyherd.body_view import BodySizes, draw_obstacle, draw_safety, draw_warning
 from skyherd.canvas import (
     Box,
     Color,
@@ -32,6 +33,9 @@ PLAIN: Color = (236, 237, 233)
 
 FOREIGN: Color = (78, 83, 90)
 """Marks of robots that the unit sees and does not control."""
+
+CLEAR_SIDES = 0.95
+"""Nothing is drawn over an obstacle's marker and card, within so many marker sides of its middle."""
 
 RING_PX = 4
 """From a robot's ring to the one of the units it is shared with."""
@@ -93,10 +97,18 @@ class CameraView:
         cell: the part of the canvas to draw in.
         image_size_px: width and height of the unit's images.
         radius: safety radius, in halves of the image's shorter side.
+        bodies: how large robots and obstacles are.
     """
 
-    def __init__(self, unit: int, cell: Image, image_size_px: tuple[int, int], radius: float) -> None:
-        self.unit, self.color = unit, unit_rgb(unit)
+    def __init__(
+        self,
+        unit: int,
+        cell: Image,
+        image_size_px: tuple[int, int],
+        radius: float,
+        bodies: BodySizes | None = None,
+    ) -> None:
+        self.unit, self.color, self.bodies = unit, unit_rgb(unit), bodies or BodySizes()
         width, height = image_size_px
         room = np.array([cell.shape[1], cell.shape[0] - TITLE_PX]) - 2 * BORDER_PX
         self.scale = float(min(room / (width, height)))
@@ -115,19 +127,24 @@ class CameraView:
         """Places (..., 2) on the panel of points of the camera's image."""
         return np.asarray((points_px + 0.5) * self.scale - 0.5)
 
-    def draw(self, frame: UnitFrame, sets: ControlSets) -> None:
-        """Draw a frame, given which robots each unit controls."""
+    def draw(self, frame: UnitFrame, sets: ControlSets, struck: frozenset[int] = frozenset()) -> None:
+        """Draw a frame, given which robots each unit controls, and whose bodies overlap."""
         if self._is_dead:
             self._show_nothing(self.color)
             self._is_dead = False
-        robots, report = frame.sight.detections, frame.decision.report
+        seen, report = frame.sight.detections, frame.decision.report
+        stones = np.array(list(self.bodies.obstacles), dtype=np.int64)
+        robots = seen.select(np.setdiff1d(seen.ids, stones))
         controlled = report.controlled_ids
         held, standing = f"unit {self.unit} · {controlled.size} controlled", _standing(report.tree)
         self._write_title(f"{held} · {len(robots)} seen{standing}", f"{held}{standing}")
         self._draw_image(frame)
         plain = frame.sight.image is None
-        draw_lines(self._picture, self._seen_circle(frame), rgb(MUTED if plain else PAPER), 2)
+        color = rgb(MUTED if plain else PAPER)
+        draw_lines(self._picture, self._seen_circle(frame), color, 2)
+        self._draw_obstacles(seen.select(stones), struck)
         self._draw_marks(robots, {**sets, self.unit: controlled})
+        self._draw_bodies(robots, struck, color)
         self._draw_goals(frame)
         self._draw_ids(robots)
 
@@ -176,6 +193,24 @@ class CameraView:
         cv2.LUT(self._grey, _CURVE, dst=self._grey)
         cv2.cvtColor(self._grey, cv2.COLOR_GRAY2RGB, dst=self._picture)
 
+    def _draw_obstacles(self, stones: Detections, struck: frozenset[int]) -> None:
+        """Obstacles, hatched around their markers."""
+        centers, sides = self.to_panel(stones.centers_px), stones.sides_px * self.scale
+        for stone_id, center, side in zip(stones.ids.tolist(), centers, sides.tolist(), strict=True):
+            radius = self.bodies.obstacles[stone_id] * side
+            hole = min(CLEAR_SIDES * side, radius)
+            draw_obstacle(self._picture, center, radius, hole, struck=stone_id in struck)
+
+    def _draw_bodies(self, robots: Detections, struck: frozenset[int], color: Color) -> None:
+        """The room kept clear around robots, and what overlaps; a robot's own ring shows its body."""
+        centers, radii = self.to_panel(robots.centers_px), self._radii(robots)
+        clear = self.bodies.safety * robots.sides_px * self.scale
+        apart = clear > radii + RING_PX
+        draw_safety(self._picture, centers[apart], clear[apart], color)
+        hit = np.isin(robots.ids, list(struck))
+        for center, radius in zip(centers[hit].tolist(), radii[hit].tolist(), strict=True):
+            draw_warning(self._picture, center, radius + RING_PX)
+
     def _draw_marks(self, robots: Detections, sets: ControlSets) -> None:
         """Rings: this unit's colour, then the colours of the others that share the robot; else grey."""
         owners = owners_by_robot(sets)
@@ -200,8 +235,8 @@ class CameraView:
         draw_segments(self._picture, starts[~mine], ends[~mine], FOREIGN, 3)
 
     def _radii(self, robots: Detections) -> Array:
-        """Radii (N,) of the rings around robots: outside the marker, and not too small to see."""
-        return np.maximum(0.95 * robots.sides_px * self.scale, 7.0)
+        """Radii (N,) of the rings around robots: their bodies', or outside the marker; not too small."""
+        return np.maximum((self.bodies.radius or 0.95) * robots.sides_px * self.scale, 7.0)
 
     def _draw_goals(self, frame: UnitFrame) -> None:
         if frame.decision.goals is None:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from skyherd.body_view import BodySizes, overlapping_ids
 from skyherd.camera_view import BORDER_PX, TITLE_PX, CameraView
 from skyherd.canvas import Box, Image, draw_text, text_width
 from skyherd.datasets import Mission
@@ -43,7 +44,11 @@ class Layout:
 
 
 def make_layout(
-    size_px: tuple[int, int], image_sizes_px: Sequence[tuple[int, int]], *, tree: bool = False
+    size_px: tuple[int, int],
+    image_sizes_px: Sequence[tuple[int, int]],
+    *,
+    tree: bool = False,
+    bodies: bool = False,
 ) -> Layout:
     """Cameras in a near-square block on the left, the ground beside it, the plots below.
 
@@ -53,7 +58,7 @@ def make_layout(
     units, square = len(image_sizes_px), int(np.ceil(np.sqrt(len(image_sizes_px))))
     bottom = height - round(PLOTS_SHARE * height)
     blocks = [
-        _block(columns, (width, bottom), image_sizes_px, strip_px, tree=tree)
+        _block(columns, (width, bottom), image_sizes_px, strip_px, tree=tree, bodies=bodies)
         for columns in (square, square + 1)
         for strip_px in STRIPS_PX
     ]
@@ -77,6 +82,7 @@ def _block(
     strip_px: int,
     *,
     tree: bool,
+    bodies: bool,
 ) -> tuple[int, int, int, Box] | None:
     """Pitches of the cells, px, columns, and a box for the key; None if the key has no room.
 
@@ -97,7 +103,7 @@ def _block(
         filled = units - (rows - 1) * columns
         left = GAP_PX + filled * pitch_u
         key = Box(left, below - pitch_v, (columns - filled) * pitch_u - GAP_PX, pitch_v - GAP_PX)
-    fits = wide > 0 and key.width > 0 and key_height_px(key.width, tree=tree) <= key.height
+    fits = wide > 0 and key.width > 0 and key_height_px(key.width, tree=tree, bodies=bodies) <= key.height
     return (pitch_u, pitch_v, columns, key) if fits else None
 
 
@@ -118,13 +124,15 @@ class Composer:
         self._shown.setflags(write=False)
         sizes = [unit.camera.size_px for unit in scenario.units]
         tree = scenario.selection.kind == "tree"
-        layout = make_layout(size_px, sizes, tree=tree)
+        self._bodies = BodySizes.of(mission)
+        bodies = bool(self._bodies.radius or self._bodies.obstacles or scenario.roles.exchange)
+        layout = make_layout(size_px, sizes, tree=tree, bodies=bodies)
         self._cameras = [
-            CameraView(unit, box.of(self._canvas), sizes[unit], scenario.selection.radius)
+            CameraView(unit, box.of(self._canvas), sizes[unit], scenario.selection.radius, self._bodies)
             for unit, box in enumerate(layout.cameras)
         ]
         self._ground = GroundView(mission, layout.ground.of(self._canvas))
-        draw_key(layout.key.of(self._canvas), tree=tree)
+        draw_key(layout.key.of(self._canvas), tree=tree, bodies=bodies)
         self._cost, self._scale = self._make_plots(layout)
         self._last: dict[int, UnitFrame] = {}
         self._tree = TreeWatch()
@@ -136,9 +144,10 @@ class Composer:
         for unit in dead:
             self._last.pop(unit, None)
             self._cameras[unit].draw_dead()
+        struck = overlapping_ids(self.mission, step.positions_m)
         for unit, frame in self._last.items():
-            self._cameras[unit].draw(frame, step.control_sets)
-        self._ground.draw(step, self._tree.see(step, dead))
+            self._cameras[unit].draw(frame, step.control_sets, struck)
+        self._ground.draw(step, self._tree.see(step, dead), struck)
         seen = step.observation
         cost = np.append(seen.V, seen.V_units)
         self._cost.add(step.time_s, np.where(cost > LEAST_COST, cost, np.nan))
@@ -173,6 +182,13 @@ class Composer:
             draw_text(header, label, (label_right, middle), rgb(MUTED), size_px=16, align="right")
             right = round(label_right - text_width(label, 16) - 26)
 
+    def _nearest(self, step: Step) -> tuple[str, str, int]:
+        """The closest pair of robots, or where they have bodies the least gap between any two."""
+        if not (self._bodies.radius or self._bodies.obstacles):
+            return "closest pair", f"{step.observation.min_separation_m:.2f} m", 74
+        gap_m = float(self.mission.bodies.gaps_m(step.positions_m).min())
+        return "least gap", f"{gap_m:.2f} m".replace("-", "−"), 74
+
     def _figures(self, step: Step) -> list[tuple[str, str, int]]:
         """Label, value, and the width in px kept for the value."""
         seen = step.observation
@@ -182,7 +198,7 @@ class Composer:
         return [
             ("t", f"{step.time_s:.1f} s", 86),
             ("shape error", f"{100 * seen.shape.error:.1f} %", 74),
-            ("closest pair", f"{seen.min_separation_m:.2f} m", 74),
+            self._nearest(step),
             ("detections", f"{found}/{whole}", 88),
             ("V", f"{seen.V:.3g} m²" if seen.V >= 0.01 else f"{seen.V:.1e} m²", 112),
         ]

@@ -3,6 +3,7 @@
 import numpy as np
 from scipy.spatial.distance import pdist, squareform
 
+from skyherd.body_view import CLEAR, BodySizes, draw_bodies, draw_obstacle
 from skyherd.camera_view import owners_by_robot
 from skyherd.canvas import (
     Box,
@@ -41,6 +42,9 @@ LABEL_SPOTS = np.array([[33.0, 0.0], [-33.0, 0.0], [0.0, -18.0], [0.0, 18.0]])
 LABEL_ROOM_PX = np.array([34.0, 18.0])
 """What is nearer than this to the middle of a unit's name is in its way."""
 
+EXCHANGE_S = 2.0
+"""How long a place in the shape is shown as new to its robot."""
+
 MARGIN_PX = 16.0
 SPACING_PX = 64.0
 """The view shows the footprints as long as neighbouring robots are typically this far apart in it."""
@@ -69,6 +73,7 @@ class GroundView:
         self._paper = np.empty_like(self._field)
         self._past_m: list[Array] = []
         self._center_m, self._px_per_m = np.zeros(2), 0.0
+        self._roles, self._exchanged_s = np.arange(mission.ids.size), np.full(mission.ids.size, -np.inf)
         self._label_sides = [0] * len(self._cameras)
         self._tree = TreeView(mission.ids)
         self._title = panel[:TITLE_PX]
@@ -78,8 +83,8 @@ class GroundView:
         middle = np.array([self._field.shape[1] - 1, self._field.shape[0] - 1]) / 2
         return np.asarray((points_m - self._center_m) * (self._px_per_m, -self._px_per_m) + middle)
 
-    def draw(self, step: Step, tree: TreeState | None = None) -> None:
-        """Draw the ground at one step, with the tree of units if they have one."""
+    def draw(self, step: Step, tree: TreeState | None = None, struck: frozenset[int] = frozenset()) -> None:
+        """Draw the ground at one step, with the tree of units if they have one, and whose bodies overlap."""
         self._write_title(tree)
         corners_m = [footprint_m(c, self._pose(step.fleet, u)) for u, c in enumerate(self._cameras)]
         self._past_m.append(np.concatenate([step.positions_m, step.fleet.positions_m]))
@@ -87,6 +92,7 @@ class GroundView:
             self._fit(corners_m)
         self._extend_paths(self._past_m[-2:])
         self._field[:] = self._paper
+        self._draw_bodies(step, struck)
         self._draw_tails(step.positions_m.shape[0])
         dead = frozenset[int]() if tree is None else tree.dead
         for unit, corners in enumerate(corners_m):
@@ -136,7 +142,7 @@ class GroundView:
         most = np.maximum(
             least, room * _spacing_m(self._past_m[-1][: self.mission.ids.size]) / SPACING_PX / 2
         )
-        seen = np.concatenate([past, *corners_m])
+        seen = np.concatenate([past, *corners_m, self.mission.obstacle_positions_m])
         low = seen.min(axis=0).clip(middle - most, middle - least)
         high = seen.max(axis=0).clip(middle + least, middle + most)
         self._center_m = (low + high) / 2
@@ -178,16 +184,36 @@ class GroundView:
 
     def _draw_shape(self, step: Step) -> None:
         """Where each robot belongs in the shape that fits best now, and the way there."""
-        template = self.mission.template.points_of(self.mission.ids).conj()
+        self._exchanged_s[step.roles != self._roles] = step.time_s
+        self._roles = step.roles
+        template = self.mission.template.points_of(self.mission.ids).conj()[step.roles]
         positions = to_complex(step.positions_m)
         try:
             places = self.to_panel(to_points(fit_similarity(template, positions)(template)))
         except DegenerateSetError:
             return
-        draw_segments(self._field, *dashes(self.to_panel(step.positions_m), places), rgb(TEMPLATE_COLOR))
-        for place in places.tolist():
-            draw_circle(self._field, place, 6.0, rgb(PAPER), -1)
+        robots, is_new = self.to_panel(step.positions_m), step.time_s < self._exchanged_s + EXCHANGE_S
+        draw_segments(self._field, *dashes(robots, places), rgb(TEMPLATE_COLOR))
+        draw_segments(self._field, *dashes(robots[is_new], places[is_new]), rgb(TEMPLATE_COLOR), 3)
+        for place, new in zip(places.tolist(), is_new.tolist(), strict=True):
+            draw_circle(self._field, place, 6.0, rgb(TEMPLATE_COLOR if new else PAPER), -1)
             draw_circle(self._field, place, 6.0, rgb(TEMPLATE_COLOR), 1)
+
+    def _draw_bodies(self, step: Step, struck: frozenset[int]) -> None:
+        """Obstacles, and under the robots' marks their bodies and what is kept clear around them."""
+        mission, px_per_m = self.mission, self._px_per_m
+        centers = self.to_panel(mission.obstacle_positions_m)
+        radii_m = mission.obstacle_radii_m.tolist()
+        for center, radius_m, obstacle in zip(centers, radii_m, mission.obstacle_ids.tolist(), strict=True):
+            draw_obstacle(self._field, center, radius_m * px_per_m, 0.0, struck=obstacle in struck)
+        if not mission.bodies.radius_m:
+            return
+        robots, side_px = self.to_panel(step.positions_m), mission.scenario.marker.side_m * px_per_m
+        sizes = BodySizes.of(mission)
+        if sizes.safety:
+            for robot in robots.tolist():
+                draw_circle(self._field, robot, sizes.safety * side_px, CLEAR, -1)
+        draw_bodies(self._field, robots, sizes.radius * side_px, np.isin(mission.ids, list(struck)))
 
     def _draw_units(self, step: Step, tree: TreeState | None) -> None:
         places, robots = self.to_panel(step.fleet.positions_m), self.to_panel(step.positions_m)

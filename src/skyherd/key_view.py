@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from skyherd.body_view import CLEAR, draw_bodies, draw_obstacle
 from skyherd.camera_view import FOREIGN
 from skyherd.canvas import (
     Image,
@@ -21,7 +22,7 @@ from skyherd.palette import INK, MUTED, PAPER, TEMPLATE_COLOR, rgb, unit_rgb
 from skyherd.tree_view import FLASH, draw_dead, draw_link, draw_turn
 
 SYMBOL_PX = 38
-ROW_PX = 23
+ROW_PX = 21
 TEXT_PX = 12
 FIRST, SECOND = unit_rgb(0), unit_rgb(1)
 
@@ -81,7 +82,7 @@ def _edge(image: Image, u: float, v: float) -> None:
 
 
 def _exchange(image: Image, u: float, v: float) -> None:
-    draw_circle(image, (u, v), 11, FLASH, -1)
+    draw_circle(image, (u, v), 10, FLASH, -1)
     draw_ring(image, (u, v), 6, [FIRST, SECOND], 3)
 
 
@@ -101,23 +102,53 @@ TREE_ITEMS: tuple[tuple[Callable[[Image, float, float], None], str], ...] = (
 )
 
 
-def key_height_px(width_px: int, *, tree: bool = False) -> int:
+def _safety(image: Image, u: float, v: float) -> None:
+    draw_circle(image, (u, v), 10, CLEAR, -1)
+    draw_bodies(image, np.array([[u, v]]), 6, np.zeros(1, dtype=bool))
+
+
+def _overlap(image: Image, u: float, v: float) -> None:
+    draw_bodies(image, np.array([[u - 5, v], [u + 5, v]]), 6, np.ones(2, dtype=bool))
+
+
+def _obstacle(image: Image, u: float, v: float) -> None:
+    draw_obstacle(image, np.array([u, v]), 9, 0, struck=False)
+
+
+def _exchanged(image: Image, u: float, v: float) -> None:
+    draw_segments(image, *dashes([[u - 13, v]], [[u + 4, v]]), rgb(TEMPLATE_COLOR), 3)
+    draw_circle(image, (u + 8, v), 6, rgb(TEMPLATE_COLOR), -1)
+
+
+BODY_ITEMS: tuple[tuple[Callable[[Image, float, float], None], str], ...] = (
+    (_safety, "body; what is kept clear"),
+    (_overlap, "bodies that overlap"),
+    (_obstacle, "obstacle"),
+    (_exchanged, "place just exchanged"),
+)
+
+
+def _items(*, tree: bool, bodies: bool) -> tuple[tuple[Callable[[Image, float, float], None], str], ...]:
+    return ITEMS + (TREE_ITEMS if tree else ()) + (BODY_ITEMS if bodies else ())
+
+
+def key_height_px(width_px: int, *, tree: bool = False, bodies: bool = False) -> int:
     """Height of the key in a panel of some width."""
-    return _grid(width_px, tree=tree)[1] * ROW_PX
+    return _grid(width_px, tree=tree, bodies=bodies)[1] * ROW_PX
 
 
-def _grid(width_px: int, *, tree: bool) -> tuple[float, int]:
+def _grid(width_px: int, *, tree: bool, bodies: bool) -> tuple[float, int]:
     """Width of a column, px, and rows."""
-    items = ITEMS + TREE_ITEMS if tree else ITEMS
+    items = _items(tree=tree, bodies=bodies)
     pitch = SYMBOL_PX + max(text_width(text, TEXT_PX) for _, text in items) + 6
     columns = min(len(items), max(1, int(width_px // pitch)))
     return pitch, -(-len(items) // columns)
 
 
-def draw_key(panel: Image, *, tree: bool = False) -> None:
-    """Draw the key, with the tree's symbols if there is one, in as few rows as the panel has room for."""
-    items = ITEMS + TREE_ITEMS if tree else ITEMS
-    pitch, rows = _grid(panel.shape[1], tree=tree)
+def draw_key(panel: Image, *, tree: bool = False, bodies: bool = False) -> None:
+    """Draw the key, with the symbols of tree and bodies if asked, in as few rows as there is room for."""
+    items = _items(tree=tree, bodies=bodies)
+    pitch, rows = _grid(panel.shape[1], tree=tree, bodies=bodies)
     for k, (draw, text) in enumerate(items):
         u, v = k // rows * pitch + SYMBOL_PX / 2, (k % rows + 0.5) * ROW_PX
         draw(panel, u, v)

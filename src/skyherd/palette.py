@@ -5,6 +5,8 @@ INK = "#1b1f24"
 PAPER = "#ffffff"
 MUTED = "#8a9099"
 TEMPLATE_COLOR = "#7a3db8"
+WARNING = "#a50026"
+"""Darker than all of the above but ink, so that it stands out without its hue, too."""
 
 
 def unit_color(unit: int) -> str:

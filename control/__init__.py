@@ -7,6 +7,7 @@ from skyherd.control.free import FreeRule, FreeThenTree
 from skyherd.control.fusion import Inboxes
 from skyherd.control.goals import motion_goals
 from skyherd.control.ground_map import GroundMap
+from skyherd.control.program import Program
 from skyherd.control.rectifier import Rectifier, rectified
 from skyherd.control.robot_law import MarkerGains, PixelGains, Wheels, robot_commands
 from skyherd.control.roles import RoleRule, newest_roles
@@ -36,6 +37,7 @@ __all__ = [
     "MarkerGains",
     "Perimeter",
     "PixelGains",
+    "Program",
     "Rectifier",
     "RoleRule",
     "Roster",

@@ -45,7 +45,7 @@ class Roles:
 
     Attributes:
         rule: settings; None where every robot keeps the role that it was given.
-        template: the point of each robot at first.
+        template: the shape, with each robot's point as it was given.
         map: the newest map heard of.
         shape: the template under that map.
     """
@@ -64,6 +64,12 @@ class Roles:
     def word(self) -> RoleMap | None:
         """What the unit's report says of roles."""
         return self.map if self.rule else None
+
+    def take_up(self, template: Template) -> None:
+        """Another shape: the map stays for now, and any rotation may be best."""
+        if template is not self.template:
+            self.template, self._known = template, 0
+            self._take(self.map)
 
     def hear(self, reports: Sequence[UnitReport]) -> None:
         """Follow the newest map that anybody follows."""

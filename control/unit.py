@@ -10,6 +10,7 @@ from skyherd.control.flight import Flight
 from skyherd.control.free import FreeRule, FreeThenTree, cost_share
 from skyherd.control.goals import motion_goals
 from skyherd.control.panorama import panorama
+from skyherd.control.program import Program
 from skyherd.control.roles import RoleRule, Roles
 from skyherd.control.roster import Roster
 from skyherd.control.selection import ControlSet, SafetyRadius
@@ -40,7 +41,7 @@ class AerialController:
     """Steers the robots of one unit from its detections alone.
 
     Args:
-        template: the whole shape, by robot.
+        program: the whole shape, by robot, or several one after the other.
         selection: which robots it controls, by the safety radius alone or by agreement with its neighbours.
         flight: how it flies.
         nearest: neighbours whose distances it tells each robot.
@@ -52,7 +53,7 @@ class AerialController:
 
     def __init__(
         self,
-        template: Template,
+        program: Template | Program,
         selection: Selection,
         flight: Flight,
         *,
@@ -62,10 +63,11 @@ class AerialController:
         size: SizeRule | None = None,
         bodies: BodyRule | None = None,
     ) -> None:
-        self.template, self.flight, self.nearest = template, flight, nearest
+        self.program = Program(program) if isinstance(program, Template) else program
+        self.template, self.flight, self.nearest = self.program.first, flight, nearest
         self.report_lifetime_s = report_lifetime_s
-        self.control_set = _begin(selection, template)
-        self.roles, self.bodies = Roles(roles, template), bodies
+        self.control_set = _begin(selection, self.template)
+        self.roles, self.bodies = Roles(roles, self.template), bodies
         self.size, self.yardstick = size or SizeRule(), Yardstick()
 
     def step(self, detections: Detections, reports: Sequence[UnitReport] = ()) -> Decision:
@@ -96,10 +98,11 @@ class AerialController:
         return Decision(goals, report, flight, near)
 
     def _choose_roles(self, seen: Detections, reports: Sequence[UnitReport]) -> None:
-        if self.roles.rule is None:
-            return
-        self.roles.hear(reports)
-        self.roles.exchange(seen.unit_id, seen.time_s, panorama(self.template.ids, seen, reports), reports)
+        self.roles.take_up(self.program.at(seen.time_s))
+        if self.roles.rule is not None:
+            self.roles.hear(reports)
+            team = panorama(self.template.ids, seen, reports)
+            self.roles.exchange(seen.unit_id, seen.time_s, team, reports)
         self.control_set.reshape(self.roles.shape)
 
     def _goals(

@@ -12,8 +12,8 @@ from skyherd.datasets.scene_models import CameraModel, GroundModel, OccluderMode
 MarkerId = Annotated[int, Field(ge=0, lt=2**31)]
 
 
-class TemplateModel(Model):
-    """The shape: exactly one of `points`, `shape` and `image`."""
+class ShapeModel(Model):
+    """A shape: exactly one of `points`, `shape` and `image`."""
 
     points: list[Point] | None = Field(None, description="a point for each robot, x right, y up, any unit")
     shape: str | None = Field(None, description="a named shape, or a word such as word:SKY")
@@ -24,6 +24,18 @@ class TemplateModel(Model):
         if sum(value is not None for value in (self.points, self.shape, self.image)) != 1:
             raise ValueError("give exactly one of points, shape and image")
         return self
+
+
+class LaterModel(ShapeModel):
+    """A shape that comes later."""
+
+    at_s: Positive = Field(description="when it takes the place of the one before")
+
+
+class TemplateModel(ShapeModel):
+    """The shape to form, and those that come after it."""
+
+    then: list[LaterModel] = Field([], max_length=100, description="later shapes, times ascending")
 
 
 class ScatterModel(Model):

@@ -11,8 +11,8 @@ import numpy as np
 from pydantic import ValidationError
 
 from skyherd.bodies import Bodies
-from skyherd.control import Template
-from skyherd.datasets.models import RobotsModel, Scenario, TemplateModel
+from skyherd.control import Program, Template
+from skyherd.datasets.models import RobotsModel, Scenario, ShapeModel
 from skyherd.datasets.obstacles import check_obstacles, in_order, make_bodies
 from skyherd.datasets.shapes import shape_points
 from skyherd.datasets.start import coincident, start_headings, start_positions
@@ -55,6 +55,7 @@ class Mission:
         positions_m: (N, 2) start, in the order of `ids`.
         headings_rad: (N,) start.
         ground_image: grey picture (height, width) on the ground, if it has one.
+        later: (time, s, shape) of the shapes that come after the first.
     """
 
     scenario: Scenario
@@ -63,6 +64,17 @@ class Mission:
     positions_m: Array
     headings_rad: Array
     ground_image: Grey | None = None
+    later: tuple[tuple[float, Template], ...] = ()
+
+    @cached_property
+    def program(self) -> Program:
+        """The shapes to form, one after the other."""
+        return Program(self.template, self.later)
+
+    def shape_at(self, time_s: float, roles: IntArray) -> Template:
+        """The shape to form at a time, with the points that robots have by their roles (N,)."""
+        shape = self.program.at(time_s)
+        return Template(shape.ids, shape.points_px[roles])
 
     @cached_property
     def bodies(self) -> Bodies:
@@ -169,16 +181,30 @@ def _complete(scenario: Scenario, folder: Path) -> Mission:
             f"ids from 0 to {limit - 1}, or a larger marker.dictionary",
         )
     _check_template(ids, template)
+    later = [
+        (shape.at_s, _template(shape, scenario.robots, scenario.marker.dictionary, folder))
+        for shape in scenario.template.then
+    ]
+    for _, shape in later:
+        _check_template(ids, shape)
     check_obstacles(scenario.obstacles, ids, limit, scenario.marker)
     positions = start_positions(scenario, ids, template, rng)
     headings = start_headings(scenario.robots, ids.size, rng)
     order = np.argsort(ids)
     picture = scenario.ground.image
     ground_image = None if picture is None else read_grey(folder / picture)
-    return Mission(scenario, template, ids[order], positions[order], headings[order], ground_image)
+    return Mission(
+        scenario,
+        template,
+        ids[order],
+        positions[order],
+        headings[order],
+        ground_image,
+        Program(template, tuple(later)).later,
+    )
 
 
-def _template(model: TemplateModel, robots: RobotsModel, dictionary: str, folder: Path) -> Template:
+def _template(model: ShapeModel, robots: RobotsModel, dictionary: str, folder: Path) -> Template:
     if model.image is not None:
         return read_template_image(folder / model.image, dictionary)
     count = next(

@@ -107,12 +107,12 @@ class Mind:
 
 def make_mind(mission: Mission, unit: int) -> Mind:
     """The mind of one unit of a mission, knowing nothing yet."""
-    scenario, template = mission.scenario, mission.template
+    scenario = mission.scenario
     slowest_s = max(model.latency_s + REPORTS_MISSED / model.frame_rate_hz for model in scenario.units)
     controller = AerialController(
-        template,
+        mission.program,
         make_selection(scenario.selection),
-        make_flight(scenario.units[unit].flight, template),
+        make_flight(scenario.units[unit].flight, mission.template),
         nearest=scenario.control.neighbors,
         report_lifetime_s=max(REPORT_LIFETIME_S, slowest_s),
         roles=make_roles(scenario),

@@ -104,10 +104,10 @@ def draw_image_traces(history: History) -> Figure:
 
 
 def draw_template(history: History) -> Figure:
-    """The template image: the shape to form."""
+    """The template image: the shape to form, the last one if there are several."""
     figure = new_figure(4.8, 5.2)
     axes = figure.subplots()
-    points = history.mission.template.points_of(history.ids)
+    points = history.shape.points_of(history.ids)
     _draw_formation(axes, points, history.ids, history, TEMPLATE_COLOR)
     axes.set(xlabel="u (template units)", ylabel="v (template units), down")
     frame_square(axes, to_points(points))
@@ -163,7 +163,7 @@ def _draw_outline(axes: Axes, points: ComplexArray, ids: IntArray, history: Hist
     """Dashed lines that join robots in the order that outlines their part of the template."""
     if ids.size < 2:
         return
-    order = formation_order(history.mission.template.points_of(ids))
+    order = formation_order(history.shape.points_of(ids))
     closed = points[np.append(order, order[0])]
     axes.plot(closed.real, closed.imag, color=color, linestyle=DASHES, linewidth=0.9, zorder=3)
 

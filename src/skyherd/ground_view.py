@@ -186,7 +186,8 @@ class GroundView:
         """Where each robot belongs in the shape that fits best now, and the way there."""
         self._exchanged_s[step.roles != self._roles] = step.time_s
         self._roles = step.roles
-        template = self.mission.template.points_of(self.mission.ids).conj()[step.roles]
+        shape = self.mission.shape_at(step.time_s, step.roles)
+        template = shape.points_of(self.mission.ids).conj()
         positions = to_complex(step.positions_m)
         try:
             places = self.to_panel(to_points(fit_similarity(template, positions)(template)))

@@ -6,6 +6,7 @@ from operator import attrgetter
 
 import numpy as np
 
+from skyherd.control import Template
 from skyherd.control.topology import control_matrix
 from skyherd.datasets import Mission
 from skyherd.geometry import Array, BoolArray, IntArray
@@ -89,6 +90,11 @@ class History:
     def ids(self) -> IntArray:
         """(N,) robots."""
         return self.mission.ids
+
+    @property
+    def shape(self) -> Template:
+        """What they form in the end, each robot with the point that is its own by then."""
+        return self.mission.shape_at(float(self.times_s[-1]), self.roles[-1])
 
     @property
     def ready_row(self) -> int | None:

@@ -90,6 +90,7 @@ def run_steps(mission: Mission, perception: Perception | None = None) -> Iterato
             team.receive(message, time_s, heard)
         command = world.limit(team.command(time_s))
         roles = newest_roles([mind.controller.roles.word for mind in crew], mission.ids.size)
+        shape = mission.shape_at(time_s, roles)
         yield Step(
             time_s=time_s,
             positions_m=world.positions_m,
@@ -99,7 +100,7 @@ def run_steps(mission: Mission, perception: Perception | None = None) -> Iterato
             command=command,
             commanded_ids=team.commanded_ids(time_s),
             control_sets=dict(sets),
-            observation=observer.observe(world.positions_m, sets, dead, roles),
+            observation=observer.observe(world.positions_m, sets, dead, shape),
             roles=roles,
         )
         world.advance(command, time_s, scenario.step_s)

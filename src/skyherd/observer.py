@@ -75,13 +75,13 @@ class Observer:
         positions_m: Array,
         sets: ControlSets,
         dead: Sequence[int] = (),
-        roles: IntArray | None = None,
+        shape: Template | None = None,
     ) -> Observation:
         """Judge robots at positions (N, 2) under the topology `sets`, in which dead units have no part.
 
-        `roles` (N,) is the row of the template's point that each robot goes to; its own if None.
+        `shape` is what they form now, each robot with the point that is its own; the template if None.
         """
-        template = self.template_ground if roles is None else self.template_ground[roles]
+        template = self.template_ground if shape is None else shape.points_of(self.ids).conj()
         positions = to_complex(positions_m)
         controlled = control_matrix(sets, self.ids)
         partial = np.full((len(controlled), 3), np.nan)

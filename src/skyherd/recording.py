@@ -20,6 +20,7 @@ import numpy as np
 from mcap.writer import CompressionType, Writer
 
 from skyherd import __version__
+from skyherd.control import Template
 from skyherd.datasets import Mission
 from skyherd.loop import Step, UnitFrame
 from skyherd.observer import Observation
@@ -132,6 +133,10 @@ class Recorder:
             self._file.close()
 
 
+def _pairs(template: Template) -> list[list[float]]:
+    return [[z.real, z.imag] for z in template.points_px.tolist()]
+
+
 def _nanoseconds(time_s: float) -> int:
     return round(time_s * 1e9)
 
@@ -143,9 +148,8 @@ def _mission_record(mission: Mission) -> dict[str, Any]:
         "numpy": np.__version__,
         "scenario": mission.scenario.model_dump(mode="json"),
         "template_ids": mission.template.ids.tolist(),
-        "template_px": np.column_stack(
-            [mission.template.points_px.real, mission.template.points_px.imag]
-        ).tolist(),
+        "template_px": _pairs(mission.template),
+        "later": [{"at_s": at_s, "template_px": _pairs(shape)} for at_s, shape in mission.later],
         "ids": mission.ids.tolist(),
         "positions_m": mission.positions_m.tolist(),
         "headings_rad": mission.headings_rad.tolist(),

@@ -136,6 +136,10 @@ def _read_mission(record: dict[str, Any]) -> Mission:
         ids=np.array(record["ids"], dtype=np.int64),
         positions_m=np.array(record["positions_m"], dtype=float),
         headings_rad=np.array(record["headings_rad"], dtype=float),
+        later=tuple(
+            (later["at_s"], Template.from_image_points(record["template_ids"], later["template_px"]))
+            for later in record["later"]
+        ),
     )
 
 

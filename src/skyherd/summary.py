@@ -5,7 +5,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial.distance import pdist
 
-from skyherd.geometry import IntArray, to_complex, to_points
+from skyherd.datasets import Scenario
+from skyherd.geometry import ComplexArray, IntArray, to_complex, to_points
 from skyherd.hindsight import shortest_path
 from skyherd.history import History
 
@@ -35,6 +36,7 @@ def summarize(history: History, wall_s: float | None) -> dict[str, Any]:
     switches = (history.controlled[1:] != history.controlled[:-1]).any(axis=(1, 2))
     travelled = np.linalg.norm(np.diff(history.positions_m, axis=0), axis=2).sum()
     collisions, min_gap_m = _contacts(history)
+    own = np.arange(history.ids.size)[None]
 
     def per_wall(amount: float) -> float | None:
         return None if not wall_s else amount / wall_s
@@ -67,7 +69,7 @@ def summarize(history: History, wall_s: float | None) -> dict[str, Any]:
         "min_separation_m": float(history.min_separation_m.min()),
         "min_gap_m": min_gap_m,
         "collisions": collisions,
-        "role_exchanges": int((history.roles[1:] != history.roles[:-1]).any(axis=1).sum()),
+        "role_exchanges": int(np.diff(history.roles, axis=0, prepend=own).any(axis=1).sum()),
         "path_length_m": float(travelled),
         "shortest_path_m": _shortest_path_m(history),
         "final_positions_m": {
@@ -91,21 +93,33 @@ def _contacts(history: History) -> tuple[int, float]:
 def _shortest_path_m(history: History) -> float:
     """Straight lines from the start into the shape, at the best place, size and turn that are allowed.
 
-    Robots that may exchange their places have the best ones too.
+    Robots that may exchange their places have the best ones too. Of several shapes, each begins where the
+    robots were when it came up, and the lengths add up.
     """
-    scenario, template = history.mission.scenario, history.mission.template.points_of(history.ids).conj()
+    mission = history.mission
     classes: IntArray | None = np.arange(history.ids.size)
-    if scenario.roles.exchange:
-        classes = None if scenario.roles.classes is None else np.array(scenario.roles.classes)
-    size, side_m, spacing_m = scenario.size, scenario.marker.side_m, (0.0, np.inf)
+    if mission.scenario.roles.exchange:
+        given = mission.scenario.roles.classes
+        classes = None if given is None else np.array(given)
+    length_m = 0.0
+    for from_s in (0.0, *(at_s for at_s, _ in mission.later)):
+        row = int(np.searchsorted(history.times_s, from_s - 1e-9))
+        if row == history.times_s.size:
+            break
+        template = mission.program.at(from_s).points_of(history.ids).conj()
+        start, spacing_m = to_complex(history.positions_m[row]), _spacing_m(mission.scenario, template)
+        length_m += shortest_path(template, start, classes=classes, spacing=spacing_m).length
+    return length_m
+
+
+def _spacing_m(scenario: Scenario, template: ComplexArray) -> tuple[float, float]:
+    """Bounds on the distance between the shape's two nearest robots."""
+    size, side_m = scenario.size, scenario.marker.side_m
     if size.unit_m is not None:
-        spacing_m = (size.unit_m * pdist(to_points(template)).min(),) * 2
-    elif size.spacing_sides is not None:
-        spacing_m = (size.spacing_sides * side_m,) * 2
-    elif size.least_spacing_sides:
-        spacing_m = size.least_spacing_sides * side_m, np.inf
-    start = to_complex(history.positions_m[0])
-    return shortest_path(template, start, classes=classes, spacing=spacing_m).length
+        return (size.unit_m * float(pdist(to_points(template)).min()),) * 2
+    if size.spacing_sides is not None:
+        return (size.spacing_sides * side_m,) * 2
+    return size.least_spacing_sides * side_m, np.inf
 
 
 def _tree(history: History) -> dict[str, Any]:

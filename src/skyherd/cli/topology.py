@@ -46,7 +46,7 @@ def topology(
     path = picture or default
     if path.suffix not in PICTURES:
         raise InputError(str(path), "no kind of picture", f"a name that ends in {' or '.join(PICTURES)}")
-    report = judge_topology(_living_sets(history), history.mission.template)
+    report = judge_topology(_living_sets(history), history.shape)
     _tell_graph(report, history)
     _tell_conditions(report)
     _tell_rates(report, history, is_run=is_run)
@@ -142,7 +142,7 @@ def _tell_rates(report: TopologyReport, history: History, *, is_run: bool) -> No
     start = stretch.start if is_run else -1
     time_s = predicted_time_s(
         report.sets,
-        history.mission.template,
+        history.shape,
         to_complex(history.positions_m[start]),
         gain_ps,
         0.01,

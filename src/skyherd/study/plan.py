@@ -88,6 +88,7 @@ def mission_key(mission: Mission) -> str:
         "skyherd": __version__,
         "scenario": scenario,
         "template": [mission.template.ids.tolist(), _pairs(mission.template.points_px)],
+        "later": [[at_s, _pairs(shape.points_px)] for at_s, shape in mission.later],
         "start": [mission.ids.tolist(), mission.positions_m.tolist(), mission.headings_rad.tolist()],
         "ground": None if ground is None else [ground.shape, hashlib.sha256(ground.tobytes()).hexdigest()],
     }

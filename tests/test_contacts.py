@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from skyherd.datasets import make_mission
+from skyherd.datasets import load_mission, make_mission
 from skyherd.history import History, make_history
 from skyherd.loop import run_steps
 from skyherd.summary import summarize
@@ -72,3 +72,27 @@ def test_no_run_is_shorter_than_the_shortest_path(scenario_tree) -> None:
     lacking_m = len(end) * told["shape_error"] * np.sqrt(((end - end.mean(axis=0)) ** 2).sum(axis=1).mean())
     assert told["converged"]
     assert 0.1 * told["path_length_m"] < told["shortest_path_m"] <= told["path_length_m"] + lacking_m
+
+
+def test_exchanges_are_instants_and_the_first_choice_is_one(history) -> None:
+    steps = len(history.times_s)
+    roles = np.repeat(np.arange(6)[None], steps, axis=0)
+    assert summarize(replace(history, roles=roles), 1.0)["role_exchanges"] == 0
+    first = roles.copy()
+    first[:, [0, 1]] = first[:, [1, 0]]
+    assert summarize(replace(history, roles=first), 1.0)["role_exchanges"] == 1
+    again = first.copy()
+    again[5:, [2, 3, 4]] = again[5:, [3, 4, 2]]
+    assert summarize(replace(history, roles=again), 1.0)["role_exchanges"] == 2, "a cycle of three is one"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["scramble", "obstacles"])
+def test_crowds_come_into_shape_without_a_collision(name: str) -> None:
+    """And not by a detour: at most half as long again as the straight lines that hindsight has."""
+    mission = load_mission(name, ["perception=noisy"])
+    told = summarize(make_history(mission, run_steps(mission)), 1.0)
+    assert told["converged"]
+    assert told["collisions"] == 0
+    assert told["min_gap_m"] > 0
+    assert told["path_length_m"] < 1.5 * told["shortest_path_m"]

@@ -123,7 +123,9 @@ def test_what_is_wrong_is_said_in_one_line(tmp_path, case):
 def test_missing_and_binary_files_are_named(tmp_path):
     with pytest.raises(InputError, match=r"absent\.toml.*No such file"):
         load_mission(str(tmp_path / "absent.toml"))
-    with pytest.raises(InputError, match=r"one of chain, circle, failure, grid, star, tree, triangle"):
+    with pytest.raises(
+        InputError, match=r"one of chain, circle, failure, grid, obstacles, scramble, star, tree, triangle"
+    ):
         load_mission("no-such-name")
     binary = tmp_path / "binary.toml"
     binary.write_bytes(b"\xff\xfe\x00")

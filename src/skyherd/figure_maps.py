@@ -1,10 +1,12 @@
 """Figures of where things are: paths on the ground, traces in the images, the template, the topology."""
 
+from typing import Any
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Circle, Polygon
+from matplotlib.patches import Circle, Patch, Polygon
 
 from skyherd.figure_canvas import frame_square, legend_above, new_figure, unit_handles
 from skyherd.geometry import Array, ComplexArray, IntArray, to_complex, to_points
@@ -18,6 +20,9 @@ LEAST_GAP = 0.3
 
 MOST_LABELS = 60
 """More robots than this go without their ids in the figures."""
+
+STONE: dict[str, Any] = {"facecolor": "#e3e5e8", "edgecolor": INK, "linewidth": 0.9, "hatch": "///"}
+"""How an obstacle looks."""
 
 DASHES = (0, (4, 3))
 TRACE_SIDE_IN = {1: 4.8, 2: 4.0, 3: 3.4}
@@ -76,10 +81,12 @@ def draw_paths(history: History) -> Figure:
         axes.plot(*path_m.T, color=color, linewidth=1.8)
         axes.plot(*path_m[0], "s", color=color, markersize=7)
         axes.plot(*path_m[-1], "o", color=color, markersize=8, markeredgecolor=PAPER, zorder=6)
-    _draw_formation(axes, positions[-1], history.ids, history, INK)
+    _draw_bodies(axes, history)
+    _draw_formation(axes, positions[-1], _shape_of(history, -1), history.ids, INK)
     _frame_ground(axes, history, footprints)
     axes.set(xlabel="x (m)", ylabel="y (m)")
-    legend_above(figure, [*_start_and_end(INK), *unit_handles(len(footprints))], columns=7)
+    handles = [*_start_and_end(INK), *unit_handles(len(footprints)), *_obstacle_handles(history)]
+    legend_above(figure, handles, columns=7)
     return figure
 
 
@@ -108,7 +115,7 @@ def draw_template(history: History) -> Figure:
     figure = new_figure(4.8, 5.2)
     axes = figure.subplots()
     points = history.shape.points_of(history.ids)
-    _draw_formation(axes, points, history.ids, history, TEMPLATE_COLOR)
+    _draw_formation(axes, points, points, history.ids, TEMPLATE_COLOR)
     axes.set(xlabel="u (template units)", ylabel="v (template units), down")
     frame_square(axes, to_points(points))
     axes.invert_yaxis()
@@ -124,9 +131,10 @@ def _draw_trace(axes: Axes, history: History, unit: int) -> None:
     axes.plot(points.real, points.imag, color=color, linewidth=0.9, alpha=0.6)
     if len(points):
         first, last = np.isfinite(points[0]), np.isfinite(points[-1])
-        _draw_outline(axes, points[0, first], history.ids[first], history, MUTED)
+        _draw_outline(axes, points[0, first], _shape_of(history, 0)[first], MUTED)
         _draw_starts(axes, points[0, first], color)
-        _draw_formation(axes, points[-1, last], history.ids[last], history, color, size=8.5)
+        shape, ids = _shape_of(history, -1)[last], history.ids[last]
+        _draw_formation(axes, points[-1, last], shape, ids, color, size=8.5, labels=len(last) <= MOST_LABELS)
     axes.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), aspect="equal", title=f"unit {unit}")
     axes.locator_params(nbins=4)
     axes.spines[["top", "right"]].set_visible(True)
@@ -147,23 +155,50 @@ def _draw_starts(axes: Axes, points: ComplexArray, color: str) -> None:
 
 
 def _draw_formation(
-    axes: Axes, points: ComplexArray, ids: IntArray, history: History, color: str, size: float = 10.0
+    axes: Axes,
+    points: ComplexArray,
+    shape: ComplexArray,
+    ids: IntArray,
+    color: str,
+    *,
+    size: float = 10.0,
+    labels: bool = True,
 ) -> None:
-    """Robots at points (N,) as numbered circles, joined by dashed lines into their shape."""
-    _draw_outline(axes, points, ids, history, color)
+    """Robots at points (N,) as numbered circles, joined by dashed lines into their shape (N,)."""
+    _draw_outline(axes, points, shape, color)
     axes.plot(points.real, points.imag, "o", color=color, markersize=size, markerfacecolor=PAPER, zorder=4)
-    if len(history.ids) > MOST_LABELS:
+    if not labels or ids.size > MOST_LABELS:
         return
     for robot, point in zip(ids, points, strict=True):
         label = axes.text(point.real, point.imag, str(robot), fontsize=0.62 * size, zorder=5, clip_on=True)
         label.set(ha="center", va="center_baseline")
 
 
-def _draw_outline(axes: Axes, points: ComplexArray, ids: IntArray, history: History, color: str) -> None:
-    """Dashed lines that join robots in the order that outlines their part of the template."""
-    if ids.size < 2:
+def _shape_of(history: History, row: int) -> ComplexArray:
+    """Points (N,) of the template that the robots go to at a step."""
+    shape = history.mission.shape_at(float(history.times_s[row]), history.roles[row])
+    return shape.points_of(history.ids)
+
+
+def _draw_bodies(axes: Axes, history: History) -> None:
+    """Obstacles, and the robots' bodies at the end."""
+    mission = history.mission
+    for place, radius_m in zip(mission.obstacle_positions_m, mission.obstacle_radii_m, strict=True):
+        axes.add_patch(Circle(place, radius_m, **STONE))
+    if radius_m := mission.bodies.radius_m:
+        for place in history.positions_m[-1]:
+            axes.add_patch(Circle(place, radius_m, facecolor=MUTED, alpha=0.25, linewidth=0))
+
+
+def _obstacle_handles(history: History) -> list[Patch]:
+    return [Patch(**STONE, label="obstacle")] if history.mission.obstacle_ids.size else []
+
+
+def _draw_outline(axes: Axes, points: ComplexArray, shape: ComplexArray, color: str) -> None:
+    """Dashed lines that join robots at points (N,) in the order that outlines their shape (N,)."""
+    if shape.size < 2:
         return
-    order = formation_order(history.shape.points_of(ids))
+    order = formation_order(shape)
     closed = points[np.append(order, order[0])]
     axes.plot(closed.real, closed.imag, color=color, linestyle=DASHES, linewidth=0.9, zorder=3)
 

@@ -22,7 +22,9 @@ from skyherd.palette import INK, MUTED, PAPER, TEMPLATE_COLOR, rgb, unit_rgb
 from skyherd.tree_view import FLASH, draw_dead, draw_link, draw_turn
 
 SYMBOL_PX = 38
-ROW_PX = 21
+ROW_PX, TIGHT_PX, MANY = 23, 21, 12
+"""Height of a row; and of one in a key of more than so many symbols."""
+
 TEXT_PX = 12
 FIRST, SECOND = unit_rgb(0), unit_rgb(1)
 
@@ -134,22 +136,23 @@ def _items(*, tree: bool, bodies: bool) -> tuple[tuple[Callable[[Image, float, f
 
 def key_height_px(width_px: int, *, tree: bool = False, bodies: bool = False) -> int:
     """Height of the key in a panel of some width."""
-    return _grid(width_px, tree=tree, bodies=bodies)[1] * ROW_PX
+    _, rows, row_px = _grid(width_px, tree=tree, bodies=bodies)
+    return rows * row_px
 
 
-def _grid(width_px: int, *, tree: bool, bodies: bool) -> tuple[float, int]:
-    """Width of a column, px, and rows."""
+def _grid(width_px: int, *, tree: bool, bodies: bool) -> tuple[float, int, int]:
+    """Width of a column, px, rows, and the height of one, px."""
     items = _items(tree=tree, bodies=bodies)
     pitch = SYMBOL_PX + max(text_width(text, TEXT_PX) for _, text in items) + 6
     columns = min(len(items), max(1, int(width_px // pitch)))
-    return pitch, -(-len(items) // columns)
+    return pitch, -(-len(items) // columns), TIGHT_PX if len(items) > MANY else ROW_PX
 
 
 def draw_key(panel: Image, *, tree: bool = False, bodies: bool = False) -> None:
     """Draw the key, with the symbols of tree and bodies if asked, in as few rows as there is room for."""
     items = _items(tree=tree, bodies=bodies)
-    pitch, rows = _grid(panel.shape[1], tree=tree, bodies=bodies)
+    pitch, rows, row_px = _grid(panel.shape[1], tree=tree, bodies=bodies)
     for k, (draw, text) in enumerate(items):
-        u, v = k // rows * pitch + SYMBOL_PX / 2, (k % rows + 0.5) * ROW_PX
+        u, v = k // rows * pitch + SYMBOL_PX / 2, (k % rows + 0.5) * row_px
         draw(panel, u, v)
         draw_text(panel, text, (u + SYMBOL_PX / 2 + 2, v), rgb(INK), size_px=TEXT_PX)

@@ -81,7 +81,12 @@ GROUPS: Mapping[str, tuple[Field, ...]] = {
             "s",
             "Times of all robots added up; they hold still.",
         ),
-        Field("role_exchanges", "Role exchanges", "", "Instants when robots exchanged places in the shape."),
+        Field(
+            "role_exchanges",
+            "Role exchanges",
+            "",
+            "Instants when robots exchanged places in the shape, the first choice included.",
+        ),
         Field("path_length_m", "Distance travelled", "m", "All robots together."),
         Field(
             "shortest_path_m",

@@ -33,10 +33,10 @@ def summarize(history: History, wall_s: float | None) -> dict[str, Any]:
     steps, simulated_s = int(times.size), float(times[-1])
     counted = history.conditions[history.ready_row or 0 : -1]
     violated_s = (~counted).sum(axis=0) * scenario.step_s
+    roles = np.concatenate([np.arange(history.ids.size)[None], history.roles])
     switches = (history.controlled[1:] != history.controlled[:-1]).any(axis=(1, 2))
     travelled = np.linalg.norm(np.diff(history.positions_m, axis=0), axis=2).sum()
     collisions, min_gap_m = _contacts(history)
-    own = np.arange(history.ids.size)[None]
 
     def per_wall(amount: float) -> float | None:
         return None if not wall_s else amount / wall_s
@@ -69,7 +69,7 @@ def summarize(history: History, wall_s: float | None) -> dict[str, Any]:
         "min_separation_m": float(history.min_separation_m.min()),
         "min_gap_m": min_gap_m,
         "collisions": collisions,
-        "role_exchanges": int(np.diff(history.roles, axis=0, prepend=own).any(axis=1).sum()),
+        "role_exchanges": int((roles[1:] != roles[:-1]).any(axis=1).sum()),
         "path_length_m": float(travelled),
         "shortest_path_m": _shortest_path_m(history),
         "final_positions_m": {

@@ -9,10 +9,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.distance import pdist
 
 from skyherd.control.template import Template
-from skyherd.geometry import to_complex, to_points
+from skyherd.geometry import to_complex
 from skyherd.messages import Detections, UnitReport
 
 LEAK = 0.05
@@ -40,8 +39,8 @@ class SizeRule:
         """Bounds of the similarity's scale, image pixels a template pixel."""
         if self.is_free or not side_px:
             return 0.0, np.inf
-        nearest = float(pdist(to_points(template.points_px)).min())
-        return self.least_sides * side_px / nearest, self.most_sides * side_px / nearest
+        side_in_spacings = side_px / template.spacing_px
+        return self.least_sides * side_in_spacings, self.most_sides * side_in_spacings
 
 
 @dataclass

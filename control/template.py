@@ -1,13 +1,15 @@
 """The template image: the shape to form, as one image point for each robot (paper, Section III)."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial.distance import pdist
 
 from skyherd.control.similarity import COINCIDENT
 from skyherd.errors import DegenerateSetError, InputError
-from skyherd.geometry import ComplexArray, IntArray, to_complex
+from skyherd.geometry import ComplexArray, IntArray, to_complex, to_points
 
 
 @dataclass(frozen=True)
@@ -48,6 +50,11 @@ class Template:
     def from_ground_points(cls, ids: npt.ArrayLike, points: npt.ArrayLike) -> "Template":
         """Template of points (N, 2) as seen on a map, x right and y up; an image has v down."""
         return cls(np.asarray(ids), to_complex(points).conj())
+
+    @cached_property
+    def spacing_px(self) -> float:
+        """Distance between its two nearest points."""
+        return float(pdist(to_points(self.points_px)).min())
 
     def points_of(self, ids: IntArray) -> ComplexArray:
         """Template points of the robots `ids`, all of which must be in the template."""

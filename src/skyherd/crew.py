@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.distance import pdist
 
 from skyherd.control import (
     AerialController,
@@ -35,7 +34,6 @@ from skyherd.control.flight import Flight
 from skyherd.control.robot_law import Gains
 from skyherd.datasets import Mission, Scenario
 from skyherd.datasets.models import FlightModel, SelectionModel
-from skyherd.geometry import to_points
 from skyherd.messages import Detections, UnitReport
 
 REPORT_LIFETIME_S = 2.0
@@ -135,8 +133,8 @@ def make_size(mission: Mission) -> SizeRule:
     """Bounds on the shape's size, in marker sides."""
     model, side_m = mission.scenario.size, mission.scenario.marker.side_m
     if model.unit_m is not None:
-        nearest = float(pdist(to_points(mission.template.points_px)).min())
-        return SizeRule(nearest * model.unit_m / side_m, nearest * model.unit_m / side_m)
+        sides = mission.template.spacing_px * model.unit_m / side_m
+        return SizeRule(sides, sides)
     if model.spacing_sides is not None:
         return SizeRule(model.spacing_sides, model.spacing_sides)
     return SizeRule(model.least_spacing_sides)

@@ -1,0 +1,70 @@
+"""What roles, size and avoidance add to a control step and to the robots' law: ratios taken in one run.
+
+    OPENBLAS_NUM_THREADS=1 python benchmarks/body_cost.py
+
+One unit sees 50 robots, bodies close together. The step with all parts on is compared with the step without,
+both over the same images; so are the robots' laws, all 50 at once, after the same messages.
+"""
+
+from time import perf_counter
+
+import numpy as np
+
+from skyherd.crew import make_mind, make_team
+from skyherd.datasets import make_mission
+from skyherd.datasets.crowded_missions import crowded_mission
+from skyherd.perception import make_perception
+from skyherd.world import World
+
+ROBOTS, IMAGES, ROUNDS = 50, 40, 7
+
+
+def tree(parts: bool) -> dict:
+    """50 robots under one unit, 0.7 m apart, that see all."""
+    base = crowded_mission(3, units=1)
+    rng = np.random.default_rng(1)
+    grid = np.array([(x, y) for x in range(10) for y in range(5)], dtype=float) * 0.7
+    places = grid + rng.uniform(-0.08, 0.08, grid.shape) - grid.mean(axis=0)
+    base["robots"] |= {
+        "positions_m": places.tolist(),
+        "headings_deg": rng.uniform(-180, 180, ROBOTS).tolist(),
+    }
+    base["template"] = {"shape": "circle"}
+    base["units"][0] |= {"position_m": [0.0, 0.0], "height_m": 8.0}
+    if not parts:
+        base |= {"roles": {}, "size": {}, "avoidance": {}}
+    return base
+
+
+def times_ms(parts: bool) -> tuple[float, float]:
+    """Median times of a unit's step and of the team's command."""
+    mission = make_mission(tree(parts))
+    mind, team, world = make_mind(mission, 0), make_team(mission), World(mission)
+    perception = make_perception(mission, np.random.default_rng(0))
+    steps, commands = [], []
+    for image in range(IMAGES):
+        time_s = 0.2 * image
+        seen = perception.look(world, 0, time_s).detections
+        started = perf_counter()
+        decision = mind.decide(seen, [])
+        steps.append(perf_counter() - started)
+        for message in (decision.goals, decision.encounters):
+            if message is not None:
+                team.receive(message, time_s, np.ones(len(message), dtype=bool))
+        started = perf_counter()
+        command = team.command(time_s)
+        commands.append(perf_counter() - started)
+        world.advance(command, time_s, 0.2)
+    return 1e3 * float(np.median(steps)), 1e3 * float(np.median(commands))
+
+
+def main() -> None:
+    """Take turns, so that a busy machine is as busy for both."""
+    rounds = np.array([[times_ms(parts) for parts in (False, True)] for _ in range(ROUNDS)])
+    without, with_parts = np.median(rounds, axis=0)
+    for name, before, after in zip(("unit's step", "robots' laws"), without, with_parts, strict=True):
+        print(f"{name:13} {before:6.3f} ms without, {after:6.3f} ms with all parts: {after / before:.2f} x")
+
+
+if __name__ == "__main__":
+    main()

@@ -16,7 +16,7 @@ class RolesModel(Model):
         0.05, description="an exchange must lower V by this share"
     )
     classes: list[int] | None = Field(
-        None, description="a class for each robot; robots exchange within theirs only"
+        None, description="a class for each robot, by ascending id; they exchange within theirs"
     )
 
 

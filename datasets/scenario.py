@@ -187,6 +187,7 @@ def _complete(scenario: Scenario, folder: Path) -> Mission:
     ]
     for _, shape in later:
         _check_template(ids, shape)
+    _check_classes(scenario, ids)
     check_obstacles(scenario.obstacles, ids, limit, scenario.marker)
     positions = start_positions(scenario, ids, template, rng)
     headings = start_headings(scenario.robots, ids.size, rng)
@@ -245,6 +246,14 @@ def _robot_ids(robots: RobotsModel, template: Template) -> IntArray:
     if ids.size != count:
         raise InputError("robots.ids", f"{ids.size} ids for {count} robots", "an id for each robot")
     return ids
+
+
+def _check_classes(scenario: Scenario, ids: IntArray) -> None:
+    classes = scenario.roles.classes
+    if classes is not None and len(classes) != ids.size:
+        raise InputError(
+            "roles.classes", f"{len(classes)} classes for {ids.size} robots", "one for each, by ascending id"
+        )
 
 
 def _check_template(ids: IntArray, template: Template) -> None:

@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from typing import Annotated, Literal, Self
 
+import numpy as np
 from pydantic import Field, FiniteFloat, model_validator
 
 from skyherd.datasets.body_models import AvoidanceModel, RolesModel, SizeModel
@@ -10,6 +11,7 @@ from skyherd.datasets.fields import Coordinate, Fraction, Model, NotNegative, Po
 from skyherd.datasets.scene_models import CameraModel, GroundModel, OccluderModel, SensorModel
 
 MarkerId = Annotated[int, Field(ge=0, lt=2**31)]
+LENS_CHECKS = 5
 
 
 class ShapeModel(Model):
@@ -169,6 +171,17 @@ class FlightModel(Model):
     )
 
 
+class SwayModel(Model):
+    """How a unit sways: its tilt is filtered noise around the unit's `tilt_deg`, from the scenario's seed."""
+
+    tilt_deg: Annotated[FiniteFloat, Field(gt=0, le=15)] = Field(
+        description="root mean square of the tilt, of both axes together"
+    )
+    period_s: Positive = Field(
+        3.0, description="middle of its spectrum, a bell whose width is a quarter of that frequency"
+    )
+
+
 class UnitModel(Model):
     """One aerial unit."""
 
@@ -178,6 +191,7 @@ class UnitModel(Model):
     tilt_deg: tuple[
         Annotated[FiniteFloat, Field(ge=-45, le=45)], Annotated[FiniteFloat, Field(ge=-45, le=45)]
     ] = Field((0.0, 0.0), description="about the camera's u and v axes")
+    sway: SwayModel | None = Field(None, description="left out: the unit hangs still")
     camera: CameraModel
     zoom: list[tuple[NotNegative, Positive]] = Field(
         default=[(0.0, 1.0)],
@@ -196,6 +210,12 @@ class UnitModel(Model):
     latency_s: NotNegative = Field(
         0.0, description="from an image to the arrival of its goals and report; not of its own flight command"
     )
+
+    def zooms(self) -> list[float]:
+        """Zooms between the least and the greatest that may come, as a lens is checked at."""
+        scripted = [zoom for _, zoom in self.zoom]
+        low, high = self.zoom_range
+        return [float(z) for z in np.geomspace(min(scripted) * low, max(scripted) * high, LENS_CHECKS)]
 
     @model_validator(mode="after")
     def _zoom_in_order(self) -> Self:
@@ -291,6 +311,6 @@ class Scenario(Model):
             yield f"height_m {unit.height_m:g} is outside the autopilot's {low:g} to {high:g} m"
         if rate * self.step_s > 1 + 1e-9:
             yield f"frame_rate_hz {rate:g} is more than one image a step_s of {self.step_s:g}"
-        widest = min(zoom for _, zoom in unit.zoom)
-        if complaint := unit.camera.lens_complaint(widest):
+        complaints = (unit.camera.lens_complaint(zoom) for zoom in unit.zooms())
+        if complaint := next(filter(None, complaints), None):
             yield complaint

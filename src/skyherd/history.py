@@ -36,6 +36,7 @@ class History:
         unit_positions_m: (T, U, 2).
         heights_m: (T, U).
         yaws_rad: (T, U).
+        tilts_rad: (T, U, 2) about the cameras' u and v axes.
         zooms: (T, U).
         V: (T,) m².
         V_units: (T, U) m²; NaN for a set that makes no shape.
@@ -66,6 +67,7 @@ class History:
     unit_positions_m: Array
     heights_m: Array
     yaws_rad: Array
+    tilts_rad: Array
     zooms: Array
     V: Array
     V_units: Array
@@ -113,6 +115,7 @@ _COLUMNS = {
     "unit_positions_m": "fleet.positions_m",
     "heights_m": "fleet.heights_m",
     "yaws_rad": "fleet.yaws_rad",
+    "tilts_rad": "fleet.tilts_rad",
     "zooms": "fleet.zooms",
     "V": "observation.V",
     "V_units": "observation.V_units",

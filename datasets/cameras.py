@@ -32,8 +32,8 @@ CAMERAS: Mapping[str, Mapping[str, Any]] = {
     "zoom": {
         "size_px": (720, 576),
         "half_angle_deg": 28.0,
-        "distortion": {"k1": -0.22},
-        "zoom_k1": 0.44,
+        "distortion": {"k1": -0.17},
+        "zoom_k1": 0.34,
     },
     # Oblong pixels, as of an image that was stretched.
     "oblong": {"size_px": (800, 600), "half_angle_deg": 30.0, "aspect": 640 / 480},
@@ -43,6 +43,6 @@ CAMERAS: Mapping[str, Mapping[str, Any]] = {
         "size_px": (800, 600),
         "half_angle_deg": 30.0,
         "principal_point_px": (559.5, 179.5),
-        "distortion": {"k1": -0.12},
+        "distortion": {"k1": -0.12, "k2": 0.02},
     },
 }

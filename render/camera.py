@@ -20,7 +20,7 @@ from skyherd.render.fisheye import Equidistant
 from skyherd.render.lens import NO_DISTORTION, Distortion
 from skyherd.render.pixels import LensField
 
-KNOT_PX = 6
+KNOT_PX = 5
 """What a lens does is computed so far apart, and between by splines of the fifth degree: right to 1e-4 px,
 and to 1e-3 where a lens is about to fold."""
 

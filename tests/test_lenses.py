@@ -26,7 +26,7 @@ from skyherd.render import (
 from skyherd.render.camera import lens_field, lens_slopes, undistort
 from skyherd.world import World
 
-FISHEYE = Camera((480, 360), 180 / np.radians(45), (246.0, 171.0), distortion=Equidistant())
+FISHEYE = Camera((800, 600), 300 / np.radians(45), (406.0, 291.0), distortion=Equidistant())
 """120 degrees across the longer side."""
 
 
@@ -71,10 +71,10 @@ def test_a_fisheye_is_projected_as_opencv_has_it():
 def test_a_fisheyes_image_is_the_exact_one():
     """Markers from the axis out to 65 degrees, of 16 to 47 px; the reference's edges bent by OpenCV's
     fisheye. The bounds are those of tests/test_render_exact.py, 0.5 grey levels at worst, 0.1 RMS; in the
-    corners, beyond 60 degrees, cells are 2 px wide along the radius, the worst pixel off by twice that."""
-    rng, pose = np.random.default_rng(4), CameraPose((0.0, 0.0), 5.0, 0.4, (0.1, -0.05))
+    corners, beyond 60 degrees, the scale changes by 1 % a pixel, and the worst one is off by twice that."""
+    rng, pose = np.random.default_rng(4), CameraPose((0.0, 0.0), 8.0, 0.4, (0.1, -0.05))
     grid = np.stack(np.meshgrid(np.arange(-4, 5), np.arange(-3, 4)), axis=-1).reshape(-1, 2)[:50]
-    positions, headings = grid * 2.3 + rng.uniform(-0.2, 0.2, grid.shape), rng.uniform(-3, 3, len(grid))
+    positions, headings = grid * 3.2 + rng.uniform(-0.2, 0.2, grid.shape), rng.uniform(-3, 3, len(grid))
     ids, matrix = np.arange(len(grid)), FISHEYE.intrinsic_matrix()
     straight = Camera(FISHEYE.size_px, FISHEYE.focal_px, FISHEYE.principal_point_px)
     images = project_markers(straight, pose, positions, headings, 1.0, 8 / 6).images_marker
@@ -89,7 +89,7 @@ def test_a_fisheyes_image_is_the_exact_one():
     renderer = Renderer("4X4_50", 1.0, Ground(0, kind="plain"), sensor)
     difference = renderer.light(FISHEYE, pose, ids, positions, headings) - exact
     v, u = np.mgrid[: FISHEYE.size_px[1], : FISHEYE.size_px[0]]
-    angle_deg = np.degrees(np.hypot(u - 246.0, v - 171.0) / FISHEYE.focal_px)
+    angle_deg = np.degrees(np.hypot(u - 406.0, v - 291.0) / FISHEYE.focal_px)
     assert np.abs(difference[angle_deg < 60]).max() < 0.5
     assert np.abs(difference).max() < 1.0
     assert np.sqrt((difference[np.abs(exact - 128) > 0.01] ** 2).mean()) < 0.1

@@ -37,8 +37,8 @@ ZOOM_DEVIATIONS = 4.0
 """The markers have changed size together if by more than so many deviations."""
 
 ZOOM_BENDS = 4.0
-"""A zoom lens bends otherwise at each focal length: by so many prior deviations where that grows by e. In steps of
-a ramp these changes are of one sign, so that more than a lens has is allowed for each."""
+"""A zoom lens bends otherwise at each focal length: by so many prior deviations where that grows by e. In
+steps of a ramp these changes are of one sign, so that more than a lens has is allowed for each."""
 
 
 @dataclass

@@ -6,10 +6,10 @@
 
 Parts: `any`, cameras drawn at random, tilted, oblong, skew and distorting; `cameras`, each of the test
 cameras by name, tilted, and tilted and swaying; `ideal`, where it must not hurt; `cost`, beside the
-detector's on the same images. One unit hovers over 3, 6 or 16 robots that never stop (`b_th = 0`); shape errors
-are means over the last `--average` seconds. `NEES` is of the rectified centres, over their covariance, against the true
-camera's map; 1 is honest. Every flight is kept in `--out` under the hash of its mission, and the same command
-goes on from there.
+detector's on the same images. One unit hovers over 3, 6 or 16 robots that never stop (`b_th = 0`); shape
+errors are means over the last `--average` seconds. `NEES` is of the rectified centres, over their covariance,
+against the true camera's map; 1 is honest. Every flight is kept in `--out` under the hash of its mission, and
+the same command goes on from there.
 """
 
 import argparse

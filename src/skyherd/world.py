@@ -14,7 +14,7 @@ from skyherd.messages import FlightCommand, VelocityCommand
 from skyherd.render import Camera, CameraPose, Motion
 from skyherd.sway import Sway
 
-SWAY = 4
+SWAY = 6
 """Use of random numbers, beside those of the loop."""
 
 

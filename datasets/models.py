@@ -211,6 +211,11 @@ class UnitModel(Model):
         0.0, description="from an image to the arrival of its goals and report; not of its own flight command"
     )
 
+    @property
+    def ideal(self) -> bool:
+        """Whether Property 1 holds for its camera: square pixels, a straight lens, looking straight down."""
+        return self.sway is None and not any(self.tilt_deg) and self.camera.ideal
+
     def zooms(self) -> list[float]:
         """Zooms between the least and the greatest that may come, as a lens is checked at."""
         scripted = [zoom for _, zoom in self.zoom]

@@ -69,6 +69,11 @@ class CameraModel(Model):
         return self
 
     @property
+    def ideal(self) -> bool:
+        """Whether it has square pixels, and a lens that does not bend."""
+        return (self.aspect, self.skew) == (1.0, 0.0) and not self.make().distortion
+
+    @property
     def focal_length_px(self) -> float:
         """Focal length along u."""
         if self.focal_px is not None:

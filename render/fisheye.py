@@ -28,6 +28,10 @@ NEAR = 1e-4
 class Equidistant:
     """Lens after `r' = atan r`; the same at every zoom."""
 
+    def __bool__(self) -> bool:
+        """It always bends."""
+        return True
+
     def at(self, zoom: float) -> Self:
         """The lens at a zoom."""
         return self

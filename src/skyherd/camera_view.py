@@ -64,6 +64,11 @@ def _standing(tree: TreeWord | None) -> str:
     return "" if tree.heir_id == NOBODY else f" · heir {tree.heir_id}"
 
 
+def brightened(image: Image) -> Image:
+    """A camera's image as it is shown."""
+    return np.asarray(cv2.LUT(image, _CURVE), dtype=np.uint8)
+
+
 class CameraView:
     """Draws one unit's frames into its cell of the canvas: a title, and the image below it.
 

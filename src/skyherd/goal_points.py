@@ -11,12 +11,11 @@ from skyherd.render import Camera, CameraPose, homography_image_ground
 from skyherd.render.camera import undistort
 
 
-def desired_points_px(frame: UnitFrame) -> Array:
-    """Image points (N, 2) where a unit wants the robots of its goals.
+def rectified_goals_px(frame: UnitFrame) -> Array:
+    """Points (N, 2) of the rectified image where a unit wants the robots of its goals.
 
     The robot hears a length rho and a bearing in its own frame, counter-clockwise from its heading;
-    in the image, whose angles are clockwise, rho points along `heading - bearing`. Where the unit rectifies,
-    that is so in the rectified image, and the points are brought back.
+    in the image, whose angles are clockwise, rho points along `heading - bearing`.
     """
     goals = frame.decision.goals
     if goals is None:
@@ -24,10 +23,15 @@ def desired_points_px(frame: UnitFrame) -> Array:
     robots = rectified(frame.sight.detections, frame.ground_map)
     row = rows_of(robots, goals.ids)
     rho = goals.rho_px * np.exp(1j * (robots.headings_rad[row] - goals.bearings_rad))
-    desired_px = np.asarray(robots.centers_px[row] + to_points(rho))
-    return (
-        desired_px if frame.ground_map.ideal else frame.ground_map.image_px(desired_px, robots.image_size_px)
-    )
+    return np.asarray(robots.centers_px[row] + to_points(rho))
+
+
+def desired_points_px(frame: UnitFrame) -> Array:
+    """Image points (N, 2) where a unit wants the robots of its goals, back from the rectified image."""
+    desired_px = rectified_goals_px(frame)
+    if frame.ground_map.ideal:
+        return desired_px
+    return frame.ground_map.image_px(desired_px, frame.sight.detections.image_size_px)
 
 
 def rows_of(robots: Detections, ids: IntArray) -> IntArray:

@@ -4,9 +4,9 @@
     python benchmarks/invariance.py --cameras 20
 
 Cameras differ in focal length (x 0.5 to 2), height, place, yaw and its rate, principal point, image size and
-a zoom ramp; markers have 14 px or more, all robots are in view. Start and gains are `triangle`'s, four times as
-fast. Paths are held against those of exact projection, which are the same for all cameras; `noise alone` is
-exact projection with the detector's noise, at each camera's own scale, its median over seeds. Every run is
+a zoom ramp; markers have 14 px or more, all robots are in view. Start and gains are `triangle`'s, four times
+as fast. Paths are held against those of exact projection, which are the same for all cameras; `noise alone`
+is exact projection with the detector's noise, at each camera's own scale, its median over seeds. Every run is
 kept in `--out`, and the same command goes on from there.
 """
 

@@ -12,38 +12,40 @@ import pyarrow as pa
 from skyherd import __version__
 from skyherd.files import write_text
 from skyherd.report import figure_card, page_style
-from skyherd.study.figures import write_figure_pages
+from skyherd.study.figures import MARKDOWN, complaints
 from skyherd.study.invariance import IDEAL, RENDERED, Sweep, make_sweeps
 from skyherd.study.invariance_plots import draw_sweeps
 from skyherd.study.plan import make_plan
 from skyherd.study.spec import Study
 from skyherd.study.store import ERROR
 
-PAGE, MARKDOWN = "invariance.html", "invariance.md"
+PAGE = "invariance.html"
 HEAD = (
-    "parameter",
+    "sweep",
     "over",
-    "goals, predicted",
-    "as seen",
-    "rectified",
-    "paths, noise alone",
-    "as seen",
-    "rectified",
-    "shape, predicted",
-    "as seen",
-    "rectified",
+    "goals: predicted",
+    "goals: as seen",
+    "goals: rectified",
+    "paths: noise alone",
+    "paths: as seen",
+    "paths: rectified",
+    "shape: predicted",
+    "shape: as seen",
+    "shape: rectified",
 )
 Cells = list[str]
 
+ROUNDING = 1e-9
+"""Smaller numbers are those that float64 leaves."""
+
 
 def write_invariance(study: Study, table: pa.Table, folder: Path) -> list[Path]:
-    """Write page, Markdown and figures of a study of cameras, and the table that every study has.
+    """Write page, Markdown and figures of a study of cameras.
 
     Raises:
         InputError: the reference's run failed.
         OutputError: a file could not be written.
     """
-    plain = write_figure_pages(study, table, folder)
     sweeps = make_sweeps(make_plan(study), table)
     cards = {figure.title.lower(): figure_card(figure) for figure in draw_sweeps(sweeps, folder / "figures")}
     failed = table.num_rows - table[ERROR].null_count
@@ -55,11 +57,11 @@ def write_invariance(study: Study, table: pa.Table, folder: Path) -> list[Path]:
         outside=_section(sweeps, cards, inside=False),
         version=escape(__version__),
     )
-    text = "\n\n".join(
-        f"{title}\n\n{markdown([sweep for sweep in sweeps if sweep.inside == inside])}"
-        for title, inside in (("Inside Property 1's class:", True), ("Outside it:", False))
-    )
-    return [write_text(folder / PAGE, page), write_text(folder / MARKDOWN, text + "\n"), *plain]
+    parts = [f"# {study.name}", study.spec.description]
+    for title, inside in (("Inside Property 1's class:", True), ("Outside it:", False)):
+        parts += [title, markdown([sweep for sweep in sweeps if sweep.inside == inside])]
+    text = "\n\n".join([*parts, *complaints(table)]) + "\n"
+    return [write_text(folder / PAGE, page), write_text(folder / MARKDOWN, text)]
 
 
 def markdown(sweeps: Sequence[Sweep]) -> str:
@@ -76,21 +78,23 @@ def cells(sweep: Sweep) -> Cells:
         predicted.goals, seen.goals, ours.goals, noise, seen.paths, ours.paths, predicted.shape, seen.shape,
         ours.shape,
     )  # fmt: skip
-    return [sweep.label, _range(sweep), *map(_short, numbers)]
+    return [sweep.name, _range(sweep), *map(_short, numbers)]
 
 
 def _range(sweep: Sweep) -> str:
     values = [point.value for point in sweep.points]
     numbers = [value for value in values if not isinstance(value, str)]
     if len(numbers) < len(values):
-        return f"{len(values)} of them"
-    return f"{min(numbers):g} to {max(numbers):g}"
+        return f"{sweep.label}: {len(values)}"
+    return f"{sweep.label}: {min(numbers):g} to {max(numbers):g}"
 
 
 def _short(value: float) -> str:
     if np.isnan(value):
         return "–"
-    return "0" if value < 1e-9 else f"{value:.1e}" if value < 1e-3 else f"{value:.2g}"
+    if value < ROUNDING:
+        return "0"
+    return f"{value:.1e}".replace("e-0", "e-") if value < 1e-3 else f"{value:.2g}"
 
 
 def _tiles(sweeps: Sequence[Sweep], runs: int, failed: int) -> list[tuple[str, str]]:
@@ -102,9 +106,11 @@ def _tiles(sweeps: Sequence[Sweep], runs: int, failed: int) -> list[tuple[str, s
         ]
         return _short(float(np.nanmax([np.nan, *values]))) if np.isfinite(values).any() else "–"
 
+    exact = most(True, False, "paths", IDEAL)
+    exact = f"under {ROUNDING:.0e}" if exact == "0" else exact
     return [
         (str(runs), f"runs, {failed} failed" if failed else "runs, none failed"),
-        (most(True, False, "paths", IDEAL), "worst path inside the class, exact images, marker sides"),
+        (exact, "worst path inside the class, exact images, marker sides"),
         (most(True, False, "shape"), "worst shape error inside the class, rendered"),
         (most(False, False, "shape"), "worst outside it, as seen"),
         (most(False, True, "shape"), "worst outside it, rectified"),

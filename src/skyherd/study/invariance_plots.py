@@ -61,7 +61,7 @@ def draw_sweeps(sweeps: Iterable[Sweep], folder: Path) -> list[FigureFile]:
 def caption(sweep: Sweep) -> str:
     """What a sweep's figure shows."""
     where = "Inside" if sweep.inside else "Outside"
-    return f"{where} Property 1's class: {sweep.label}. The worst of all seeds."
+    return f"{where} Property 1's class: {sweep.label}. The worst of the seeds at each value."
 
 
 def draw_sweep(sweep: Sweep) -> Figure:
@@ -102,7 +102,8 @@ def _draw_panel(axes: Axes, sweep: Sweep, field: str, places: Sequence[float]) -
         predicted = np.array([getattr(point.predicted, field) for point in sweep.points], dtype=float)
         axes.plot(places, np.where(predicted < LEAST, np.nan, predicted), **PREDICTED)
     axes.set_yscale("log")
-    top = max(float(np.nanmax(line.get_ydata())) for line in axes.lines)
+    drawn = np.concatenate([np.asarray(line.get_ydata(), dtype=float) for line in axes.lines])
+    top = max(drawn[np.isfinite(drawn)], default=LEAST)
     axes.set_ylim(LEAST / 2, max(2 * top, 10 * LEAST))
     axes.yaxis.set_major_locator(LogLocator(numticks=8))
     axes.yaxis.set_minor_locator(NullLocator())

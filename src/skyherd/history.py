@@ -9,6 +9,7 @@ import numpy as np
 from skyherd.control import Template
 from skyherd.control.topology import control_matrix
 from skyherd.datasets import Mission
+from skyherd.datasets.body_models import SizeModel
 from skyherd.geometry import Array, BoolArray, IntArray, to_complex
 from skyherd.goal_points import goal_error_m
 from skyherd.loop import Step, dead_units
@@ -45,7 +46,7 @@ class History:
         scales: (T, U) metres a template unit.
         rotations_rad: (T, U) ground sense.
         goal_errors_m: (T, U) largest distance of a desired point on the ground from that of the truth; NaN
-            where a unit took no image or set no goals.
+            where a unit took no image or set no goals, and where the shape's size is not free.
         shape_error: (T,).
         shape_scale: (T,) metres a template unit.
         shape_rotation_rad: (T,).
@@ -168,13 +169,16 @@ def _trees(mission: Mission, steps: list[Step]) -> list[TreeState | None]:
 def _goal_errors(mission: Mission, steps: list[Step]) -> Array:
     cameras = [make_camera(unit.camera) for unit in mission.scenario.units]
     errors = np.full((len(steps), len(cameras)), np.nan)
+    if mission.scenario.size != SizeModel():
+        return errors
+    points = mission.template.points_of(mission.ids).conj()
     for row, step in enumerate(steps):
         for unit, frame in step.frames.items():
             goals = frame.decision.goals
             if goals is None:
                 continue
-            template = mission.template.points_of(goals.ids).conj()
-            positions = to_complex(step.positions_m[np.searchsorted(mission.ids, goals.ids)])
+            mine = np.searchsorted(mission.ids, goals.ids)
+            template, positions = points[step.roles[mine]], to_complex(step.positions_m[mine])
             errors[row, unit] = goal_error_m(frame, cameras[unit], step.fleet.pose(unit), template, positions)
     return errors
 

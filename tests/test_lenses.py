@@ -7,8 +7,8 @@ import pytest
 from reference import reference_light
 from skyherd.datasets import load_mission, make_mission
 from skyherd.datasets.cameras import CAMERAS
-from skyherd.datasets.models import UnitModel
 from skyherd.datasets.scene_models import CameraModel
+from skyherd.datasets.unit_models import UnitModel
 from skyherd.errors import InputError
 from skyherd.geometry import inverse
 from skyherd.perception import make_perception

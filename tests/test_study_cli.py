@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from skyherd.datasets import scenario_names
 from study_runs import SMALL, call
 
 
@@ -77,8 +78,7 @@ def test_built_in_studies_are_listed_and_shown(capsys: Any) -> None:
 
 
 def test_without_the_extra_one_line_says_how_to_get_it(tmp_path: Path) -> None:
-    code = "import sys; sys.modules['distributed'] = None; from skyherd.datasets import scenario_names
-from skyherd.cli import main; main()"
+    code = "import sys; sys.modules['distributed'] = None; from skyherd.cli import main; main()"
     command = [sys.executable, "-c", code, "study", "noise"]
     ended = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     said = "error: skyherd study: distributed is not installed; pip install 'skyherd[study]'\n"

@@ -6,8 +6,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from skyherd.datasets import Mission, Scenario
-from skyherd.datasets.models import AutopilotModel, UnitModel
+from skyherd.datasets.models import AutopilotModel
 from skyherd.datasets.scene_models import CameraModel
+from skyherd.datasets.unit_models import UnitModel
 from skyherd.drive import Drive, limit
 from skyherd.geometry import Array, IntArray, to_complex, to_points, wrap_angle
 from skyherd.messages import FlightCommand, VelocityCommand

@@ -100,7 +100,8 @@ class Rectifier:
         changes = np.zeros(CAMERA)
         changes[FOCAL] = growth * 2.0 * (1 + self.ground_map.unknowns[FOCAL])
         changes[LENS] = growth * np.array([2.0, 4.0, 6.0]) * self.ground_map.unknowns[LENS]
-        changes[LENS] = np.abs(changes[LENS]) + abs(growth) * ZOOM_BENDS * PRIOR[LENS]
+        if self.ground_map.unknowns[LENS].any():
+            changes[LENS] = np.abs(changes[LENS]) + abs(growth) * ZOOM_BENDS * PRIOR[LENS]
         return camera.loosened(changes**2)
 
     def _fresh(self, squares: Squares) -> float:

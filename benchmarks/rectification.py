@@ -4,19 +4,24 @@
     python benchmarks/rectification.py --runs 10 --part any
     python benchmarks/rectification.py --part cost
 
-Parts: `any`, cameras drawn at random, tilted, oblong, skew and distorting; `ideal`, where it must not hurt;
-`cost`, beside the detector's on the same images. One unit hovers over 3, 6 or 16 robots that never stop
-(`b_th = 0`); shape errors are means over the last `--average` seconds. `NEES` is of the rectified centres,
-over their covariance, against the true camera's map; 1 is honest.
+Parts: `any`, cameras drawn at random, tilted, oblong, skew and distorting; `cameras`, each of the test
+cameras by name, tilted, and tilted and swaying; `ideal`, where it must not hurt; `cost`, beside the
+detector's on the same images. One unit hovers over 3, 6 or 16 robots that never stop (`b_th = 0`); shape
+errors are means over the last `--average` seconds. `NEES` is of the rectified centres, over their covariance,
+against the true camera's map; 1 is honest. Every flight is kept in `--out` under the hash of its mission, and
+the same command goes on from there.
 """
 
 import argparse
+import json
 import time
-from collections.abc import Iterator
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import partial
+from itertools import product
 from multiprocessing import get_context
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -24,13 +29,17 @@ import numpy as np
 
 from skyherd.control import Rectifier, rectified
 from skyherd.datasets import Mission, load_mission, make_mission
+from skyherd.datasets.cameras import CAMERAS
+from skyherd.datasets.scene_models import CameraModel
 from skyherd.errors import InputError
 from skyherd.geometry import Array, ComplexArray, apply_homography, inverse, to_complex, to_points
 from skyherd.loop import Step, run_steps
+from skyherd.markers import card_side
 from skyherd.messages import Detections
 from skyherd.perception import Projected, Rendered
-from skyherd.render import Camera, CameraPose, homography_image_ground
+from skyherd.render import Camera, CameraPose, homography_image_ground, project_markers
 from skyherd.render.camera import undistort
+from skyherd.study.plan import mission_key
 from skyherd.world import World
 
 SIZE_PX = 800
@@ -91,10 +100,17 @@ def scenario_tree(robots: int, rng: np.random.Generator, *, ideal: bool) -> dict
     metre_px = unit["camera"]["focal_px"] / HEIGHT_M
     scale_m = 0.55 * SIZE_PX / 2 / metre_px / np.linalg.norm(points, axis=1).max()
     side_m = float(rng.uniform(18, 30) / metre_px)
+    return flight_tree(points, scale_m, side_m, unit, int(rng.integers(2**31)))
+
+
+def flight_tree(
+    points: Array, scale_m: float, side_m: float, unit: dict[str, Any], seed: int
+) -> dict[str, Any]:
+    """A flight over plain ground; the shape's RMS radius is `scale_m`, neighbours keep apart."""
     scatter = {"scale_m": scale_m, "jitter_m": 0.15 * scale_m, "spacing_m": 1.6 * side_m}
     return {
         "name": "rectification",
-        "seed": int(rng.integers(2**31)),
+        "seed": seed,
         "step_s": 0.1,
         "template": {"points": points.tolist()},
         "robots": {"scatter": scatter},
@@ -122,33 +138,80 @@ def draw_mission(robots: int, seed: int, *, ideal: bool, rectify: bool, duration
             return mission
 
 
-def fly(
-    seed: int, robots: int, *, ideal: bool, rectify: bool, duration_s: float, average_s: float
-) -> Outcome:
+def camera_mission(
+    name: str, robots: int, seed: int, *, sway_deg: float, rectify: bool, duration_s: float
+) -> Mission:
+    """A flight under a test camera by name, tilted by 10 degrees, markers of 16 px at the least.
+
+    The formation fills 0.55 of what the image shows in its narrowest direction; a zoom lens zooms in by a
+    third, and back.
+    """
+    rng, points = np.random.default_rng([seed, robots]), template_points(robots)
+    way, model = rng.uniform(-np.pi, np.pi), CameraModel(preset=name)
+    tilt_deg = 10.0 * np.array([np.cos(way), np.sin(way)])
+    camera, yaw_deg = model.make(), float(rng.uniform(-180, 180))
+    pose = CameraPose((0.0, 0.0), HEIGHT_M, np.radians(yaw_deg), tuple(np.radians(tilt_deg)))
+    ground_image = inverse(homography_image_ground(camera, pose))
+    corners = camera.corners_px
+    sides = corners + np.linspace(0, 1, 9)[:, None, None] * (np.roll(corners, -1, axis=0) - corners)
+    places = np.concatenate([[(np.array(camera.size_px) - 1) / 2], sides.reshape(-1, 2)])
+    middle, *border = apply_homography(ground_image, undistort(camera, 1.0, places))
+    reach_m = 0.55 * np.linalg.norm(np.array(border) - middle, axis=1).min() - HEIGHT_M * np.radians(sway_deg)
+    scale_m = reach_m / np.linalg.norm(points, axis=1).max()
+    rim = middle + reach_m * np.column_stack([np.cos(np.arange(8)), np.sin(np.arange(8))])
+    seen = project_markers(camera, pose, rim, np.zeros(8), 1.0, card_side("4X4_50"))
+    side_m = float(18 / seen.sides_px.min())
+    unit: dict[str, Any] = {
+        "position_m": (-middle).tolist(),
+        "height_m": HEIGHT_M,
+        "yaw_deg": yaw_deg,
+        "tilt_deg": tilt_deg.tolist(),
+        "camera": {"preset": name},
+        "flight": {"kind": "hover"},
+    }
+    if sway_deg:
+        unit["sway"] = {"tilt_deg": sway_deg}
+    if model.zoom_k1:
+        unit["zoom"] = [[0.0, 1.0], [2.0, 1.0], [3.0, 1.33], [5.0, 1.33], [6.0, 1.0]]
+    tree = flight_tree(points, scale_m, side_m, unit, int(rng.integers(2**31)))
+    tree["control"]["rectify"] = rectify
+    return make_mission(tree | {"duration_s": duration_s})
+
+
+def fly(mission: Mission, average_s: float) -> Outcome:
     """Fly one mission on rendered images."""
     cv2.setNumThreads(1)
-    mission = draw_mission(robots, seed, ideal=ideal, rectify=rectify, duration_s=duration_s)
-    camera = World(mission).cameras[0]
+    camera, duration_s = World(mission).cameras[0], mission.scenario.duration_s
     errors, squares = [], []
     for step in run_steps(mission):
         if step.time_s > duration_s - average_s:
             errors.append(step.observation.shape.error)
-        if rectify and np.isclose(step.time_s, NEES_AT_S, atol=1e-6).any():
-            squares.append(squared_errors(step, camera, pose_of(mission, step)))
+        if mission.scenario.control.rectify and np.isclose(step.time_s, NEES_AT_S, atol=1e-6).any():
+            squares.append(squared_errors(step, camera, step.fleet.pose(0)))
     nees = float(np.mean(np.concatenate(squares)) / 2) if squares else float("nan")
     return Outcome(float(np.mean(errors)), nees)
 
 
-def pose_of(mission: Mission, step: Step) -> CameraPose:
-    """Where the camera truly was."""
-    fleet, tilt = step.fleet, np.radians(mission.scenario.units[0].tilt_deg)
-    return CameraPose(
-        (float(fleet.positions_m[0, 0]), float(fleet.positions_m[0, 1])),
-        float(fleet.heights_m[0]),
-        float(fleet.yaws_rad[0]),
-        (float(tilt[0]), float(tilt[1])),
-        float(fleet.zooms[0]),
-    )
+class Flights:
+    """Flights by the hash of their missions: those in a file, and those flown now and added to it."""
+
+    def __init__(self, path: Path, pool: ProcessPoolExecutor, average_s: float) -> None:
+        self.path, self.pool, self.average_s = path, pool, average_s
+        lines = path.read_text("utf-8").splitlines() if path.exists() else []
+        self._known = {row["key"]: Outcome(**row["outcome"]) for row in map(json.loads, lines)}
+
+    def __call__(self, missions: Sequence[Mission]) -> list[Outcome]:
+        """Outcomes of missions, in their order."""
+        keys = [f"{mission_key(mission)}-{self.average_s:g}" for mission in missions]
+        new = {key: m for key, m in zip(keys, missions, strict=True) if key not in self._known}
+        done = self.pool.map(partial(fly, average_s=self.average_s), new.values())
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        with self.path.open("a", encoding="utf-8") as file:
+            for key, outcome in zip(new, done, strict=True):
+                self._known[key] = outcome
+                file.write(json.dumps({"key": key, "outcome": asdict(outcome)}) + "\n")
+                file.flush()
+        return [self._known[key] for key in keys]
 
 
 def squared_errors(step: Step, camera: Camera, pose: CameraPose) -> Array:
@@ -181,36 +244,51 @@ def true_centers(step: Step, seen: Detections, camera: Camera, pose: CameraPose)
     return np.asarray((to_complex(step.positions_m[row]).conj() - origin) / scale)
 
 
-def outcomes(pool: ProcessPoolExecutor, runs: int, robots: int, **how: Any) -> Iterator[Outcome]:
-    return pool.map(partial(fly, robots=robots, **how), range(runs))
+def print_row(flown: Sequence[Outcome], *names: object) -> None:
+    """Median, 90 %, worst and NEES of some flights."""
+    errors, nees = np.array([(flight.shape_error, flight.nees) for flight in flown]).T
+    honest = "" if np.isnan(nees).all() else f"{np.mean(nees):.2f} / {np.median(nees):.2f}"
+    spread = " | ".join(f"{value:.2e}" for value in (*np.quantile(errors, (0.5, 0.9)), errors.max()))
+    print(f"| {' | '.join(map(str, names))} | {len(flown)} | {spread} | {honest} |", flush=True)
 
 
-def print_any(pool: ProcessPoolExecutor, runs: int, average_s: float) -> None:
-    print("| robots | runs | | shape error, median | 90 % | worst | NEES |\n|---|---|---|---|---|---|---|")
-    for rectify in (True, False):
+HEAD = "runs | shape error, median | 90 % | worst | NEES, mean / median |"
+
+
+def print_any(flights: Flights, runs: int, plain_runs: int) -> None:
+    print(f"| robots | | {HEAD}\n|---|---|---|---|---|---|---|")
+    for rectify, count in ((True, runs), (False, plain_runs)):
         for robots in (6, 16):
-            how = {"ideal": False, "rectify": rectify, "duration_s": FLIGHT_S, "average_s": average_s}
-            flown = list(outcomes(pool, runs, robots, **how))
-            errors, nees = np.array([(flight.shape_error, flight.nees) for flight in flown]).T
-            name, honest = ("rectified", f"{nees.mean():.2f}") if rectify else ("as seen", "")
-            print(
-                f"| {robots} | {runs} | {name} | {np.median(errors):.2e} | {np.quantile(errors, 0.9):.2e} | "
-                f"{errors.max():.2e} | {honest} |",
-                flush=True,
-            )
+            how = {"ideal": False, "rectify": rectify, "duration_s": FLIGHT_S}
+            flown = flights([draw_mission(robots, seed, **how) for seed in range(count)])
+            print_row(flown, robots, "rectified" if rectify else "as seen")
 
 
-def print_ideal(pool: ProcessPoolExecutor, runs: int, average_s: float) -> None:
+def print_cameras(flights: Flights, runs: int) -> None:
+    print(f"| camera | robots | sway, deg | | {HEAD}\n|---|---|---|---|---|---|---|---|---|")
+    for name in CAMERAS:
+        for robots, sway_deg, rectify in product((6, 16), (0.0, 4.0), (True, False)):
+            how = {"sway_deg": sway_deg, "rectify": rectify, "duration_s": FLIGHT_S + 2.0}
+            missions = [camera_mission(name, robots, seed, **how) for seed in range(runs if rectify else 1)]
+            print_row(flights(missions), name, robots, sway_deg, "rectified" if rectify else "as seen")
+
+
+def print_ideal(flights: Flights, runs: int) -> None:
     print("| robots | runs | as seen, median | rectified, median | ratio, median | worst |")
     print("|---|---|---|---|---|---|")
     for robots in (3, 6, 16):
-        how = {"ideal": True, "duration_s": FLIGHT_S + average_s, "average_s": average_s}
-        pairs = zip(
-            outcomes(pool, runs, robots, rectify=False, **how),
-            outcomes(pool, runs, robots, rectify=True, **how),
-            strict=True,
+        how = {"ideal": True, "duration_s": FLIGHT_S + flights.average_s}
+        plain, ours = (
+            np.array(
+                [
+                    flight.shape_error
+                    for flight in flights(
+                        [draw_mission(robots, seed, rectify=rectify, **how) for seed in range(runs)]
+                    )
+                ]
+            )
+            for rectify in (False, True)
         )
-        plain, ours = np.array([(one.shape_error, other.shape_error) for one, other in pairs]).T
         print(
             f"| {robots} | {runs} | {np.median(plain):.2e} | {np.median(ours):.2e} | "
             f"{np.median(ours / plain):.3f} | {(ours / plain).max():.3f} |",
@@ -244,18 +322,24 @@ def print_cost(seconds: float) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--part", choices=["any", "ideal", "cost", "all"], default="all")
+    parser.add_argument("--part", choices=["any", "cameras", "ideal", "cost", "all"], default="all")
     parser.add_argument("--runs", type=int, default=100)
+    parser.add_argument("--plain-runs", type=int, help="of `any` as seen; as many if left out")
     parser.add_argument("--average", type=float, default=2.0, help="simulated seconds averaged over")
     parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--out", type=Path, default=Path("runs/rectification.jsonl"))
     options = parser.parse_args()
+    few = max(options.runs // 10, 1)
     with ProcessPoolExecutor(options.jobs, mp_context=get_context("spawn")) as pool:
+        flights, longer = (Flights(options.out, pool, n * options.average) for n in (1, 4))
         if options.part in ("cost", "all"):
             print_cost(20.0)
         if options.part in ("ideal", "all"):
-            print_ideal(pool, max(options.runs // 10, 1), 4 * options.average)
+            print_ideal(longer, few)
+        if options.part in ("cameras", "all"):
+            print_cameras(flights, few)
         if options.part in ("any", "all"):
-            print_any(pool, options.runs, options.average)
+            print_any(flights, options.runs, options.plain_runs or options.runs)
 
 
 if __name__ == "__main__":

@@ -83,7 +83,9 @@ def _raw_maps(unknowns: Array, p: ComplexArray) -> LocalMaps:
     growth = (k1 + rho * (2 * k2 + 3 * rho * k3)) / bend**2
     s, s_r, s_rc = r / bend, 1 / bend - rho * growth, -r * r * growth
     s_p, s_c = s_r * r_p + s_rc * np.conj(r_c), s_r * r_c + s_rc * np.conj(r_p)
-    focal = USUAL_FOCAL * np.sqrt(np.maximum(1 + unknowns[..., 7], LEAST))
+    # Below a half f² falls exponentially, so that it stays positive and never loses its slope.
+    square_focal = np.maximum(1 + unknowns[..., 7], np.exp(np.minimum(2 * unknowns[..., 7] + 1, 0)) / 2)
+    focal = USUAL_FOCAL * np.sqrt(square_focal)
     lean = (focal * h / (1 + np.sqrt(1 + (focal * np.abs(h)) ** 2))) ** 2
     w = np.maximum(1 - (np.conj(h) * s).real, LEAST)
     q = (s + lean * s.conj()) / w

@@ -36,6 +36,10 @@ NOISE_MEMORY, NOISE_NUMBERS = 0.98, 10.0
 ZOOM_DEVIATIONS = 4.0
 """The markers have changed size together if by more than so many deviations."""
 
+ZOOM_BENDS = 4.0
+"""A zoom lens bends otherwise at each focal length: by so many prior deviations where that grows by e. In
+steps of a ramp these changes are of one sign, so that more than a lens has is allowed for each."""
+
 
 @dataclass
 class Rectifier:
@@ -83,7 +87,7 @@ class Rectifier:
         return squares.log_sides - local_maps(self.ground_map.unknowns, squares.points).log_scales()
 
     def _loosened(self, squares: Squares, camera: Evidence) -> Evidence:
-        """The camera, less what a zoom has changed: sides grow as f does, and `κ_n ~ f^(-2n)`."""
+        """The camera, less what a zoom has changed: sides grow as f does, and `κ_n ~ f^(-2n)` or more."""
         if self._before is None:
             return camera
         here, there = squares.match(self._before)
@@ -96,6 +100,8 @@ class Rectifier:
         changes = np.zeros(CAMERA)
         changes[FOCAL] = growth * 2.0 * (1 + self.ground_map.unknowns[FOCAL])
         changes[LENS] = growth * np.array([2.0, 4.0, 6.0]) * self.ground_map.unknowns[LENS]
+        if self.ground_map.unknowns[LENS].any():
+            changes[LENS] = np.abs(changes[LENS]) + abs(growth) * ZOOM_BENDS * PRIOR[LENS]
         return camera.loosened(changes**2)
 
     def _fresh(self, squares: Squares) -> float:

@@ -7,7 +7,8 @@ from pydantic import Field, FiniteFloat, model_validator
 
 from skyherd.datasets.body_models import AvoidanceModel, RolesModel, SizeModel
 from skyherd.datasets.fields import Coordinate, Fraction, Model, NotNegative, Point, Positive
-from skyherd.datasets.scene_models import CameraModel, GroundModel, OccluderModel, SensorModel
+from skyherd.datasets.scene_models import GroundModel, OccluderModel, SensorModel
+from skyherd.datasets.unit_models import UnitModel
 
 MarkerId = Annotated[int, Field(ge=0, lt=2**31)]
 
@@ -147,68 +148,6 @@ class SelectionModel(Model):
     silence_s: Positive = Field(3.0, description="tree: a unit not heard for so long is dead")
 
 
-class FlightModel(Model):
-    """How a unit flies; lengths are in halves of the image's shorter side."""
-
-    kind: Literal["follow", "perimeter", "hover", "serve"] = "follow"
-    desired_radius: Annotated[FiniteFloat, Field(gt=0, le=1.5)] = Field(
-        0.7, description="image distance of the farthest robot to be kept"
-    )
-    lateral_gain_mps: NotNegative = Field(1.0, description="speed for half an image")
-    climb_gain_mps: NotNegative = Field(1.0, description="climb for half an image")
-    dead_band: NotNegative = Field(
-        0.02, description="follow, serve: errors of radius below this do not climb"
-    )
-    zoom_gain_ps: NotNegative = Field(0.3, description="serve: relative change of zoom for half an image")
-    separation_sides: NotNegative = Field(
-        6.0, description="serve: least distance between two units' image centres, in marker sides"
-    )
-    speed_mps: NotNegative = Field(0.1, description="perimeter: speed along it")
-    yaw_rate_degps: FiniteFloat = Field(
-        0.0, description="perimeter, hover: turn, counter-clockwise from above"
-    )
-
-
-class UnitModel(Model):
-    """One aerial unit."""
-
-    position_m: Point
-    height_m: Positive
-    yaw_deg: FiniteFloat = 0.0
-    tilt_deg: tuple[
-        Annotated[FiniteFloat, Field(ge=-45, le=45)], Annotated[FiniteFloat, Field(ge=-45, le=45)]
-    ] = Field((0.0, 0.0), description="about the camera's u and v axes")
-    camera: CameraModel
-    zoom: list[tuple[NotNegative, Positive]] = Field(
-        default=[(0.0, 1.0)],
-        min_length=1,
-        description="[time_s, factor on the focal length] points, linear between",
-    )
-    zoom_range: tuple[Positive, Positive] = Field(
-        (1.0, 1.0), description="least and largest factor that the unit itself may zoom by"
-    )
-    outages: list[tuple[NotNegative, Positive]] = Field(
-        [],
-        description="[from_s, to_s] in which the unit is dead: no images, no messages, no memory of before",
-    )
-    flight: FlightModel = FlightModel()
-    frame_rate_hz: Positive = 10.0
-    latency_s: NotNegative = Field(
-        0.0, description="from an image to the arrival of its goals and report; not of its own flight command"
-    )
-
-    @model_validator(mode="after")
-    def _zoom_in_order(self) -> Self:
-        times = [time for time, _ in self.zoom]
-        if times != sorted(times):
-            raise ValueError("zoom: times must ascend")
-        if self.zoom_range[0] > self.zoom_range[1]:
-            raise ValueError("zoom_range: the least factor comes first")
-        if any(start >= end for start, end in self.outages):
-            raise ValueError("outages: each must end after it begins")
-        return self
-
-
 class AutopilotModel(Model):
     """Limits that the units' autopilots keep."""
 
@@ -291,6 +230,6 @@ class Scenario(Model):
             yield f"height_m {unit.height_m:g} is outside the autopilot's {low:g} to {high:g} m"
         if rate * self.step_s > 1 + 1e-9:
             yield f"frame_rate_hz {rate:g} is more than one image a step_s of {self.step_s:g}"
-        widest = min(zoom for _, zoom in unit.zoom)
-        if complaint := unit.camera.lens_complaint(widest):
+        complaints = (unit.camera.lens_complaint(zoom) for zoom in unit.zooms())
+        if complaint := next(filter(None, complaints), None):
             yield complaint

@@ -1,13 +1,14 @@
 """Keys of a scenario that say how its images come about: cameras, sensor, ground, what covers markers."""
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import Field, FiniteFloat, model_validator
 
+from skyherd.datasets.cameras import CAMERAS
 from skyherd.datasets.fields import Coordinate, Model, NotNegative, Point, Positive
 from skyherd.errors import InputError
-from skyherd.render import Camera, Disc, Distortion, Illumination, Quad, Sensor, Shutter
+from skyherd.render import Camera, Disc, Distortion, Equidistant, Illumination, Quad, Sensor, Shutter
 
 Coefficient = Annotated[FiniteFloat, Field(ge=-10, le=10)]
 Share = Annotated[FiniteFloat, Field(ge=0, le=1)]
@@ -27,6 +28,9 @@ class DistortionModel(Model):
 class CameraModel(Model):
     """A camera; the controller is told nothing of this but the image's size."""
 
+    preset: str | None = Field(
+        None, description=f"a camera to begin with, which the other keys change: {', '.join(CAMERAS)}"
+    )
     size_px: tuple[Annotated[int, Field(ge=32, le=8192)], Annotated[int, Field(ge=32, le=8192)]] = (800, 800)
     focal_px: Positive | None = Field(None, description="focal length; or half_angle_deg")
     half_angle_deg: Annotated[FiniteFloat, Field(gt=0, lt=85)] | None = Field(
@@ -36,20 +40,46 @@ class CameraModel(Model):
     aspect: Positive = Field(1.0, description="focal length along v over along u")
     skew: FiniteFloat = Field(0.0, description="of the pixel axes")
     mirrored: bool = Field(False, description="the stream is flipped left to right")
-    distortion: DistortionModel = DistortionModel()
+    lens: Literal["perspective", "equidistant"] = Field(
+        "perspective", description="equidistant: a fisheye that sees a ray f times its angle from the centre"
+    )
+    distortion: DistortionModel = Field(DistortionModel(), description="of a perspective lens")
+    zoom_k1: Coefficient = Field(0.0, description="what each doubling of the zoom adds to distortion.k1")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _begin_with_preset(cls, given: Any) -> Any:
+        if not isinstance(given, dict) or given.get("preset") is None:
+            return given
+        if given["preset"] not in CAMERAS:
+            raise ValueError(f"no preset {given['preset']!r}; one of {', '.join(CAMERAS)}")
+        preset = dict(CAMERAS[given["preset"]])
+        if given.get("focal_px") is not None or given.get("half_angle_deg") is not None:
+            preset.pop("half_angle_deg")
+        return preset | given
 
     @model_validator(mode="after")
-    def _one_focal(self) -> Self:
+    def _consistent(self) -> Self:
         if (self.focal_px is None) == (self.half_angle_deg is None):
             raise ValueError("give exactly one of focal_px and half_angle_deg")
+        if self.lens == "equidistant" and (self.zoom_k1 or self.distortion != DistortionModel()):
+            raise ValueError(
+                "distortion and zoom_k1 are of perspective lenses: leave them out, or lens = 'equidistant'"
+            )
         return self
+
+    @property
+    def ideal(self) -> bool:
+        """Whether it has square pixels, and a lens that does not bend."""
+        return (self.aspect, self.skew) == (1.0, 0.0) and not self.make().distortion
 
     @property
     def focal_length_px(self) -> float:
         """Focal length along u."""
         if self.focal_px is not None:
             return self.focal_px
-        return min(self.size_px) / 2 / float(np.tan(np.radians(self.half_angle_deg or 0.0)))
+        half_angle = float(np.radians(self.half_angle_deg or 0.0))
+        return min(self.size_px) / 2 / (half_angle if self.lens == "equidistant" else np.tan(half_angle))
 
     def make(self, zoom: float = 1.0) -> Camera:
         """The camera described, its focal length multiplied by a zoom."""
@@ -60,15 +90,21 @@ class CameraModel(Model):
             aspect=self.aspect,
             skew=self.skew,
             mirrored=self.mirrored,
-            distortion=Distortion(**self.distortion.model_dump()),
+            distortion=self._make_lens().at(zoom) if zoom != 1 else self._make_lens(),
         )
+
+    def _make_lens(self) -> Distortion | Equidistant:
+        if self.lens == "equidistant":
+            return Equidistant()
+        return Distortion(**self.distortion.model_dump(), zoom_k1=self.zoom_k1)
 
     def lens_complaint(self, zoom: float) -> str | None:
         """Why the lens makes no image at a zoom, if it makes none."""
         try:
             self.make(zoom)
         except InputError as error:
-            return f"camera.distortion: {error.what}; {error.allowed}"
+            key = "distortion" if self.lens == "perspective" else "lens"
+            return f"camera.{key}: {error.what}; {error.allowed}"
         return None
 
 

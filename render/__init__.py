@@ -2,6 +2,7 @@
 
 from skyherd.render.camera import Camera, CameraPose, footprint_m, homography_image_ground, project
 from skyherd.render.clutter import Clutter
+from skyherd.render.fisheye import Equidistant
 from skyherd.render.ground import Ground
 from skyherd.render.lens import Distortion
 from skyherd.render.motion import Motion, Shutter
@@ -16,6 +17,7 @@ __all__ = [
     "Clutter",
     "Disc",
     "Distortion",
+    "Equidistant",
     "FrameTruth",
     "Ground",
     "Illumination",

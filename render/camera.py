@@ -12,11 +12,20 @@ from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
+from scipy.interpolate import make_interp_spline
 
 from skyherd.errors import InputError
 from skyherd.geometry import Array, apply_homography, inverse
+from skyherd.render.fisheye import Equidistant
 from skyherd.render.lens import NO_DISTORTION, Distortion
 from skyherd.render.pixels import LensField
+
+KNOT_PX = 5
+"""What a lens does is computed so far apart, and between by splines of the fifth degree: right to 1e-4 px,
+and to 1e-3 where a lens is about to fold."""
+
+LEAST_KNOTS = 48
+"""Along a side of a small image."""
 
 
 @dataclass(frozen=True)
@@ -30,10 +39,10 @@ class Camera:
         aspect: focal length along v over that along u; 1 for square pixels.
         skew: change of u with v along the sensor, as a fraction of the focal length.
         mirrored: the stream is flipped left to right, as behind a mirror.
-        distortion: of the lens.
+        distortion: of the lens, or the fisheye that it is.
 
     Raises:
-        InputError: a size or focal length is not positive, or the lens folds the image over.
+        InputError: a size or focal length is not positive, or the lens makes no image of this size.
     """
 
     size_px: tuple[int, int]
@@ -42,7 +51,7 @@ class Camera:
     aspect: float = 1.0
     skew: float = 0.0
     mirrored: bool = False
-    distortion: Distortion = NO_DISTORTION
+    distortion: Distortion | Equidistant = NO_DISTORTION
 
     def __post_init__(self) -> None:
         if min(self.size_px) < 1 or self.focal_px <= 0 or self.aspect <= 0:
@@ -122,7 +131,7 @@ def distort(camera: Camera, zoom: float, points_px: Array) -> Array:
         return points_px
     matrix = camera.intrinsic_matrix(zoom)
     rays = apply_homography(inverse(matrix), points_px)
-    return apply_homography(matrix, camera.distortion.apply(rays))
+    return apply_homography(matrix, camera.distortion.at(zoom).apply(rays))
 
 
 def undistort(camera: Camera, zoom: float, points_px: Array) -> Array:
@@ -131,7 +140,7 @@ def undistort(camera: Camera, zoom: float, points_px: Array) -> Array:
         return points_px
     matrix = camera.intrinsic_matrix(zoom)
     rays = apply_homography(inverse(matrix), points_px)
-    return apply_homography(matrix, camera.distortion.remove(rays))
+    return apply_homography(matrix, camera.distortion.at(zoom).remove(rays))
 
 
 def lens_slopes(camera: Camera, zoom: float, points_px: Array) -> Array:
@@ -139,22 +148,29 @@ def lens_slopes(camera: Camera, zoom: float, points_px: Array) -> Array:
     matrix = camera.intrinsic_matrix(zoom)
     rays = apply_homography(inverse(matrix), points_px)
     plane = matrix[:2, :2]
-    return np.asarray(plane @ camera.distortion.jacobian(rays) @ inverse(plane))
+    return np.asarray(plane @ camera.distortion.at(zoom).jacobian(rays) @ inverse(plane))
 
 
 @lru_cache(maxsize=8)
 def lens_field(camera: Camera, zoom: float) -> LensField | None:
-    """What the lens does to each pixel; None if nothing. Kept, as it costs as much as many images."""
+    """What the lens does to each pixel; None if nothing. Kept, as it costs as much as an image."""
     if not camera.distortion:
         return None
-    width, height = camera.size_px
-    v, u = np.mgrid[:height, :width].astype(float)
-    pixels = np.stack([u, v], axis=-1).reshape(-1, 2)
-    straight = undistort(camera, zoom, pixels)
-    shift = (straight - pixels).astype(np.float32)
-    slopes = inverse(lens_slopes(camera, zoom, straight)).astype(np.float32).reshape(-1, 4)
-    uu, uv, vu, vv = (np.ascontiguousarray(slopes[:, i]) for i in range(4))
-    return LensField(np.ascontiguousarray(shift[:, 0]), np.ascontiguousarray(shift[:, 1]), (uu, uv, vu, vv))
+    (u_knots, along_u), (v_knots, along_v) = (_spline(length) for length in camera.size_px)
+    knots = np.stack(np.meshgrid(u_knots, v_knots), axis=-1)
+    straight = undistort(camera, zoom, knots)
+    slopes = inverse(lens_slopes(camera, zoom, straight)).reshape(*knots.shape[:2], 4)
+    fields = np.concatenate([straight - knots, slopes], axis=-1).transpose(2, 0, 1)
+    du, dv, uu, uv, vu, vv = (along_v @ fields @ along_u.T).astype(np.float32).reshape(6, -1)
+    return LensField(du, dv, (uu, uv, vu, vv))
+
+
+@lru_cache(maxsize=16)
+def _spline(length: int) -> tuple[Array, Array]:
+    """Knots (K,) along a side of so many pixels, and weights (length, K) of values there at each pixel."""
+    knots = np.linspace(-0.5, length - 0.5, max(LEAST_KNOTS, length // KNOT_PX))
+    weights = make_interp_spline(knots, np.eye(knots.size), k=5)(np.arange(length))
+    return knots, np.asarray(weights)
 
 
 def project(camera: Camera, pose: CameraPose, points_m: npt.ArrayLike) -> Array:

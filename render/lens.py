@@ -5,11 +5,15 @@ A ray that meets the plane at unit distance at (x, y), `r² = x² + y²`, is see
     x' = x (1 + k1 r² + k2 r⁴ + k3 r⁶) + 2 p1 x y + p2 (r² + 2 x²)
     y' = y (1 + k1 r² + k2 r⁴ + k3 r⁶) + p1 (r² + 2 y²) + 2 p2 x y.
 
+A zoom lens may bend otherwise at each focal length: k1 grows by `zoom_k1` with each doubling of the zoom z,
+
+    k1(z) = k1 + zoom_k1 log2 z.
+
 Far out the radial polynomial may turn back, so that rays would come into the image a second time. Such rays
 are taken on outwards instead, with the factor that it has where it turns.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -27,17 +31,24 @@ FAR = 8.0
 
 @dataclass(frozen=True)
 class Distortion:
-    """Radial k1, k2, k3 and tangential p1, p2; none of them by default."""
+    """Radial k1, k2, k3 and tangential p1, p2, and what zooming in adds to k1; none of them by default."""
 
     k1: float = 0.0
     k2: float = 0.0
     k3: float = 0.0
     p1: float = 0.0
     p2: float = 0.0
+    zoom_k1: float = 0.0
 
     def __bool__(self) -> bool:
         """Whether there is any."""
-        return any((self.k1, self.k2, self.k3, self.p1, self.p2))
+        return any((self.k1, self.k2, self.k3, self.p1, self.p2, self.zoom_k1))
+
+    def at(self, zoom: float) -> "Distortion":
+        """The lens at a zoom, as one that does not change any more."""
+        if not self.zoom_k1:
+            return self
+        return replace(self, k1=self.k1 + self.zoom_k1 * float(np.log2(zoom)), zoom_k1=0.0)
 
     def apply(self, rays: Array) -> Array:
         """Rays (..., 2) as they are seen."""

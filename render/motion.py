@@ -29,27 +29,32 @@ class Motion:
         yaw_rate_radps: of the camera, counter-clockwise from above.
         robots_mps: (N, 2) of the robots; at rest if None.
         robots_radps: (N,) their turn rates; none if None.
+        tilt_rates_radps: of the camera, by how much its tilts change.
     """
 
     camera_mps: tuple[float, float, float] = (0.0, 0.0, 0.0)
     yaw_rate_radps: float = 0.0
     robots_mps: Array | None = None
     robots_radps: Array | None = None
+    tilt_rates_radps: tuple[float, float] = (0.0, 0.0)
 
     @property
     def still(self) -> bool:
         """Whether nothing moves."""
         robots = (rates for rates in (self.robots_mps, self.robots_radps) if rates is not None)
-        return not (any(self.camera_mps) or self.yaw_rate_radps or any(np.any(rates) for rates in robots))
+        camera = (*self.camera_mps, self.yaw_rate_radps, *self.tilt_rates_radps)
+        return not (any(camera) or any(np.any(rates) for rates in robots))
 
     def pose_at(self, pose: CameraPose, time_s: float) -> CameraPose:
         """The camera's pose some time later."""
         vx, vy, climb = self.camera_mps
+        by_u, by_v = self.tilt_rates_radps
         return replace(
             pose,
             position_m=(pose.position_m[0] + vx * time_s, pose.position_m[1] + vy * time_s),
             height_m=pose.height_m + climb * time_s,
             yaw_rad=pose.yaw_rad + self.yaw_rate_radps * time_s,
+            tilt_rad=(pose.tilt_rad[0] + by_u * time_s, pose.tilt_rad[1] + by_v * time_s),
         )
 
     def robots_at(self, positions_m: Array, headings_rad: Array, time_s: float) -> tuple[Array, Array]:

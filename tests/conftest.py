@@ -4,6 +4,7 @@ import os
 import shutil
 import tomllib
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -252,3 +253,24 @@ def draw_markers() -> Callable[..., np.ndarray]:
         return np.clip(np.rint(image), 0, 255).astype(np.uint8)
 
     return draw
+
+
+@pytest.fixture
+def write_study(tmp_path: Path) -> Callable[..., Path]:
+    """Writes a study file, a small one if not told otherwise."""
+    from study_runs import SMALL
+
+    def make(text: str = SMALL, name: str = "small.toml") -> Path:
+        path = tmp_path / name
+        path.write_text(text, "utf-8")
+        return path
+
+    return make
+
+
+@pytest.fixture
+def without_cluster(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Studies are made in this process, one run at a time."""
+    from study_runs import run_in_process
+
+    run_in_process(monkeypatch)

@@ -134,3 +134,18 @@ def test_three_coefficients_follow_lenses_of_all_kinds(lens, reach, name):
     )
     assert three < 2e-4
     assert one > 5 * three
+
+
+def test_the_focal_length_stays_positive_and_keeps_its_slope():
+    """Wherever its unknown goes, the map answers to it: an unknown without slope would claim to be known."""
+    points = np.array([0.3 + 0.1j, -0.2 + 0.4j])
+    for focal in (-3.0, -1.0, -0.95, -0.5, 0.0, 2.0):
+        unknowns = np.zeros(UNKNOWNS)
+        unknowns[HORIZON], unknowns[7] = (0.1, -0.05), focal
+        step = np.zeros(UNKNOWNS)
+        step[7] = 1e-4
+        up, down = (local_maps(unknowns + sign * step, points) for sign in (1, -1))
+        assert np.isfinite(up.values).all()
+        assert np.abs(up.squeezes() - down.squeezes()).max() > 1e-10
+    below, above = (local_maps(np.r_[np.zeros(7), f, 0.1, -0.05], points) for f in (-0.5 - 1e-9, -0.5 + 1e-9))
+    np.testing.assert_allclose(below.values, above.values, atol=1e-10)

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from seen_squares import random_view
-from skyherd.camera_view import desired_points_px
 from skyherd.control import AerialController, Hover, Rectifier, SafetyRadius
 from skyherd.datasets import make_mission
+from skyherd.goal_points import desired_points_px
 from skyherd.loop import Step, run_steps
 from skyherd.observer import fit_shape
 from skyherd.recording import Recorder

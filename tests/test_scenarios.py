@@ -124,7 +124,8 @@ def test_missing_and_binary_files_are_named(tmp_path):
     with pytest.raises(InputError, match=r"absent\.toml.*No such file"):
         load_mission(str(tmp_path / "absent.toml"))
     with pytest.raises(
-        InputError, match=r"one of chain, circle, failure, grid, obstacles, scramble, star, tree, triangle"
+        InputError,
+        match=f"one of {', '.join(scenario_names())}",
     ):
         load_mission("no-such-name")
     binary = tmp_path / "binary.toml"

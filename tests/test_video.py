@@ -7,11 +7,12 @@ import av
 import numpy as np
 import pytest
 
-from skyherd.camera_view import CameraView, desired_points_px
+from skyherd.camera_view import CameraView
 from skyherd.composer import Composer, make_layout
 from skyherd.datasets import Mission, load_mission
 from skyherd.errors import OutputError
 from skyherd.geometry import to_complex
+from skyherd.goal_points import desired_points_px
 from skyherd.loop import Step, run_steps
 from skyherd.palette import TEMPLATE_COLOR, rgb, unit_rgb
 from skyherd.ticks import LinearRange, LogRange, tick_values

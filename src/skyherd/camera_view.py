@@ -18,9 +18,9 @@ from skyherd.canvas import (
     fill_polygon,
     text_width,
 )
-from skyherd.control import rectified
 from skyherd.control.topology import ControlSets
-from skyherd.geometry import Array, BoolArray, IntArray, to_points
+from skyherd.geometry import Array, BoolArray, to_points
+from skyherd.goal_points import desired_points_px, rows_of
 from skyherd.loop import UnitFrame
 from skyherd.messages import NOBODY, Detections
 from skyherd.palette import INK, MUTED, PAPER, TEMPLATE_COLOR, rgb, unit_rgb
@@ -46,31 +46,6 @@ LIFT = 0.7
 _CURVE = np.rint(255 * (np.arange(256) / 255) ** LIFT).astype(np.uint8)
 
 
-def desired_points_px(frame: UnitFrame) -> Array:
-    """Image points (N, 2) where a unit wants the robots of its goals.
-
-    The robot hears a length rho and a bearing in its own frame, counter-clockwise from its heading;
-    in the image, whose angles are clockwise, rho points along `heading - bearing`. Where the unit rectifies,
-    that is so in the rectified image, and the points are brought back.
-    """
-    goals = frame.decision.goals
-    if goals is None:
-        return np.zeros((0, 2))
-    robots = rectified(frame.sight.detections, frame.ground_map)
-    row = _rows(robots, goals.ids)
-    rho = goals.rho_px * np.exp(1j * (robots.headings_rad[row] - goals.bearings_rad))
-    desired_px = np.asarray(robots.centers_px[row] + to_points(rho))
-    return (
-        desired_px if frame.ground_map.ideal else frame.ground_map.image_px(desired_px, robots.image_size_px)
-    )
-
-
-def _rows(robots: Detections, ids: IntArray) -> IntArray:
-    """Rows (N,) of the detections that are of robots `ids`, all of which were detected."""
-    order = np.argsort(robots.ids)
-    return np.asarray(order[np.searchsorted(robots.ids, ids, sorter=order)])
-
-
 def owners_by_robot(sets: ControlSets) -> dict[int, list[int]]:
     """Units that control each robot, ascending; a robot without any is left out."""
     owners: dict[int, list[int]] = {}
@@ -87,6 +62,11 @@ def _standing(tree: TreeWord | None) -> str:
     if tree.tree_id == NOBODY:
         return " · outside" if tree.asks_id == NOBODY else f" · asks unit {tree.asks_id}"
     return "" if tree.heir_id == NOBODY else f" · heir {tree.heir_id}"
+
+
+def brightened(image: Image) -> Image:
+    """A camera's image as it is shown."""
+    return np.asarray(cv2.LUT(image, _CURVE), dtype=np.uint8)
 
 
 class CameraView:
@@ -242,7 +222,7 @@ class CameraView:
         if frame.decision.goals is None:
             return
         robots = frame.sight.detections
-        starts = self.to_panel(robots.centers_px[_rows(robots, frame.decision.goals.ids)])
+        starts = self.to_panel(robots.centers_px[rows_of(robots, frame.decision.goals.ids)])
         tips = self.to_panel(desired_points_px(frame))
         draw_arrows(self._picture, starts, tips, rgb(TEMPLATE_COLOR), rgb(PAPER))
 

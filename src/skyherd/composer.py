@@ -14,6 +14,7 @@ from skyherd.key_view import draw_key, key_height_px
 from skyherd.loop import Step, UnitFrame, dead_units
 from skyherd.palette import INK, MUTED, PAPER, rgb, unit_rgb
 from skyherd.plots_view import Curve, PlotView
+from skyherd.rectified_view import RectifiedView
 from skyherd.tree_state import TreeWatch
 
 HEADER_PX = 46
@@ -26,6 +27,9 @@ GAP_PX = 14
 MUCH_LARGER = 1.2
 """Cameras in a wide block must gain this much, since it leaves less to the ground and more paper bare."""
 
+MOST_RECTIFIED = 3
+"""With more units than this there is no room for rectified images."""
+
 MOST_NAMED = 5
 """With more units than this the curves' names are bare numbers."""
 
@@ -35,9 +39,10 @@ LEAST_COST = 1e-9
 
 @dataclass(frozen=True)
 class Layout:
-    """Where everything is on the canvas: a cell for each camera, the key, the ground, two plots."""
+    """Where everything is on the canvas: cells of cameras and of their images rectified, and the rest."""
 
     cameras: list[Box]
+    rectified: list[Box]
     key: Box
     ground: Box
     plots: tuple[Box, Box]
@@ -49,30 +54,38 @@ def make_layout(
     *,
     tree: bool = False,
     bodies: bool = False,
+    rectified: bool = False,
 ) -> Layout:
     """Cameras in a near-square block on the left, the ground beside it, the plots below.
 
-    The key goes where the block's last row has room to spare, or else below the block.
+    With rectified images there is a column for each camera. The key goes where the block's last row has
+    room to spare, or else below the block.
     """
     width, height = size_px
     units, square = len(image_sizes_px), int(np.ceil(np.sqrt(len(image_sizes_px))))
+    choices = (square, square + 1)
+    if rectified:
+        image_sizes_px, choices, square = [*image_sizes_px, *image_sizes_px], (units, units), units
     bottom = height - round(PLOTS_SHARE * height)
     blocks = [
         _block(columns, (width, bottom), image_sizes_px, strip_px, tree=tree, bodies=bodies)
-        for columns in (square, square + 1)
+        for columns in choices
         for strip_px in STRIPS_PX
     ]
     pitch_u, pitch_v, columns, key = max(
         (block for block in blocks if block),
         key=lambda block: block[0] if block[2] == square else block[0] / MUCH_LARGER,
     )
-    corners = [(GAP_PX + k % columns * pitch_u, HEADER_PX + k // columns * pitch_v) for k in range(units)]
+    corners = [
+        (GAP_PX + k % columns * pitch_u, HEADER_PX + k // columns * pitch_v)
+        for k in range(len(image_sizes_px))
+    ]
     cells = [Box(u, v, pitch_u - GAP_PX, pitch_v - GAP_PX) for u, v in corners]
     left = 2 * GAP_PX + columns * pitch_u
     ground = Box(left, HEADER_PX, width - left - GAP_PX, bottom - HEADER_PX)
     half = (width - 3 * GAP_PX) // 2
     plots = tuple(Box(u, bottom + 4, half, height - bottom - 4) for u in (GAP_PX, width - GAP_PX - half))
-    return Layout(cells, key, ground, (plots[0], plots[1]))
+    return Layout(cells[:units], cells[units:], key, ground, (plots[0], plots[1]))
 
 
 def _block(
@@ -126,10 +139,17 @@ class Composer:
         tree = scenario.selection.kind == "tree"
         self._bodies = BodySizes.of(mission)
         bodies = bool(self._bodies.radius or self._bodies.obstacles or scenario.roles.exchange)
-        layout = make_layout(size_px, sizes, tree=tree, bodies=bodies)
+        bent = scenario.control.rectify and not all(unit.ideal for unit in scenario.units)
+        layout = make_layout(
+            size_px, sizes, tree=tree, bodies=bodies, rectified=bent and len(sizes) <= MOST_RECTIFIED
+        )
         self._cameras = [
             CameraView(unit, box.of(self._canvas), sizes[unit], scenario.selection.radius, self._bodies)
             for unit, box in enumerate(layout.cameras)
+        ]
+        self._rectified = [
+            RectifiedView(unit, box.of(self._canvas), sizes[unit])
+            for unit, box in enumerate(layout.rectified)
         ]
         self._ground = GroundView(mission, layout.ground.of(self._canvas))
         draw_key(layout.key.of(self._canvas), tree=tree, bodies=bodies)
@@ -147,6 +167,8 @@ class Composer:
         struck = overlapping_ids(self.mission, step.positions_m)
         for unit, frame in self._last.items():
             self._cameras[unit].draw(frame, step.control_sets, struck)
+            if self._rectified:
+                self._rectified[unit].draw(frame)
         self._ground.draw(step, self._tree.see(step, dead), struck)
         seen = step.observation
         cost = np.append(seen.V, seen.V_units)

@@ -33,7 +33,8 @@ from skyherd.control import (
 from skyherd.control.flight import Flight
 from skyherd.control.robot_law import Gains
 from skyherd.datasets import Mission, Scenario
-from skyherd.datasets.models import FlightModel, SelectionModel
+from skyherd.datasets.models import SelectionModel
+from skyherd.datasets.unit_models import FlightModel
 from skyherd.messages import Detections, UnitReport
 
 REPORT_LIFETIME_S = 2.0

@@ -215,12 +215,12 @@ def _footprint_m(history: History, unit: int) -> Array:
     """Ground points (4, 2) under the corners of a unit's last image."""
     model = history.mission.scenario.units[unit]
     x_m, y_m = history.unit_positions_m[-1, unit]
-    tilt_u_rad, tilt_v_rad = np.radians(model.tilt_deg)
+    tilt_u_rad, tilt_v_rad = history.tilts_rad[-1, unit].tolist()
     pose = CameraPose(
         position_m=(float(x_m), float(y_m)),
         height_m=float(history.heights_m[-1, unit]),
         yaw_rad=float(history.yaws_rad[-1, unit]),
-        tilt_rad=(float(tilt_u_rad), float(tilt_v_rad)),
+        tilt_rad=(tilt_u_rad, tilt_v_rad),
         zoom=float(history.zooms[-1, unit]),
     )
     return footprint_m(make_camera(model.camera), pose)

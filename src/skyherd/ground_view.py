@@ -23,11 +23,11 @@ from skyherd.errors import DegenerateSetError
 from skyherd.geometry import Array, to_complex, to_points
 from skyherd.loop import Step
 from skyherd.palette import INK, MUTED, PAPER, TEMPLATE_COLOR, rgb, unit_rgb
-from skyherd.render import CameraPose, footprint_m
+from skyherd.render import footprint_m
 from skyherd.ticks import tick_values
 from skyherd.tree_state import TreeState
 from skyherd.tree_view import TreeView, draw_dead, draw_pair_marks
-from skyherd.world import Fleet, make_camera
+from skyherd.world import make_camera
 
 TITLE_PX = 26
 LEFT_PX = 34
@@ -86,7 +86,7 @@ class GroundView:
     def draw(self, step: Step, tree: TreeState | None = None, struck: frozenset[int] = frozenset()) -> None:
         """Draw the ground at one step, with the tree of units if they have one, and whose bodies overlap."""
         self._write_title(tree)
-        corners_m = [footprint_m(c, self._pose(step.fleet, u)) for u, c in enumerate(self._cameras)]
+        corners_m = [footprint_m(c, step.fleet.pose(u)) for u, c in enumerate(self._cameras)]
         self._past_m.append(np.concatenate([step.positions_m, step.fleet.positions_m]))
         if not self._in_view(self._past_m[-1]):
             self._fit(corners_m)
@@ -114,17 +114,6 @@ class GroundView:
         if tree is not None:
             right = self._title.shape[1] - 2, TITLE_PX / 2
             draw_text(self._title, _standing(tree), right, rgb(INK), size_px=13, bold=True, align="right")
-
-    def _pose(self, fleet: Fleet, unit: int) -> CameraPose:
-        tilt_u, tilt_v = np.radians(self.mission.scenario.units[unit].tilt_deg)
-        x, y = fleet.positions_m[unit].tolist()
-        return CameraPose(
-            position_m=(x, y),
-            height_m=float(fleet.heights_m[unit]),
-            yaw_rad=float(fleet.yaws_rad[unit]),
-            tilt_rad=(float(tilt_u), float(tilt_v)),
-            zoom=float(fleet.zooms[unit]),
-        )
 
     def _in_view(self, points_m: Array) -> bool:
         if self._px_per_m == 0:

@@ -9,9 +9,12 @@ import numpy as np
 from skyherd.control import Template
 from skyherd.control.topology import control_matrix
 from skyherd.datasets import Mission
-from skyherd.geometry import Array, BoolArray, IntArray
+from skyherd.datasets.body_models import SizeModel
+from skyherd.geometry import Array, BoolArray, IntArray, to_complex
+from skyherd.goal_points import goal_error_m
 from skyherd.loop import Step, dead_units
 from skyherd.tree_state import TreeState, TreeWatch
+from skyherd.world import make_camera
 
 
 @dataclass(frozen=True)
@@ -36,11 +39,14 @@ class History:
         unit_positions_m: (T, U, 2).
         heights_m: (T, U).
         yaws_rad: (T, U).
+        tilts_rad: (T, U, 2) about the cameras' u and v axes.
         zooms: (T, U).
         V: (T,) m².
         V_units: (T, U) m²; NaN for a set that makes no shape.
         scales: (T, U) metres a template unit.
         rotations_rad: (T, U) ground sense.
+        goal_errors_m: (T, U) largest distance of a desired point on the ground from that of the truth; NaN
+            where a unit took no image or set no goals, and where the shape's size is not free.
         shape_error: (T,).
         shape_scale: (T,) metres a template unit.
         shape_rotation_rad: (T,).
@@ -66,11 +72,13 @@ class History:
     unit_positions_m: Array
     heights_m: Array
     yaws_rad: Array
+    tilts_rad: Array
     zooms: Array
     V: Array
     V_units: Array
     scales: Array
     rotations_rad: Array
+    goal_errors_m: Array
     shape_error: Array
     shape_scale: Array
     shape_rotation_rad: Array
@@ -113,6 +121,7 @@ _COLUMNS = {
     "unit_positions_m": "fleet.positions_m",
     "heights_m": "fleet.heights_m",
     "yaws_rad": "fleet.yaws_rad",
+    "tilts_rad": "fleet.tilts_rad",
     "zooms": "fleet.zooms",
     "V": "observation.V",
     "V_units": "observation.V_units",
@@ -126,7 +135,7 @@ _COLUMNS = {
 }
 """Field of the history: where a step has it."""
 
-CURVES = (*_COLUMNS, "conditions", "controlled", "commanded")
+CURVES = (*_COLUMNS, "goal_errors_m", "conditions", "controlled", "commanded")
 """Fields of the history that are arrays over time."""
 
 
@@ -139,6 +148,7 @@ def make_history(mission: Mission, steps: Iterable[Step]) -> History:
     return History(
         mission=mission,
         **columns,
+        goal_errors_m=_goal_errors(mission, steps),
         conditions=np.array([[c.tc1, c.tc2, c.tc3, c.tc4, c.tc5] for c in conditions]),
         controlled=np.array([control_matrix(step.control_sets, mission.ids) for step in steps]),
         commanded=np.array([np.isin(mission.ids, step.commanded_ids) for step in steps]),
@@ -154,6 +164,23 @@ def make_history(mission: Mission, steps: Iterable[Step]) -> History:
 def _trees(mission: Mission, steps: list[Step]) -> list[TreeState | None]:
     watch = TreeWatch()
     return [watch.see(step, dead_units(mission.scenario, step.time_s)) for step in steps]
+
+
+def _goal_errors(mission: Mission, steps: list[Step]) -> Array:
+    cameras = [make_camera(unit.camera) for unit in mission.scenario.units]
+    errors = np.full((len(steps), len(cameras)), np.nan)
+    if mission.scenario.size != SizeModel():
+        return errors
+    points = mission.template.points_of(mission.ids).conj()
+    for row, step in enumerate(steps):
+        for unit, frame in step.frames.items():
+            goals = frame.decision.goals
+            if goals is None:
+                continue
+            mine = np.searchsorted(mission.ids, goals.ids)
+            template, positions = points[step.roles[mine]], to_complex(step.positions_m[mine])
+            errors[row, unit] = goal_error_m(frame, cameras[unit], step.fleet.pose(unit), template, positions)
+    return errors
 
 
 def _trace(mission: Mission, steps: list[Step], unit: int) -> ImageTrace:

@@ -41,6 +41,12 @@ GROUPS: Mapping[str, tuple[Field, ...]] = {
             "RMS distance to the best-fitting copy of the shape, over the formation's RMS radius.",
         ),
         Field(
+            "goal_error_m",
+            "Largest error of a goal",
+            "m",
+            "From a desired point on the ground to where the robots' true places put it.",
+        ),
+        Field(
             "scale",
             "Scale",
             "m/unit",

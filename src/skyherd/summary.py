@@ -38,6 +38,8 @@ def summarize(history: History, wall_s: float | None) -> dict[str, Any]:
     travelled = np.linalg.norm(np.diff(history.positions_m, axis=0), axis=2).sum()
     collisions, min_gap_m = _contacts(history)
 
+    goal_errors = history.goal_errors_m
+
     def per_wall(amount: float) -> float | None:
         return None if not wall_s else amount / wall_s
 
@@ -55,6 +57,7 @@ def summarize(history: History, wall_s: float | None) -> dict[str, Any]:
         "frames": history.frames,
         "frames_per_s": per_wall(history.frames),
         "shape_error": float(history.shape_error[-1]),
+        "goal_error_m": float(np.nanmax(goal_errors)) if np.isfinite(goal_errors).any() else None,
         "scale": float(history.shape_scale[-1]),
         "rotation_rad": float(history.shape_rotation_rad[-1]),
         "V_start": float(history.V[history.ready_row or 0]),

@@ -1,17 +1,22 @@
 """The truth: unicycle robots, and aerial units with their autopilots."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from skyherd.datasets import Mission, Scenario
-from skyherd.datasets.models import AutopilotModel, UnitModel
+from skyherd.datasets.models import AutopilotModel
 from skyherd.datasets.scene_models import CameraModel
+from skyherd.datasets.unit_models import UnitModel
 from skyherd.drive import Drive, limit
 from skyherd.geometry import Array, IntArray, to_complex, to_points, wrap_angle
 from skyherd.messages import FlightCommand, VelocityCommand
 from skyherd.render import Camera, CameraPose, Motion
+from skyherd.sway import Sway
+
+SWAY = 6
+"""Use of random numbers, beside those of the loop."""
 
 
 def move_unicycles(
@@ -54,12 +59,25 @@ class Markers:
 
 @dataclass(frozen=True)
 class Fleet:
-    """State of the aerial units: positions (U, 2), heights (U,), yaws (U,), zooms (U,)."""
+    """State of the aerial units: positions (U, 2), heights (U,), yaws (U,), tilts (U, 2), zooms (U,)."""
 
     positions_m: Array
     heights_m: Array
     yaws_rad: Array
+    tilts_rad: Array
     zooms: Array
+
+    def pose(self, unit: int) -> CameraPose:
+        """Where one unit's camera is."""
+        x, y = self.positions_m[unit].tolist()
+        tilt_u, tilt_v = self.tilts_rad[unit].tolist()
+        return CameraPose(
+            position_m=(x, y),
+            height_m=float(self.heights_m[unit]),
+            yaw_rad=float(self.yaws_rad[unit]),
+            tilt_rad=(tilt_u, tilt_v),
+            zoom=float(self.zooms[unit]),
+        )
 
 
 def make_camera(model: CameraModel) -> Camera:
@@ -76,7 +94,8 @@ def _fly(fleet: Fleet, commands: Sequence[FlightCommand], limits: AutopilotModel
     most = np.radians(limits.max_yaw_rate_degps)
     yaw_rate = np.clip([c.yaw_rate_radps for c in commands], -most, most)
     moved = to_points(to_complex(lateral).conj() * np.exp(1j * fleet.yaws_rad)) * step_s
-    return Fleet(
+    return replace(
+        fleet,
         positions_m=fleet.positions_m + moved,
         heights_m=np.clip(fleet.heights_m + climb * step_s, limits.min_height_m, limits.max_height_m),
         yaws_rad=wrap_angle(fleet.yaws_rad + yaw_rate * step_s),
@@ -102,10 +121,14 @@ class World:
         self.positions_m, self.headings_rad = mission.positions_m.copy(), mission.headings_rad.copy()
         units: list[UnitModel] = self.scenario.units
         self.cameras = [make_camera(unit.camera) for unit in units]
+        self._time_s = 0.0
+        self._tilts_rad = np.radians([unit.tilt_deg for unit in units])
+        self._sways = [self._draw_sway(number, unit) for number, unit in enumerate(units)]
         self.fleet = Fleet(
             positions_m=np.array([unit.position_m for unit in units]),
             heights_m=np.array([unit.height_m for unit in units]),
             yaws_rad=np.radians([unit.yaw_deg for unit in units]),
+            tilts_rad=self._swayed(0.0),
             zooms=self._limited(np.ones(len(units)), 0.0),
         )
         robots = self.scenario.robots
@@ -126,24 +149,27 @@ class World:
 
     def camera_pose(self, unit: int) -> CameraPose:
         """Where one unit's camera is now."""
-        fleet = self.fleet
-        tilt_u, tilt_v = np.radians(self.scenario.units[unit].tilt_deg)
-        return CameraPose(
-            position_m=(float(fleet.positions_m[unit, 0]), float(fleet.positions_m[unit, 1])),
-            height_m=float(fleet.heights_m[unit]),
-            yaw_rad=float(fleet.yaws_rad[unit]),
-            tilt_rad=(float(tilt_u), float(tilt_v)),
-            zoom=float(fleet.zooms[unit]),
-        )
+        return self.fleet.pose(unit)
 
     def motion(self, unit: int) -> Motion:
-        """Velocities of one unit's camera and of all markers over the last step; zero before the first."""
+        """Velocities of one unit's camera and of all markers over the last step; zero before the first.
+
+        Those of its sway are of the instant itself.
+        """
         old, new = self._fleet_before, self.fleet
         x, y = ((new.positions_m[unit] - old.positions_m[unit]) / self._step_s).tolist()
         climb = float(new.heights_m[unit] - old.heights_m[unit]) / self._step_s
         turn = float(wrap_angle(new.yaws_rad[unit] - old.yaws_rad[unit])) / self._step_s
         still, (mps, radps) = self.mission.obstacle_ids.size, self._rates
-        return Motion((x, y, climb), turn, np.pad(mps, ((0, still), (0, 0))), np.pad(radps, (0, still)))
+        sway = self._sways[unit]
+        tilt_u, tilt_v = (0.0, 0.0) if sway is None else sway.rates_at(self._time_s).tolist()
+        return Motion(
+            (x, y, climb),
+            turn,
+            np.pad(mps, ((0, still), (0, 0))),
+            np.pad(radps, (0, still)),
+            tilt_rates_radps=(tilt_u, tilt_v),
+        )
 
     def in_range(self, unit: int) -> list[int] | None:
         """Units that hear a unit's radio; None for all."""
@@ -174,7 +200,18 @@ class World:
         self._fleet_before, self._step_s = self.fleet, step_s
         fleet = _fly(self.fleet, self._commands, self.scenario.autopilot, step_s)
         zooms = self._limited(fleet.zooms / self._scripted(time_s), time_s + step_s)
-        self.fleet = Fleet(fleet.positions_m, fleet.heights_m, fleet.yaws_rad, zooms)
+        self._time_s = time_s + step_s
+        self.fleet = replace(fleet, tilts_rad=self._swayed(self._time_s), zooms=zooms)
+
+    def _draw_sway(self, number: int, unit: UnitModel) -> Sway | None:
+        if unit.sway is None:
+            return None
+        rng = np.random.default_rng([self.scenario.seed, SWAY, number])
+        return Sway.draw(float(np.radians(unit.sway.tilt_deg)), unit.sway.period_s, rng)
+
+    def _swayed(self, time_s: float) -> Array:
+        """Tilts (U, 2) that the scenario prescribes, and the sway on top."""
+        return self._tilts_rad + [np.zeros(2) if s is None else s.tilts_rad(time_s) for s in self._sways]
 
     def _scripted(self, time_s: float) -> Array:
         """Zooms that the scenario prescribes."""

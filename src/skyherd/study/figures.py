@@ -40,7 +40,7 @@ def write_figure_pages(study: Study, table: pa.Table, folder: Path) -> list[Path
             study.spec.description,
             markdown_table(study.spec, table),
             *(f"![{path.stem}]({path.name})" for path in drawn),
-            *_complaints(table),
+            *complaints(table),
         ]
     )
     return [*drawn, write_text(folder / MARKDOWN, text + "\n")]
@@ -159,7 +159,7 @@ def _spread(values: list[Any]) -> str:
     return middle if low == high else f"{middle} ({low} to {high})"
 
 
-def _complaints(table: pa.Table) -> list[str]:
+def complaints(table: pa.Table) -> list[str]:
     """Each error of the failed runs, the commonest first."""
     errors = Counter(error for error in table[ERROR].to_pylist() if error is not None)
     lines = [f"- {count} failed: {error}" for error, count in errors.most_common(MOST_ERRORS)]

@@ -15,6 +15,12 @@ BUILT_IN = "skyherd.study.specs"
 CURVE = "history."
 """Before the name of a field of a run's history, an array over time."""
 
+REFERENCE = "reference"
+RUN_KEYS = ("perception", "control.rectify", "seed")
+"""Grid keys of a study of cameras that are not of the camera."""
+
+INVARIANCE_KEEPS = ("goal_error_m", "shape_error", f"{CURVE}positions_m")
+
 SUMMARY_FIELDS = {field.key: field for group in GROUPS.values() for field in group if field.kind != "ids"}
 _KINDS = {"uniform", "log", "whole", "choice"}
 
@@ -136,7 +142,7 @@ class StudySpec(Parts):
         min_length=1, description=f"fields of summary.json, or {CURVE}NAME for an array over time"
     )
     figures: list[FigureModel] = Field([], description="drawn of the table")
-    pages: Literal["figures"] = Field("figures", description="what is made of the table")
+    pages: Literal["figures", "invariance"] = Field("figures", description="what is made of the table")
     quick: dict[str, Any] = Field({}, description="keys of the study that --quick changes")
 
     @field_validator("keep")
@@ -161,6 +167,23 @@ class StudySpec(Parts):
                 raise ValueError(f"figure {figure.name}: {figure.y!r} is not kept; see keep")
             if figure.sweep is not None and figure.sweep not in names:
                 raise ValueError(f"figure {figure.name}: no sweep {figure.sweep!r}; {', '.join(names)}")
+        return self
+
+    @model_validator(mode="after")
+    def _fit_for_invariance(self) -> Self:
+        if self.pages != "invariance":
+            return self
+        if missing := [name for name in INVARIANCE_KEEPS if name not in self.keep]:
+            raise ValueError(f"keep: pages of invariance need {', '.join(missing)} too")
+        for sweep in self.all_sweeps:
+            own = [key for key in sweep.grid if key not in RUN_KEYS]
+            if sweep.random or len(own) != (sweep.name != REFERENCE):
+                raise ValueError(f"sweep {sweep.name!r}: pages of invariance need one parameter in its grid")
+            if missing := [key for key in RUN_KEYS if key not in sweep.grid]:
+                raise ValueError(f"sweep {sweep.name!r}: pages of invariance need {missing[0]} in the grid")
+        named = {sweep.name: sweep for sweep in self.sweeps}
+        if REFERENCE not in named or "ideal" not in named[REFERENCE].over(self).grid["perception"]:
+            raise ValueError(f"pages of invariance need a sweep {REFERENCE!r}, ideal perception among others")
         return self
 
     def _varying(self) -> str:

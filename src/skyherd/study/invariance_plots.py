@@ -1,0 +1,115 @@
+"""Figures of a study of cameras: goals, paths and shape over one parameter."""
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import LogLocator, NullLocator
+
+from skyherd.figure_canvas import drawing_style, legend_above, new_figure
+from skyherd.figures import FigureFile, save_figure
+from skyherd.palette import INK, MUTED, UNIT_COLORS
+from skyherd.study.invariance import IDEAL, RENDERED, Measures, Point, Sweep
+
+PANELS = (
+    ("goals", "goals: displacement (marker sides)"),
+    ("paths", "paths: deviation (marker sides)"),
+    ("shape", "final shape error"),
+)
+LEAST = 1e-6
+"""Smaller values are drawn here: rounding, where nothing errs."""
+
+AS_SEEN, RECTIFIED = UNIT_COLORS[1], UNIT_COLORS[0]
+KINDS: tuple[tuple[str, bool, str, dict[str, Any]], ...] = (
+    (IDEAL, False, "as seen, exact", {"color": AS_SEEN, "ls": ":", "marker": "s", "mfc": "white", "ms": 7}),
+    (RENDERED, False, "as seen, rendered", {"color": AS_SEEN, "ls": "-", "marker": "s", "ms": 4.5}),
+    (
+        IDEAL,
+        True,
+        "rectified, exact",
+        {"color": RECTIFIED, "ls": ":", "marker": "o", "mfc": "white", "ms": 7},
+    ),
+    (RENDERED, True, "rectified, rendered", {"color": RECTIFIED, "ls": "-", "marker": "o", "ms": 4.5}),
+)
+PREDICTED: dict[str, Any] = {"color": INK, "ls": (0, (5, 3)), "lw": 1.2}
+
+
+def draw_sweeps(sweeps: Iterable[Sweep], folder: Path) -> list[FigureFile]:
+    """A figure for each sweep, as PNG and SVG.
+
+    Raises:
+        OutputError: a file could not be written.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    with drawing_style():
+        return [
+            save_figure(
+                draw_sweep(sweep),
+                folder,
+                sweep.name.replace(" ", "-"),
+                sweep.name.capitalize(),
+                caption(sweep),
+            )
+            for sweep in sweeps
+        ]
+
+
+def caption(sweep: Sweep) -> str:
+    """What a sweep's figure shows."""
+    where = "Inside" if sweep.inside else "Outside"
+    return f"{where} Property 1's class: {sweep.label}. The worst of the seeds at each value."
+
+
+def draw_sweep(sweep: Sweep) -> Figure:
+    """Three panels over the parameter's values, the worst run of each."""
+    figure = new_figure(3.7, 11.0)
+    panels: Sequence[Axes] = figure.subplots(1, 3)
+    places, words = _places(sweep.points)
+    for axes, (field, title) in zip(panels, PANELS, strict=True):
+        _draw_panel(axes, sweep, field, places)
+        axes.set_title(title)
+        axes.set_xlabel(sweep.label)
+        if words:
+            axes.set_xticks(places, words, rotation=35, ha="right")
+        elif len(places) <= 6:
+            axes.set_xticks(places, [f"{place:g}" for place in places])
+    legend_above(figure, _handles(), columns=6)
+    return figure
+
+
+def _places(points: Sequence[Point]) -> tuple[list[float], list[str]]:
+    """Where values lie along the axis, and their words, if they are no numbers."""
+    values = [point.value for point in points]
+    numbers = [value for value in values if not isinstance(value, str)]
+    if len(numbers) == len(values):
+        return numbers, []
+    return [float(place) for place in range(len(values))], [str(value) for value in values]
+
+
+def _draw_panel(axes: Axes, sweep: Sweep, field: str, places: Sequence[float]) -> None:
+    def shown(measures: Iterable[Measures]) -> Any:
+        return np.maximum(np.array([getattr(measure, field) for measure in measures], dtype=float), LEAST)
+
+    axes.fill_between(places, LEAST / 2, shown(sweep.floors()), color=MUTED, alpha=0.25, lw=0)
+    for perception, rectified, _, style in KINDS:
+        values = shown(point.worst(perception, rectified=rectified) for point in sweep.points)
+        axes.plot(places, values, **style)
+    if not sweep.inside:
+        predicted = np.array([getattr(point.predicted, field) for point in sweep.points], dtype=float)
+        axes.plot(places, np.where(predicted < LEAST, np.nan, predicted), **PREDICTED)
+    axes.set_yscale("log")
+    drawn = np.concatenate([np.asarray(line.get_ydata(), dtype=float) for line in axes.lines])
+    top = max(drawn[np.isfinite(drawn)], default=LEAST)
+    axes.set_ylim(LEAST / 2, max(2 * top, 10 * LEAST))
+    axes.yaxis.set_major_locator(LogLocator(numticks=8))
+    axes.yaxis.set_minor_locator(NullLocator())
+
+
+def _handles() -> list[Any]:
+    lines = [Line2D([], [], label=label, **style) for _, _, label, style in KINDS]
+    noise = Line2D([], [], color=MUTED, alpha=0.4, lw=8, label="noise alone")
+    return [*lines, Line2D([], [], label="predicted", **PREDICTED), noise]

@@ -1,0 +1,79 @@
+"""What tests of studies share: two small studies, a watcher that counts, a study made in this process."""
+
+import contextlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pytest
+
+from skyherd.cli import main
+from skyherd.study import conduct as conducting
+from skyherd.study.conduct import conduct
+from skyherd.study.measure import measure
+from skyherd.study.plan import make_plan
+from skyherd.study.spec import load_study
+from skyherd.study.table import read_table
+
+SMALL = """
+description = "Gains and cameras."
+scenario = "triangle"
+keep = ["shape_error", "V_end", "converged"]
+
+[set]
+perception = "ideal"
+duration_s = 0.4
+
+[grid]
+control.k = [0.1, 0.3]
+units.0.yaw_deg = [0, 90, 180]
+
+[quick.grid]
+control.k = [0.1]
+"""
+
+SLOW_ENOUGH = """
+scenario = "triangle"
+keep = ["shape_error", "path_length_m"]
+set = { perception = "noisy", duration_s = 6.0 }
+random = { runs = 10, seed = 5, draw = { "units.0.yaw_deg" = [-180, 180], seed = { whole = [1, 1000] } } }
+"""
+"""Ten runs of some tenths of a second, each with its own noise: long enough to be killed in the middle."""
+
+
+class Silent:
+    """A watcher that counts."""
+
+    def __init__(self) -> None:
+        self.missing = self.there = self.made = 0
+
+    def begin(self, missing: int, there: int) -> None:
+        self.missing, self.there = missing, there
+
+    def advance_runs(self, outcomes: list[dict[str, Any]]) -> None:
+        self.made += len(outcomes)
+
+
+def run_in_process(patch: pytest.MonkeyPatch) -> None:
+    """Make runs in this process, one at a time, in place of a cluster."""
+
+    def run(client: Any, missions: Any, curves: Any) -> Iterator[list[dict[str, Any]]]:
+        for key, mission in missions:
+            yield [measure(key, mission, curves)]
+
+    patch.setattr(conducting, "open_client", lambda scheduler, jobs: contextlib.nullcontext())
+    patch.setattr(conducting, "run_missions", run)
+
+
+def conduct_here(path: Path, folder: Path, **options: Any) -> tuple[pa.Table, Silent]:
+    watcher = Silent()
+    conduct(make_plan(load_study(str(path))), folder, watcher, **options)
+    return read_table(folder), watcher
+
+
+def call(capsys: Any, *arguments: Any) -> tuple[int, str, str]:
+    with pytest.raises(SystemExit) as ended:
+        main([str(argument) for argument in arguments])
+    said = capsys.readouterr()
+    return int(ended.value.code or 0), said.out, said.err

@@ -59,14 +59,15 @@ def _neighbors(
     points, others = to_complex(robots.centers_px), to_complex(seen.centers_px)
     distances = np.abs(points[:, None] - others[None, :])
     itself = robots.ids[:, None] == seen.ids[None, :]
-    told = (_nearest_mask(distances, nearest) | np.isin(seen.ids, shared_ids)[None, :]) & ~itself
-    width = int(told.sum(axis=1).max(initial=0))
-    columns = np.argsort(~told, axis=1, kind="stable")[:, :width]
-    real = np.take_along_axis(told, columns, axis=1)
-    return (
-        np.where(real, seen.ids[columns], -1),
-        np.where(real, np.take_along_axis(distances, columns, axis=1), 0.0),
-    )
+    told = (_nearest_mask(distances, nearest) | np.isin(seen.ids, shared_ids)) & ~itself
+    counts = told.sum(axis=1)
+    width = int(counts.max(initial=0))
+    neighbor_ids = np.full((len(robots), width), -1, dtype=np.int64)
+    neighbor_distances = np.zeros((len(robots), width))
+    filled = np.arange(width) < counts[:, None]
+    neighbor_ids[filled] = np.broadcast_to(seen.ids, told.shape)[told]
+    neighbor_distances[filled] = distances[told]
+    return neighbor_ids, neighbor_distances
 
 
 def _nearest_mask(distances: Array, nearest: int) -> BoolArray:

@@ -5,7 +5,9 @@ y left, angles counter-clockwise. Units are in the names.
 """
 
 from collections.abc import Sequence
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -59,11 +61,13 @@ class Detections:
     def __len__(self) -> int:
         return int(self.ids.size)
 
-    def select(self, ids: npt.ArrayLike) -> "Detections":
+    def select(self, ids: AbstractSet[int] | npt.ArrayLike) -> "Detections":
         """Keep only the robots named in `ids`, in the order found."""
-        keep = np.isin(self.ids, ids)
-        if keep.all():
+        wanted = ids if isinstance(ids, AbstractSet) else set(np.asarray(ids).tolist())
+        found = [robot in wanted for robot in self.ids.tolist()]
+        if all(found):
             return self
+        keep = np.array(found, dtype=bool)
         return Detections(
             unit_id=self.unit_id,
             time_s=self.time_s,
@@ -199,6 +203,17 @@ class UnitReport:
         freeze_ids(self, "controlled_ids")
         freeze_ids(self, "secure_ids")
 
+    @cached_property
+    def controlled(self) -> frozenset[int]:
+        """Robots it controls, as a set."""
+        return frozenset(self.controlled_ids.tolist())
+
+    @cached_property
+    def distances(self) -> dict[int, float]:
+        """Distances of the robots it sees from its image centre, in halves of its image's shorter side."""
+        distances = np.linalg.norm(centred(self.points_px, self.image_size_px), axis=1)
+        return dict(zip(self.ids.tolist(), distances.tolist(), strict=True))
+
 
 @dataclass(frozen=True)
 class FlightCommand:
@@ -234,5 +249,5 @@ def centred(points_px: Array, image_size_px: Array) -> Array:
 
 def shared_ids(own: npt.ArrayLike, reports: Sequence[UnitReport]) -> IntArray:
     """Robots of `own` that at least one other unit reports to control."""
-    others = [report.controlled_ids for report in reports]
-    return np.intersect1d(own, np.concatenate(others)) if others else np.array([], dtype=np.int64)
+    others: set[int] = set().union(*(report.controlled for report in reports))
+    return np.array(sorted(others.intersection(np.asarray(own).tolist())), dtype=np.int64)

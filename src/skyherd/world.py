@@ -102,6 +102,8 @@ class World:
         self.positions_m, self.headings_rad = mission.positions_m.copy(), mission.headings_rad.copy()
         units: list[UnitModel] = self.scenario.units
         self.cameras = [make_camera(unit.camera) for unit in units]
+        self._zooms = [np.array(unit.zoom, dtype=float).T for unit in units]
+        self._zoom_limits = np.array([unit.zoom_range for unit in units], dtype=float).T
         self.fleet = Fleet(
             positions_m=np.array([unit.position_m for unit in units]),
             heights_m=np.array([unit.height_m for unit in units]),
@@ -145,13 +147,14 @@ class World:
         still, (mps, radps) = self.mission.obstacle_ids.size, self._rates
         return Motion((x, y, climb), turn, np.pad(mps, ((0, still), (0, 0))), np.pad(radps, (0, still)))
 
-    def in_range(self, unit: int) -> list[int] | None:
-        """Units that hear a unit's radio; None for all."""
+    def in_range(self) -> list[list[int]] | None:
+        """Units that hear each unit's radio; None if all hear all."""
         range_m = self.scenario.network.range_m
         if range_m is None:
             return None
-        apart_m = np.linalg.norm(self.fleet.positions_m - self.fleet.positions_m[unit], axis=1)
-        return np.flatnonzero(apart_m <= range_m).tolist()
+        places_m = self.fleet.positions_m
+        apart_m = np.linalg.norm(places_m[:, None] - places_m, axis=2)
+        return [np.flatnonzero(row).tolist() for row in apart_m <= range_m]
 
     def fly(self, command: FlightCommand) -> None:
         """Hand a unit's autopilot the velocity to fly until the next command."""
@@ -179,10 +182,9 @@ class World:
     def _scripted(self, time_s: float) -> Array:
         """Zooms that the scenario prescribes."""
         return np.array(
-            [np.interp(time_s, *np.array(unit.zoom, dtype=float).T) for unit in self.scenario.units]
+            [np.interp(time_s, *plan) if len(plan[0]) > 1 else plan[1][0] for plan in self._zooms]
         )
 
     def _limited(self, flown: Array, time_s: float) -> Array:
         """Zooms as scripted, times what the units ask for within their lenses' ranges."""
-        low, high = np.array([unit.zoom_range for unit in self.scenario.units], dtype=float).T
-        return np.asarray(self._scripted(time_s) * np.clip(flown, low, high))
+        return np.asarray(self._scripted(time_s) * np.clip(flown, *self._zoom_limits))

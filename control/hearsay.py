@@ -3,14 +3,13 @@
 from collections.abc import Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field
-
-import numpy as np
+from functools import cached_property
 
 from skyherd.control.edge import NO_ROBOTS, Robots
 from skyherd.messages import NOBODY, TreeWord, UnitReport
 
 
-@dataclass(frozen=True)
+@dataclass(slots=True)
 class Heard:
     """One unit's newest report, of one that says what it has to say of the tree."""
 
@@ -43,6 +42,20 @@ class Heard:
 
 
 @dataclass
+class Now:
+    """What counts at one instant: units that are alive, those of them in a tree, robots that these claim."""
+
+    time_s: float
+    fresh: list[Heard]
+    members: list[Heard]
+
+    @cached_property
+    def claimed(self) -> AbstractSet[int]:
+        """Robots that members say they control."""
+        return frozenset().union(*(heard.controlled for heard in self.members))
+
+
+@dataclass
 class Hearsay:
     """The newest report of each unit; older ones that arrive later, and repeated ones, are dropped.
 
@@ -55,7 +68,7 @@ class Hearsay:
     silence_s: float
     newest: dict[int, Heard] = field(default_factory=dict, init=False)
     bequest: dict[int, Heard] = field(default_factory=dict, init=False)
-    _fresh: tuple[float, list[Heard], list[Heard]] = field(default=(-np.inf, [], []), init=False)
+    _now: Now | None = field(default=None, init=False)
 
     def take(self, reports: Sequence[UnitReport]) -> list[Heard]:
         """Take in reports; those that are news."""
@@ -68,7 +81,7 @@ class Hearsay:
                 if heard.is_member:
                     self.bequest[report.unit_id] = heard
                 news.append(heard)
-        self._fresh = (-np.inf, [], [])
+        self._now = None
         return news
 
     def alive(self, unit: int, time_s: float) -> bool:
@@ -78,18 +91,26 @@ class Hearsay:
 
     def fresh(self, time_s: float) -> list[Heard]:
         """What units that are alive said last, in the units' order."""
-        return self._of_late(time_s)[1]
+        return self._of_late(time_s).fresh
 
     def members(self, time_s: float) -> list[Heard]:
         """Those of them that belong to a tree."""
-        return self._of_late(time_s)[2]
+        return self._of_late(time_s).members
 
-    def _of_late(self, time_s: float) -> tuple[float, list[Heard], list[Heard]]:
-        """The two lists, made once an instant."""
-        if self._fresh[0] != time_s:
-            fresh = [heard for unit, heard in sorted(self.newest.items()) if self.alive(unit, time_s)]
-            self._fresh = time_s, fresh, [heard for heard in fresh if heard.is_member]
-        return self._fresh
+    def claimed(self, time_s: float) -> AbstractSet[int]:
+        """Robots that members say they control."""
+        return self._of_late(time_s).claimed
+
+    def _of_late(self, time_s: float) -> Now:
+        """What counts now, found once an instant."""
+        if self._now is None or self._now.time_s != time_s:
+            fresh = [
+                heard
+                for _, heard in sorted(self.newest.items())
+                if time_s - heard.report.time_s <= self.silence_s
+            ]
+            self._now = Now(time_s, fresh, [heard for heard in fresh if heard.is_member])
+        return self._now
 
     def seen_by(self, unit: int) -> AbstractSet[int]:
         """Robots that a unit reported to see."""

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from skyherd.encounter_messages import Encounters as Encounters
 from skyherd.errors import MessageError
 from skyherd.frozen import freeze, freeze_ids
-from skyherd.geometry import Array, IntArray
+from skyherd.geometry import Array, BoolArray, IntArray
 from skyherd.role_messages import RoleMap as RoleMap
 from skyherd.tree_messages import NOBODY as NOBODY
 from skyherd.tree_messages import TreeWord as TreeWord
@@ -63,11 +63,9 @@ class Detections:
 
     def select(self, ids: AbstractSet[int] | npt.ArrayLike) -> "Detections":
         """Keep only the robots named in `ids`, in the order found."""
-        wanted = ids if isinstance(ids, AbstractSet) else set(np.asarray(ids).tolist())
-        found = [robot in wanted for robot in self.ids.tolist()]
-        if all(found):
+        keep = among(self.ids, ids)
+        if keep.all():
             return self
-        keep = np.array(found, dtype=bool)
         return Detections(
             unit_id=self.unit_id,
             time_s=self.time_s,
@@ -237,6 +235,12 @@ class FlightCommand:
         freeze(self, "lateral_mps", (2,))
         if not np.isfinite([self.climb_mps, self.yaw_rate_radps, self.zoom_rate_ps]).all():
             raise MessageError("FlightCommand: climb_mps, yaw_rate_radps and zoom_rate_ps must be finite")
+
+
+def among(ids: IntArray, members: AbstractSet[int] | npt.ArrayLike) -> BoolArray:
+    """(N,) which of the robots `ids` are members; for the few in an image faster than sorting arrays."""
+    wanted = members if isinstance(members, AbstractSet) else set(np.asarray(members).tolist())
+    return np.array([robot in wanted for robot in ids.tolist()], dtype=bool)
 
 
 def centred(points_px: Array, image_size_px: Array) -> Array:

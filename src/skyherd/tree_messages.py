@@ -52,6 +52,11 @@ class TreeWord:
         freeze_ids(self, "missing_ids")
 
     @cached_property
+    def rows(self) -> dict[int, int]:
+        """The row of each edge, by its other end."""
+        return {neighbor: row for row, neighbor in enumerate(self.neighbor_ids.tolist())}
+
+    @cached_property
     def paired(self) -> frozenset[int]:
         """Robots in the pairs of the unit's edges."""
         return frozenset(self.pairs.ravel().tolist()) - {NOBODY}

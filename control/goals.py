@@ -67,9 +67,9 @@ def _listed(told: BoolArray, ids: IntArray, distances: Array) -> tuple[IntArray,
 
 
 def _nearest_mask(distances: Array, nearest: int) -> BoolArray:
-    """(N, M) true for the `nearest` points of each row after the nearest of all, the robot itself."""
-    count = min(nearest, distances.shape[1] - 1)
-    order = np.argsort(distances, axis=1)[:, 1 : count + 1]
+    """(N, M) true for the `nearest + 1` least of each row: a robot itself, and its neighbours."""
+    count = min(nearest + 1, distances.shape[1])
+    order = np.argpartition(distances, count - 1, axis=1)[:, :count]
     mask = np.zeros(distances.shape, dtype=bool)
     np.put_along_axis(mask, order, True, axis=1)
     return mask

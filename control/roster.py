@@ -102,7 +102,8 @@ class Roster:
         edges = list(unit.edges.values())
         lent = [(robot, edge.neighbor_id) for edge in edges for robot in sorted(edge.lent)]
         wished = set().union(*(edge.giving & edge.lent for edge in edges))
-        missing = [robot for robot in unit.own if unit.unseen_s(robot, time_s) > self.rule.silence_s]
+        hidden = unit.own - unit.distances.keys()
+        missing = [robot for robot in hidden if unit.unseen_s(robot, time_s) > self.rule.silence_s]
         return TreeWord(
             tree_id=unit.tree_id,
             asks_id=unit.asks_id,

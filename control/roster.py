@@ -35,8 +35,8 @@ from skyherd.control.turns import take_turns
 from skyherd.geometry import IntArray
 from skyherd.messages import NOBODY, Detections, TreeWord, UnitReport
 
-STALLED = 2
-"""Dwell times in which the tree has grown if it can: one to ask and be granted an edge, one to take it."""
+STALLED = 1
+"""Dwell times without growth after which units look around."""
 
 
 @dataclass

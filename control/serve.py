@@ -1,7 +1,7 @@
 """Flight that serves the topology: keep in view, with margin, all robots that the unit has a duty to."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -63,6 +63,15 @@ class Serve(Flight):
         lateral = self.lateral_gain_mps * middle + self._part(seen)
         return FlightCommand(
             seen.unit_id, lateral, self.climb_gain_mps * excess, 0.0, -self.zoom_gain_ps * excess
+        )
+
+    def search(self, seen: Detections, controlled: IntArray, reports: Sequence[UnitReport]) -> FlightCommand:
+        """Keep all that is seen in view, and climb and zoom out all the while."""
+        command, more = super().search(seen, controlled, reports), self.desired_radius / 2
+        return replace(
+            command,
+            climb_mps=max(command.climb_mps, self.climb_gain_mps * more),
+            zoom_rate_ps=min(command.zoom_rate_ps, -self.zoom_gain_ps * more),
         )
 
     def _part(self, seen: Detections) -> Array:

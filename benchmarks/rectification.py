@@ -133,7 +133,7 @@ def draw_mission(robots: int, seed: int, *, ideal: bool, rectify: bool, duration
         except InputError:
             continue
         marker = mission.scenario.marker
-        seen = Projected(marker.side_m, marker.dictionary).look(World(mission), 0, 0.0)
+        seen = Projected(marker.side_m, marker.dictionary).look(World(mission), [0], 0.0)[0]
         if seen.whole_ids.size == robots:
             return mission
 

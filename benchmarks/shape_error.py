@@ -14,6 +14,7 @@ image, or once for each marker and camera. The loop averages the former away, an
 
 import argparse
 from collections import deque
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
@@ -29,6 +30,7 @@ from skyherd.bench.entrants import default_entrants, dictionary_for, is_ours
 from skyherd.datasets import Mission, load_mission, make_mission
 from skyherd.figure_canvas import drawing_style, new_figure
 from skyherd.loop import run_steps
+from skyherd.messages import Detections
 from skyherd.palette import INK, PAPER, UNIT_COLORS
 from skyherd.perception import Perception, Projected, Rendered, Sight
 from skyherd.world import World
@@ -79,18 +81,20 @@ class Watched:
         self.sides_px: list[np.ndarray] = []
         self.whole = self.found = 0
 
-    def look(self, world: World, unit: int, time_s: float) -> Sight:
+    def look(self, world: World, units: Sequence[int], time_s: float) -> list[Sight]:
         """What the other sees; its errors are kept."""
-        sight = self.inner.look(world, unit, time_s)
+        sights = self.inner.look(world, units, time_s)
         if time_s > self.start_s:
-            truth = self._exact.look(world, unit, time_s).detections
-            ids = np.intersect1d(sight.found_ids, truth.ids)
-            seen = sight.detections
-            mine, its = (np.array([np.flatnonzero(d.ids == i)[0] for i in ids], int) for d in (seen, truth))
-            self.errors_px.append(seen.centers_px[mine] - truth.centers_px[its])
-            self.sides_px.append(truth.sides_px[its])
-            self.whole, self.found = self.whole + sight.whole_ids.size, self.found + sight.found_ids.size
-        return sight
+            for sight, exact in zip(sights, self._exact.look(world, units, time_s), strict=True):
+                self._keep_errors(sight, exact.detections)
+        return sights
+
+    def _keep_errors(self, sight: Sight, truth: Detections) -> None:
+        ids, seen = np.intersect1d(sight.found_ids, truth.ids), sight.detections
+        mine, its = (np.array([np.flatnonzero(d.ids == i)[0] for i in ids], int) for d in (seen, truth))
+        self.errors_px.append(seen.centers_px[mine] - truth.centers_px[its])
+        self.sides_px.append(truth.sides_px[its])
+        self.whole, self.found = self.whole + sight.whole_ids.size, self.found + sight.found_ids.size
 
 
 class Erring:
@@ -100,9 +104,12 @@ class Erring:
         self.exact, self.sigma, self.rng = exact, sigma, rng
         self.fixed: dict[tuple[int, int], np.ndarray] | None = {} if fixed else None
 
-    def look(self, world: World, unit: int, time_s: float) -> Sight:
+    def look(self, world: World, units: Sequence[int], time_s: float) -> list[Sight]:
         """Project, and err."""
-        sight = self.exact.look(world, unit, time_s)
+        sights = self.exact.look(world, units, time_s)
+        return [self._err(sight, unit) for unit, sight in zip(units, sights, strict=True)]
+
+    def _err(self, sight: Sight, unit: int) -> Sight:
         seen = sight.detections
         draws = self.rng.standard_normal((len(seen), 2))
         if self.fixed is not None:

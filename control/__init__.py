@@ -14,7 +14,7 @@ from skyherd.control.roles import RoleRule, newest_roles
 from skyherd.control.roster import Roster
 from skyherd.control.selection import ControlSet, SafetyRadius
 from skyherd.control.serve import Serve
-from skyherd.control.similarity import Similarity, desired_points, fit_similarity
+from skyherd.control.similarity import Similarity, desired_points, fit_similarities, fit_similarity
 from skyherd.control.size import SizeRule
 from skyherd.control.standing import TreeRule
 from skyherd.control.surroundings import Surroundings
@@ -52,6 +52,7 @@ __all__ = [
     "TreeRule",
     "Wheels",
     "desired_points",
+    "fit_similarities",
     "fit_similarity",
     "motion_goals",
     "newest_roles",

@@ -23,8 +23,7 @@ class Orphans:
     def adopt(self, unit: Standing, time_s: float, at_slot: bool) -> None:
         """Watch orphans, and at a slot adopt those that are the unit's to adopt."""
         members = unit.heard.members(time_s)
-        held = unit.controlled.union(*(heard.controlled for heard in members))
-        orphans = unit.distances.keys() - held
+        orphans = unit.distances.keys() - unit.heard.claimed(time_s) - unit.controlled
         self.since_s = {robot: self.since_s.get(robot, time_s) for robot in orphans}
         told, self._told = self._told, unit.distances
         said_s = min((heard.report.time_s for heard in members), default=np.inf)
@@ -41,10 +40,15 @@ class Orphans:
 
 
 def disown(unit: Standing, time_s: float) -> None:
-    """Leave robots that were carried off to the members that see them."""
+    """Leave robots that were carried off to the members that see them.
+
+    Robots that the unit has not seen since they are its own were not carried off: it has inherited them, and
+    flies to where they are; until then neighbours may take them by turns.
+    """
     secured = set().union(*(heard.near(unit.rule.radius) for heard in unit.heard.members(time_s)))
     for robot in (unit.own & secured) - unit.lent():
-        if unit.unseen_s(robot, time_s) > unit.rule.silence_s:
+        inherited = unit.seen_s.get(robot, -np.inf) <= unit.held_s.get(robot, time_s)
+        if not inherited and unit.unseen_s(robot, time_s) > unit.rule.silence_s:
             unit.own.discard(robot)
 
 
@@ -53,7 +57,9 @@ def yield_claims(unit: Standing, time_s: float) -> None:
 
     What a unit said before this one had the robot is no claim: it may have given the robot away since.
     """
-    for heard in unit.heard.fresh(time_s):
+    if unit.own.isdisjoint(unit.heard.claimed(time_s)):
+        return
+    for heard in unit.heard.members(time_s):
         claimed = heard.controlled if heard.report.unit_id < unit.unit_id else heard.paired
         said_s = heard.report.time_s
         unit.own -= {robot for robot in unit.own & claimed if unit.held_s.get(robot, time_s) <= said_s}

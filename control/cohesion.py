@@ -36,13 +36,28 @@ def _parts(unit: Standing, time_s: float) -> list[set[int]]:
 
     Parts with an edge to a unit that is not heard, dead or out of range, may be one part beyond it.
     """
-    links = {heard.report.unit_id: heard.tree.neighbor_ids.tolist() for heard in unit.heard.members(time_s)}
-    links[unit.unit_id] = list(unit.edges)
-    parts: list[set[int]] = []
-    for member, neighbors in links.items():
-        linked = {member, *neighbors}
-        touched = [part for part in parts if part & linked]
-        parts = [part for part in parts if not part & linked] + [linked.union(*touched)]
-    ended = [part for part in parts if part <= links.keys()]
-    open_ended = [part & links.keys() for part in parts if not part <= links.keys()]
-    return ended + ([set().union(*open_ended)] if open_ended else [])
+    links = {heard.report.unit_id: set(heard.tree.rows) for heard in unit.heard.members(time_s)}
+    links[unit.unit_id] = set(unit.edges)
+    for member, neighbors in list(links.items()):
+        for neighbor in neighbors:
+            links.setdefault(neighbor, set()).add(member)
+    heard = {unit.unit_id, *(heard.report.unit_id for heard in unit.heard.members(time_s))}
+    ended, open_ended, left = [], set(), set(links)
+    while left:
+        part = _reached(left.pop(), links)
+        left -= part
+        if part <= heard:
+            ended.append(part)
+        else:
+            open_ended |= part & heard
+    return ended + ([open_ended] if open_ended else [])
+
+
+def _reached(start: int, links: dict[int, set[int]]) -> set[int]:
+    """All units that a walk along links gets to."""
+    part, ahead = {start}, [start]
+    while ahead:
+        new = links[ahead.pop()] - part
+        part |= new
+        ahead += new
+    return part

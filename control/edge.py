@@ -11,7 +11,7 @@ one turn old.
 
 from dataclasses import dataclass
 
-from skyherd.messages import UnitReport
+from skyherd.messages import TreeWord, UnitReport
 
 Robots = frozenset[int]
 NO_ROBOTS: Robots = frozenset()
@@ -60,9 +60,11 @@ class Edge:
         On one edge the neighbour is a turn ahead at most, and only with a turn that it hands over. If it is
         farther ahead it gave up this edge, and began anew.
         """
-        word = word_of(report, self.unit_id)
-        if word is None or word.turn <= self.turn:
+        tree = report.tree
+        row = None if tree is None else tree.rows.get(self.unit_id)
+        if tree is None or row is None or tree.turns[row] <= self.turn:
             return
+        word = _word(tree, row, self.unit_id)
         self.turn, self.pair = word.turn, word.pair
         self.lent, self.reach, self.wished = NO_ROBOTS, word.lent, word.wished
 
@@ -101,12 +103,12 @@ class EdgeWord:
 def word_of(report: UnitReport, unit_id: int) -> EdgeWord | None:
     """What the report says of the edge to `unit_id`; None if it names no such edge."""
     tree = report.tree
-    if tree is None:
+    if tree is None or unit_id not in tree.rows:
         return None
-    for row, neighbor in enumerate(tree.neighbor_ids.tolist()):
-        if neighbor == unit_id:
-            pair = frozenset(robot for robot in tree.pairs[row].tolist() if robot >= 0)
-            lent = frozenset(tree.lent_ids[tree.lent_to_ids == unit_id].tolist())
-            wished = lent.intersection(tree.wished_ids.tolist())
-            return EdgeWord(int(tree.turns[row]), pair, lent, wished)
-    return None
+    return _word(tree, tree.rows[unit_id], unit_id)
+
+
+def _word(tree: TreeWord, row: int, unit_id: int) -> EdgeWord:
+    pair = frozenset(robot for robot in tree.pairs[row].tolist() if robot >= 0)
+    lent = frozenset(tree.lent_ids[tree.lent_to_ids == unit_id].tolist())
+    return EdgeWord(int(tree.turns[row]), pair, lent, lent.intersection(tree.wished_ids.tolist()))

@@ -23,13 +23,17 @@ class Flight(Protocol):
         """Velocity to fly now, given the robots seen, those controlled, and the other units' reports."""
         ...
 
+    def search(self, seen: Detections, controlled: IntArray, reports: Sequence[UnitReport]) -> FlightCommand:
+        """What to fly while the tree, not complete, does not grow: keep in view all that is seen as well."""
+        return self.command(seen, np.union1d(controlled, seen.ids), reports)
+
 
 def _hover(unit_id: int, yaw_rate_radps: float = 0.0) -> FlightCommand:
     return FlightCommand(unit_id, np.zeros(2), 0.0, yaw_rate_radps)
 
 
 @dataclass(frozen=True)
-class Hover:
+class Hover(Flight):
     """Stay, turning at a constant rate if asked."""
 
     yaw_rate_radps: float = 0.0
@@ -40,7 +44,7 @@ class Hover:
 
 
 @dataclass
-class Follow:
+class Follow(Flight):
     """Algorithm 1 of the companion paper (Aranda et al., T-RO 2015): keep in view what duty demands.
 
     To be kept are, for each neighbour in the initial graph, the two robots in common that are nearest to
@@ -125,7 +129,7 @@ def _nearer_there(shared: IntArray, start: dict[int, float], unit_id: int, repor
 
 
 @dataclass(frozen=True)
-class Perimeter:
+class Perimeter(Flight):
     """Fly along the perimeter of the robots' convex hull, turning slowly (the paper's one-camera case).
 
     The velocity is along the hull's edge nearest to the image centre, plus a pull towards that edge.

@@ -67,6 +67,11 @@ class FreeThenTree:
         """Whether robots may move: at once, and again when the tree is complete."""
         return self.tree is None or self.tree.ready
 
+    @property
+    def searches(self) -> bool:
+        """Whether the tree lacks units or robots that nobody finds."""
+        return self.tree is not None and self.tree.searches
+
     def update(self, seen: Detections, reports: Sequence[UnitReport]) -> IntArray:
         """S_j^c after an image, ascending."""
         if self.tree is None and any(report.tree is not None for report in reports):

@@ -44,11 +44,12 @@ class Inboxes:
 
         `received` (N,) tells which of its robots heard them, all if None.
         """
-        if goals.unit_id not in self.unit_ids or not np.isin(goals.ids, self.ids).all():
+        unit = int(np.searchsorted(self.unit_ids[:-1], goals.unit_id))
+        robots = np.searchsorted(self.ids[:-1], goals.ids)
+        if goals.unit_id != self.unit_ids[unit] or (self.ids[robots] != goals.ids).any():
             raise MessageError(f"Inboxes: goals of unit {goals.unit_id} for robots that have no inbox here")
         heard = np.ones(len(goals), dtype=bool) if received is None else received
-        unit = int(np.searchsorted(self.unit_ids, goals.unit_id))
-        robots = np.searchsorted(self.ids, goals.ids[heard])
+        robots = robots[heard]
         newer = goals.time_s >= self.imaged_s[unit, robots]
         robots, rows = robots[newer], np.flatnonzero(heard)[newer]
         self.rho_px[unit, robots] = goals.rho_px[rows] * np.exp(1j * goals.bearings_rad[rows])
@@ -99,4 +100,7 @@ def fuse_pixels(inboxes: Inboxes, time_s: float) -> ComplexArray:
 
 def fuse_marker_sides(inboxes: Inboxes, time_s: float) -> ComplexArray:
     """Σ_j rho_i^j / side_px_ij (N,), marker sides: the common scale; 0 if none is heard."""
-    return np.asarray(np.where(inboxes.fresh(time_s), inboxes.rho_px / inboxes.sides_px, 0).sum(axis=0))
+    heard = _unit, robot = np.nonzero(inboxes.fresh(time_s))
+    rho, robots = inboxes.rho_px[heard] / inboxes.sides_px[heard], inboxes.ids.size
+    along, across = (np.bincount(robot, weights=part, minlength=robots) for part in (rho.real, rho.imag))
+    return along + 1j * across

@@ -5,7 +5,7 @@ import numpy as np
 from skyherd.control.similarity import fit_similarity
 from skyherd.control.template import Template
 from skyherd.geometry import Array, BoolArray, IntArray, to_complex, wrap_angle
-from skyherd.messages import Detections, MotionGoals
+from skyherd.messages import Detections, MotionGoals, among
 
 
 def motion_goals(
@@ -35,44 +35,41 @@ def motion_goals(
     Raises:
         DegenerateSetError: the controlled robots seen define no similarity.
     """
-    robots = seen.select(controlled_ids)
-    current = to_complex(robots.centers_px)
-    points = template.points_of(robots.ids)
+    rows = np.flatnonzero(among(seen.ids, controlled_ids))
+    ids, seen_px = seen.ids[rows], to_complex(seen.centers_px)
+    points, current = template.points_of(ids), seen_px[rows]
     rho = fit_similarity(points, current).resized(*scales)(points) - current
-    neighbor_ids, neighbor_distances = _neighbors(robots, seen, shared_ids, nearest)
+    distances = np.abs(current[:, None] - seen_px)
+    told = (_nearest_mask(distances, nearest) | among(seen.ids, shared_ids)) & (ids[:, None] != seen.ids)
+    neighbor_ids, neighbor_distances = _listed(told, seen.ids, distances)
     return MotionGoals(
         unit_id=seen.unit_id,
         time_s=seen.time_s,
-        ids=robots.ids,
+        ids=ids,
         rho_px=np.abs(rho),
-        bearings_rad=wrap_angle(robots.headings_rad - np.angle(rho)),
-        sides_px=robots.sides_px,
+        bearings_rad=wrap_angle(seen.headings_rad[rows] - np.angle(rho)),
+        sides_px=seen.sides_px[rows],
         neighbor_ids=neighbor_ids,
         neighbor_distances_px=neighbor_distances,
     )
 
 
-def _neighbors(
-    robots: Detections, seen: Detections, shared_ids: IntArray, nearest: int
-) -> tuple[IntArray, Array]:
+def _listed(told: BoolArray, ids: IntArray, distances: Array) -> tuple[IntArray, Array]:
     """Ids (N, K), filled with -1, and distances (N, K), filled with 0, of the neighbours to tell of."""
-    points, others = to_complex(robots.centers_px), to_complex(seen.centers_px)
-    distances = np.abs(points[:, None] - others[None, :])
-    itself = robots.ids[:, None] == seen.ids[None, :]
-    told = (_nearest_mask(distances, nearest) | np.isin(seen.ids, shared_ids)[None, :]) & ~itself
-    width = int(told.sum(axis=1).max(initial=0))
-    columns = np.argsort(~told, axis=1, kind="stable")[:, :width]
-    real = np.take_along_axis(told, columns, axis=1)
-    return (
-        np.where(real, seen.ids[columns], -1),
-        np.where(real, np.take_along_axis(distances, columns, axis=1), 0.0),
-    )
+    counts = told.sum(axis=1)
+    width = int(counts.max(initial=0))
+    neighbor_ids = np.full((len(told), width), -1, dtype=np.int64)
+    neighbor_distances = np.zeros((len(told), width))
+    filled = np.arange(width) < counts[:, None]
+    neighbor_ids[filled] = np.broadcast_to(ids, told.shape)[told]
+    neighbor_distances[filled] = distances[told]
+    return neighbor_ids, neighbor_distances
 
 
 def _nearest_mask(distances: Array, nearest: int) -> BoolArray:
-    """(N, M) true for the `nearest` points of each row after the nearest of all, the robot itself."""
-    count = min(nearest, distances.shape[1] - 1)
-    order = np.argsort(distances, axis=1)[:, 1 : count + 1]
+    """(N, M) true for the `nearest + 1` least of each row: a robot itself, and its neighbours."""
+    count = min(nearest + 1, distances.shape[1])
+    order = np.argpartition(distances, count - 1, axis=1)[:, :count]
     mask = np.zeros(distances.shape, dtype=bool)
     np.put_along_axis(mask, order, True, axis=1)
     return mask

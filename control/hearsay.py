@@ -1,46 +1,58 @@
 """What a unit heard from the others: the newest report of each, and who is still alive."""
 
 from collections.abc import Sequence
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field
+from functools import cached_property
 
 from skyherd.control.edge import NO_ROBOTS, Robots
-from skyherd.control.selection import centre_distances
 from skyherd.messages import NOBODY, TreeWord, UnitReport
 
 
-@dataclass(frozen=True)
+@dataclass(slots=True)
 class Heard:
-    """One unit's newest report, read once.
-
-    Attributes:
-        report: as it came.
-        tree: what it says of the tree.
-        controlled: robots that the unit controls.
-        distances: from its image centre, of the robots that it sees.
-        paired: robots in the pairs of its edges.
-    """
+    """One unit's newest report, of one that says what it has to say of the tree."""
 
     report: UnitReport
     tree: TreeWord
-    controlled: Robots
-    distances: dict[int, float]
-    paired: Robots
 
     @property
     def is_member(self) -> bool:
         """Whether the unit belongs to a tree."""
         return self.tree.tree_id != NOBODY
 
+    @property
+    def controlled(self) -> Robots:
+        """Robots that the unit controls."""
+        return self.report.controlled
+
+    @property
+    def distances(self) -> dict[int, float]:
+        """Distances of the robots that it sees from its image centre, in half images."""
+        return self.report.distances
+
+    @property
+    def paired(self) -> Robots:
+        """Robots in the pairs of its edges."""
+        return self.tree.paired
+
     def near(self, radius: float) -> Robots:
         """Robots that it sees inside a radius."""
         return frozenset(robot for robot, distance in self.distances.items() if distance < radius)
 
 
-def read(report: UnitReport, tree: TreeWord) -> Heard:
-    """Read a report into sets."""
-    distances = dict(zip(report.ids.tolist(), centre_distances(report).tolist(), strict=True))
-    paired = frozenset(tree.pairs.ravel().tolist()) - {NOBODY}
-    return Heard(report, tree, frozenset(report.controlled_ids.tolist()), distances, paired)
+@dataclass
+class Now:
+    """What counts at one instant: units that are alive, those of them in a tree, robots that these claim."""
+
+    time_s: float
+    fresh: list[Heard]
+    members: list[Heard]
+
+    @cached_property
+    def claimed(self) -> AbstractSet[int]:
+        """Robots that members say they control."""
+        return frozenset().union(*(heard.controlled for heard in self.members))
 
 
 @dataclass
@@ -56,6 +68,7 @@ class Hearsay:
     silence_s: float
     newest: dict[int, Heard] = field(default_factory=dict, init=False)
     bequest: dict[int, Heard] = field(default_factory=dict, init=False)
+    _now: Now | None = field(default=None, init=False)
 
     def take(self, reports: Sequence[UnitReport]) -> list[Heard]:
         """Take in reports; those that are news."""
@@ -63,11 +76,12 @@ class Hearsay:
         for report in reports:
             last = self.newest.get(report.unit_id)
             if report.tree is not None and (last is None or report.time_s > last.report.time_s):
-                heard = read(report, report.tree)
+                heard = Heard(report, report.tree)
                 self.newest[report.unit_id] = heard
                 if heard.is_member:
                     self.bequest[report.unit_id] = heard
                 news.append(heard)
+        self._now = None
         return news
 
     def alive(self, unit: int, time_s: float) -> bool:
@@ -77,13 +91,28 @@ class Hearsay:
 
     def fresh(self, time_s: float) -> list[Heard]:
         """What units that are alive said last, in the units' order."""
-        return [heard for unit, heard in sorted(self.newest.items()) if self.alive(unit, time_s)]
+        return self._of_late(time_s).fresh
 
     def members(self, time_s: float) -> list[Heard]:
         """Those of them that belong to a tree."""
-        return [heard for heard in self.fresh(time_s) if heard.is_member]
+        return self._of_late(time_s).members
 
-    def seen_by(self, unit: int) -> Robots:
+    def claimed(self, time_s: float) -> AbstractSet[int]:
+        """Robots that members say they control."""
+        return self._of_late(time_s).claimed
+
+    def _of_late(self, time_s: float) -> Now:
+        """What counts now, found once an instant."""
+        if self._now is None or self._now.time_s != time_s:
+            fresh = [
+                heard
+                for _, heard in sorted(self.newest.items())
+                if time_s - heard.report.time_s <= self.silence_s
+            ]
+            self._now = Now(time_s, fresh, [heard for heard in fresh if heard.is_member])
+        return self._now
+
+    def seen_by(self, unit: int) -> AbstractSet[int]:
         """Robots that a unit reported to see."""
         heard = self.newest.get(unit)
-        return NO_ROBOTS if heard is None else frozenset(heard.distances)
+        return NO_ROBOTS if heard is None else heard.distances.keys()

@@ -1,5 +1,7 @@
 """How units become one tree: found it, ask to be admitted, grant an edge; and when it is complete."""
 
+from dataclasses import dataclass
+
 from skyherd.control.edge import NO_ROBOTS, NO_TURN, first_turn, word_of
 from skyherd.control.hearsay import Heard
 from skyherd.control.standing import Standing
@@ -50,12 +52,28 @@ def admit(unit: Standing, time_s: float) -> None:
             unit.open_edge(asking, time_s, unit.heard.newest[asking].tree.ask_turn, NO_ROBOTS, lent)
 
 
-def is_complete(unit: Standing, time_s: float) -> bool:
+@dataclass(frozen=True)
+class Extent:
+    """How far the tree reaches, as one unit knows it: units outside of it, robots that some unit holds."""
+
+    outside: frozenset[int]
+    held: frozenset[int]
+
+
+def extent_of(unit: Standing, time_s: float) -> Extent:
+    """The tree's reach, by what was heard of late."""
+    fresh = unit.heard.fresh(time_s)
+    outside = {heard.report.unit_id for heard in fresh if not heard.is_member}
+    return Extent(
+        frozenset(outside if unit.is_member else outside | {unit.unit_id}),
+        frozenset(unit.controlled.union(*(heard.controlled for heard in fresh))),
+    )
+
+
+def is_complete(unit: Standing, extent: Extent, time_s: float) -> bool:
     """Whether all units heard belong to the tree and all robots to a unit, or waiting has lasted too long."""
     if not unit.is_member:
         return False
-    fresh = unit.heard.fresh(time_s)
-    if any(heard.tree.ready for heard in fresh) or time_s - unit.since_s > unit.rule.patience_s:
-        return True
-    held = unit.controlled.union(*(heard.controlled for heard in fresh))
-    return all(heard.is_member for heard in fresh) and held.issuperset(unit.template.ids.tolist())
+    told = any(heard.tree.ready for heard in unit.heard.fresh(time_s))
+    waited = time_s - unit.since_s > unit.rule.patience_s
+    return told or waited or (not extent.outside and extent.held >= unit.template.members)

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from skyherd.control.similarity import Similarity, fit_similarity
+from skyherd.control.similarity import Similarity, fit_similarities, fit_similarity
 from skyherd.control.template import Template
 from skyherd.errors import DegenerateSetError
 from skyherd.geometry import Array, BoolArray, ComplexArray, IntArray, to_complex, to_points
@@ -50,19 +50,25 @@ class ImageMemory:
         in_view = np.zeros(self.known.size, dtype=bool)
         in_view[rows] = True
         self.centers_px.clear()
-        for report in reports:
-            self._learn(report, in_view)
+        if reports:
+            self._learn(reports, in_view)
 
-    def _learn(self, report: UnitReport, in_view: BoolArray) -> None:
-        theirs, points = self.rows(report.ids), to_complex(report.points_px)
-        common = in_view[theirs]
-        similarity = _fit(points, self.points_px[theirs], common)
-        if similarity is None:
-            return
-        hidden = theirs[~common]
-        self.points_px[hidden], self.known[hidden] = similarity(points[~common]), True
-        middle = (report.image_size_px - 1) / 2
-        self.centers_px[report.unit_id] = complex(similarity(to_complex(middle[None]))[0])
+    def _learn(self, reports: Sequence[UnitReport], in_view: BoolArray) -> None:
+        """Places of what others see and the unit does not; where several do, the last one's word counts."""
+        sender = np.repeat(np.arange(len(reports)), [report.ids.size for report in reports])
+        rows = self.rows(np.concatenate([report.ids for report in reports]))
+        points = to_complex(np.concatenate([report.points_px for report in reports]))
+        common = in_view[rows]
+        images = fit_similarities(points[common], self.points_px[rows[common]], sender[common], len(reports))
+        hidden = ~common & images.exist[sender]
+        self.points_px[rows[hidden]] = images(points[hidden], sender[hidden])
+        self.known[rows[hidden]] = True
+        told = np.flatnonzero(images.exist).tolist()
+        middles = to_complex(np.reshape([(reports[row].image_size_px - 1) / 2 for row in told], (-1, 2)))
+        units = (reports[row].unit_id for row in told)
+        self.centers_px.update(
+            zip(units, images(middles, np.array(told, dtype=np.int64)).tolist(), strict=True)
+        )
 
     def rows(self, ids: IntArray) -> IntArray:
         """Rows of robots, all of the team."""

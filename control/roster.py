@@ -27,13 +27,16 @@ import numpy as np
 from skyherd.control.adoption import Orphans, disown, yield_claims
 from skyherd.control.cohesion import Cohesion
 from skyherd.control.hearsay import Hearsay
-from skyherd.control.joining import admit, is_complete, seek
+from skyherd.control.joining import Extent, admit, extent_of, is_complete, seek
 from skyherd.control.standing import Standing, TreeRule
 from skyherd.control.succession import name_heir, succeed
 from skyherd.control.template import Template
 from skyherd.control.turns import take_turns
 from skyherd.geometry import IntArray
 from skyherd.messages import NOBODY, Detections, TreeWord, UnitReport
+
+STALLED = 1
+"""Dwell times without growth after which units look around."""
 
 
 @dataclass
@@ -46,6 +49,9 @@ class Roster:
     _orphans: Orphans = field(default_factory=Orphans, init=False)
     _cohesion: Cohesion = field(default_factory=Cohesion, init=False)
     _heir_id: int = field(default=NOBODY, init=False)
+    _extent: Extent | None = field(default=None, init=False)
+    _grew_slot: int = field(default=0, init=False)
+    _stalled: bool = field(default=False, init=False)
 
     def __post_init__(self) -> None:
         self.unit = Standing(self.rule, self.template, Hearsay(self.rule.silence_s))
@@ -54,6 +60,11 @@ class Roster:
     def ready(self) -> bool:
         """Whether robots may move."""
         return self.unit.ready
+
+    @property
+    def searches(self) -> bool:
+        """Whether the tree lacks units or robots, and has once not grown where the unit hears of it."""
+        return self._stalled and not self.ready
 
     def update(self, seen: Detections, reports: Sequence[UnitReport]) -> IntArray:
         """S_j^c after an image, ascending, given the last report heard from each other unit."""
@@ -71,7 +82,8 @@ class Roster:
         else:
             seek(unit, time_s, at_slot)
         take_turns(unit, time_s, at_slot)
-        unit.ready = unit.ready or is_complete(unit, time_s)
+        if not unit.ready:
+            self._deploy(time_s)
         self._heir_id = name_heir(unit, self._heir_id)
         unit.held_s = {robot: unit.held_s.get(robot, time_s) for robot in unit.controlled}
         return np.array(sorted(unit.held_s), dtype=np.int64)
@@ -90,7 +102,8 @@ class Roster:
         edges = list(unit.edges.values())
         lent = [(robot, edge.neighbor_id) for edge in edges for robot in sorted(edge.lent)]
         wished = set().union(*(edge.giving & edge.lent for edge in edges))
-        missing = [robot for robot in unit.own if unit.unseen_s(robot, time_s) > self.rule.silence_s]
+        hidden = unit.own - unit.distances.keys()
+        missing = [robot for robot in hidden if unit.unseen_s(robot, time_s) > self.rule.silence_s]
         return TreeWord(
             tree_id=unit.tree_id,
             asks_id=unit.asks_id,
@@ -108,6 +121,14 @@ class Roster:
 
     def note(self, time_s: float, own: UnitReport, reports: Sequence[UnitReport]) -> None:
         """V falls by itself where TC1-TC5 hold: nothing to watch."""
+
+    def _deploy(self, time_s: float) -> None:
+        """Watch the tree grow until it is complete."""
+        extent = extent_of(self.unit, time_s)
+        if extent != self._extent or not (self.unit.is_member or self.unit.heard.members(time_s)):
+            self._extent, self._grew_slot = extent, self.unit.slot
+        self._stalled = self._stalled or self.unit.slot - self._grew_slot >= STALLED
+        self.unit.ready = is_complete(self.unit, extent, time_s)
 
     def _hear(self, reports: Sequence[UnitReport]) -> None:
         """Take the turns that are handed over; of two trees the one with the lower number stays."""

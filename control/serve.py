@@ -1,18 +1,19 @@
 """Flight that serves the topology: keep in view, with margin, all robots that the unit has a duty to."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from skyherd.control.flight import Flight
 from skyherd.control.memory import ImageMemory
 from skyherd.control.template import Template
-from skyherd.geometry import Array, IntArray
+from skyherd.geometry import Array, IntArray, to_points
 from skyherd.messages import Detections, FlightCommand, UnitReport, centred
 
 
 @dataclass
-class Serve:
+class Serve(Flight):
     """Fly so that the whole control set lies within `desired_radius` of the image centre.
 
     Towards the middle of the set, `v = gain c`, with c the centre of its bounding box in the image; up, and
@@ -48,11 +49,8 @@ class Serve:
     def command(self, seen: Detections, controlled: IntArray, reports: Sequence[UnitReport]) -> FlightCommand:
         """Velocity and zoom for the robots in duty, seen or remembered."""
         self.memory.update(seen, reports)
-        if any(
-            report.unit_id < seen.unit_id and np.array_equal(report.controlled_ids, controlled)
-            for report in reports
-            if controlled.size
-        ):
+        robots = frozenset(controlled.tolist())
+        if robots and any(r.controlled == robots for r in reports if r.unit_id < seen.unit_id):
             return FlightCommand(seen.unit_id, self._part(seen), 0.0, 0.0)
         points = self.memory.centred(controlled if controlled.size else seen.ids, seen.image_size_px)
         if not len(points):
@@ -67,16 +65,23 @@ class Serve:
             seen.unit_id, lateral, self.climb_gain_mps * excess, 0.0, -self.zoom_gain_ps * excess
         )
 
+    def search(self, seen: Detections, controlled: IntArray, reports: Sequence[UnitReport]) -> FlightCommand:
+        """Keep all that is seen in view, and climb and zoom out all the while."""
+        command, more = super().search(seen, controlled, reports), self.desired_radius / 2
+        return replace(
+            command,
+            climb_mps=max(command.climb_mps, self.climb_gain_mps * more),
+            zoom_rate_ps=min(command.zoom_rate_ps, -self.zoom_gain_ps * more),
+        )
+
     def _part(self, seen: Detections) -> Array:
         """Velocity (2,) away from units that are too near."""
-        away = np.zeros(2)
-        if not len(seen):
-            return away
-        centers = np.array([[c.real, c.imag] for c in self.memory.centers_px.values()]).reshape(-1, 2)
+        if not (len(seen) and self.memory.centers_px and self.separation_sides):
+            return np.zeros(2)
+        centers = to_points(list(self.memory.centers_px.values()))
         side_px = float(np.sort(seen.sides_px)[len(seen) // 2])
         least = self.separation_sides * side_px / (seen.image_size_px.min() / 2)
-        for offset in centred(centers, seen.image_size_px):
-            distance = float(np.linalg.norm(offset))
-            if distance < least:
-                away -= self.lateral_gain_mps * (1 - distance / least) * offset / max(distance, 1e-6)
-        return away
+        offsets = centred(centers, seen.image_size_px)
+        distances = np.linalg.norm(offsets, axis=1)
+        pushes = np.maximum(1 - distances / least, 0.0) / np.maximum(distances, 1e-6)
+        return np.asarray(-self.lateral_gain_mps * (pushes @ offsets))

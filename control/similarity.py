@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from skyherd.errors import DegenerateSetError
-from skyherd.geometry import ComplexArray
+from skyherd.geometry import Array, BoolArray, ComplexArray, IntArray
 
 COINCIDENT = 1e-12
 """Points whose spread is below this fraction of their size lie on one spot."""
@@ -73,6 +73,52 @@ def fit_similarity(template: ComplexArray, current: ComplexArray) -> Similarity:
     if abs(turn) ** 2 * spread <= VANISHING**2 * np.vdot(current_c, current_c).real:
         raise DegenerateSetError("the best-fitting similarity has size zero, so no rotation fits best")
     return Similarity(turn, complex(source), complex(target))
+
+
+@dataclass(frozen=True)
+class Similarities:
+    """G similarities `z ↦ turn (z - source) + target`, as arrays (G,); `exist` tells which there are."""
+
+    turns: ComplexArray
+    sources: ComplexArray
+    targets: ComplexArray
+    exist: BoolArray
+
+    def __call__(self, points: ComplexArray, group: IntArray) -> ComplexArray:
+        """Map template points (N,), each by the similarity of its group (N,)."""
+        return np.asarray(self.turns[group] * (points - self.sources[group]) + self.targets[group])
+
+
+def fit_similarities(
+    template: ComplexArray, current: ComplexArray, group: IntArray, groups: int
+) -> Similarities:
+    """`fit_similarity` of many groups of points at once: point n belongs to `group[n]`, all (N,).
+
+    A group that defines no similarity, for any reason that `fit_similarity` has to refuse one, gets none.
+    """
+
+    def total(values: Array) -> Array:
+        return np.asarray(np.bincount(group, weights=values, minlength=groups), dtype=float)
+
+    def mean(points: ComplexArray) -> ComplexArray:
+        return np.asarray((total(points.real) + 1j * total(points.imag)) / np.maximum(sizes, 1))
+
+    def largest(points: ComplexArray) -> Array:
+        most = np.zeros(groups)
+        np.maximum.at(most, group, np.abs(points))
+        return most
+
+    sizes = np.bincount(group, minlength=groups)
+    sources, targets = mean(template), mean(current)
+    template_c, current_c = template - sources[group], current - targets[group]
+    product = template_c.conj() * current_c
+    spread = total(template_c.real**2 + template_c.imag**2)
+    explained = total(product.real) ** 2 + total(product.imag) ** 2
+    exist = (sizes >= 2) & (spread > (COINCIDENT * largest(template)) ** 2 * sizes)
+    exist &= largest(current_c) > COINCIDENT * largest(current)
+    exist &= explained > VANISHING**2 * spread * total(current_c.real**2 + current_c.imag**2)
+    turns = (total(product.real) + 1j * total(product.imag)) / np.where(exist, spread, 1.0)
+    return Similarities(np.where(exist, turns, 0), sources, targets, exist)
 
 
 def desired_points(template: ComplexArray, current: ComplexArray) -> ComplexArray:

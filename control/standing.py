@@ -114,9 +114,9 @@ class Standing:
         are their own (control/adoption.py), and no more once they share them with third ones.
         """
         members = self.heard.members(time_s)
-        claimed = set().union(*(heard.controlled for heard in members))
         known_s = min((heard.report.time_s for heard in members), default=np.inf)
-        return {robot for robot in self.own - claimed if self.held_s.get(robot, time_s) <= known_s}
+        free = self.own - self.heard.claimed(time_s)
+        return {robot for robot in free if self.held_s.get(robot, time_s) <= known_s}
 
     def askers(self, time_s: float) -> set[int]:
         """Units that ask this one to be admitted."""
@@ -132,12 +132,16 @@ class Standing:
         """
         free = self.undisputed(time_s).intersection(self.heard.seen_by(unit)) - self.lent(but=unit)
         newcomers = self.askers(time_s) | {other for other, edge in self.edges.items() if not edge.pair}
-        sharers = sorted(newcomers | self.edges.keys() | {unit})
+        sharers = {
+            other: self.heard.seen_by(other) for other in sorted(newcomers | self.edges.keys() | {unit})
+        }
         lent = set()
         for rank, robot in enumerate(sorted(self.own)):
-            seeing = [other for other in sharers if robot in self.heard.seen_by(other)]
+            if robot not in free:
+                continue
+            seeing = [other for other, seen in sharers.items() if robot in seen]
             first = [other for other in seeing if other in newcomers] or seeing
-            if robot in free and first[(rank // 2 + self.slot) % len(first)] == unit:
+            if first[(rank // 2 + self.slot) % len(first)] == unit:
                 lent.add(robot)
         return frozenset(lent)
 

@@ -5,7 +5,7 @@ Two adjoining units make one, so that what was a tree with one pair an edge stil
 
 import numpy as np
 
-from skyherd.control.edge import NO_TURN, Edge, first_turn, word_of
+from skyherd.control.edge import NO_TURN, Edge, first_turn
 from skyherd.control.hearsay import Heard
 from skyherd.control.standing import Standing
 from skyherd.messages import NOBODY
@@ -44,7 +44,7 @@ def name_heir(unit: Standing, heir_id: int) -> int:
 
 def _is_left(unit: Standing, edge: Edge, heard: Heard) -> bool:
     """Whether the neighbour knows nothing of the edge, although it must by now: or it left the tree."""
-    if word_of(heard.report, unit.unit_id) is not None:
+    if unit.unit_id in heard.tree.rows:
         return False
     if not edge.pair:
         return heard.is_member or (heard.tree.asks_id, heard.tree.ask_turn) != (unit.unit_id, edge.turn)

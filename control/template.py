@@ -56,6 +56,11 @@ class Template:
         """Distance between its two nearest points."""
         return float(pdist(to_points(self.points_px)).min())
 
+    @cached_property
+    def members(self) -> frozenset[int]:
+        """The robots, as a set."""
+        return frozenset(self.ids.tolist())
+
     def points_of(self, ids: IntArray) -> ComplexArray:
         """Template points of the robots `ids`, all of which must be in the template."""
         return self.points_px[np.searchsorted(self.ids, ids)]

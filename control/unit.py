@@ -72,7 +72,7 @@ class AerialController:
 
     def step(self, detections: Detections, reports: Sequence[UnitReport] = ()) -> Decision:
         """Decide on one image, given the last report heard from each other unit."""
-        seen = detections.select(self.template.ids)
+        seen = detections.select(self.template.members)
         reports = [r for r in reports if r.time_s >= detections.time_s - self.report_lifetime_s]
         self._choose_roles(seen, reports)
         side_px = 0.0 if self.size.is_free else self.yardstick.update(seen, reports)
@@ -92,10 +92,8 @@ class AerialController:
             roles=self.roles.word,
         )
         self.control_set.note(seen.time_s, report, reports)
-        keep = controlled if self.control_set.ready else np.union1d(controlled, seen.ids)
-        flight = self.flight.command(seen, keep, reports)
         near = encounters(detections, self.template.ids, self.bodies) if self.bodies else None
-        return Decision(goals, report, flight, near)
+        return Decision(goals, report, self._fly(seen, controlled, reports), near)
 
     def _choose_roles(self, seen: Detections, reports: Sequence[UnitReport]) -> None:
         self.roles.take_up(self.program.at(seen.time_s))
@@ -104,6 +102,14 @@ class AerialController:
             team = panorama(self.template.ids, seen, reports)
             self.roles.exchange(seen.unit_id, seen.time_s, team, reports)
         self.control_set.reshape(self.roles.shape)
+
+    def _fly(self, seen: Detections, controlled: IntArray, reports: Sequence[UnitReport]) -> FlightCommand:
+        """Serve the set; while robots wait for the tree hold the place, or look for what it lacks."""
+        if self.control_set.ready:
+            return self.flight.command(seen, controlled, reports)
+        if self.control_set.searches:
+            return self.flight.search(seen, controlled, reports)
+        return FlightCommand(seen.unit_id, np.zeros(2), 0.0, 0.0)
 
     def _goals(
         self, seen: Detections, controlled: IntArray, reports: Sequence[UnitReport], side_px: float

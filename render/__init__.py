@@ -9,6 +9,7 @@ from skyherd.render.motion import Motion, Shutter
 from skyherd.render.occluders import Disc, Quad
 from skyherd.render.renderer import Renderer
 from skyherd.render.sensor import Illumination, Sensor
+from skyherd.render.team import TeamImage, project_team
 from skyherd.render.truth import FrameTruth, project_markers
 
 __all__ = [
@@ -26,8 +27,10 @@ __all__ = [
     "Renderer",
     "Sensor",
     "Shutter",
+    "TeamImage",
     "footprint_m",
     "homography_image_ground",
     "project",
     "project_markers",
+    "project_team",
 ]

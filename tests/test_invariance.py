@@ -1,6 +1,6 @@
 """Property 1 and Remark 1: what the camera is, and where it hangs, does not matter - and when it does."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -94,17 +94,20 @@ class FixedSets:
     def __init__(self, perception: Any, sets: list[np.ndarray] = SETS) -> None:
         self.perception, self.sets = perception, sets
 
-    def look(self, world: World, unit: int, time_s: float) -> Sight:
-        sight = self.perception.look(world, unit, time_s)
-        chosen = sight.detections.select(self.sets[unit])
-        assert chosen.ids.tolist() == sorted(self.sets[unit].tolist()), "a robot left the view"
+    def look(self, world: World, units: Sequence[int], time_s: float) -> list[Sight]:
+        sights = self.perception.look(world, units, time_s)
+        return [self._choose(sight, self.sets[unit]) for unit, sight in zip(units, sights, strict=True)]
+
+    def _choose(self, sight: Sight, members: np.ndarray) -> Sight:
+        chosen = sight.detections.select(members)
+        assert chosen.ids.tolist() == sorted(members.tolist()), "a robot left the view"
         return replace(sight, detections=chosen)
 
 
 def ground_goals(mission: Mission, unit: int = 0, perception: Any = None) -> np.ndarray:
     """Ground points x^d that the wire message of a unit stands for, through the true camera's inverse."""
     world = World(mission)
-    seen = (perception or Projected(SIDE_M, "4X4_50")).look(world, unit, 0.0).detections
+    seen = (perception or Projected(SIDE_M, "4X4_50")).look(world, [unit], 0.0)[0].detections
     goals = AerialController(mission.template, SafetyRadius(1.5), Hover()).step(seen).goals
     assert goals is not None and goals.ids.tolist() == mission.ids.tolist()
     image_direction = np.exp(1j * (seen.headings_rad - goals.bearings_rad))
@@ -146,7 +149,7 @@ def command_of(mission: Mission, gains: PixelGains | MarkerGains) -> Any:
     world, perception = World(mission), FixedSets(Projected(SIDE_M, "4X4_50"))
     inboxes = Inboxes(mission.ids, np.arange(len(SETS)), 1.0)
     crew = [AerialController(mission.template, SafetyRadius(1.5), Hover()) for _ in SETS]
-    seen = [perception.look(world, unit, 0.0).detections for unit in range(len(SETS))]
+    seen = [sight.detections for sight in perception.look(world, range(len(SETS)), 0.0)]
     reports = [unit.step(image).report for unit, image in zip(crew, seen, strict=True)]
     for j, (unit, image) in enumerate(zip(crew, seen, strict=True)):
         decision = unit.step(image, [report for report in reports if report.unit_id != j])
@@ -393,7 +396,10 @@ class Replay:
     def __init__(self, detector: Any, images: dict[tuple[int, int], np.ndarray]) -> None:
         self.detector, self.images = detector, images
 
-    def look(self, world: World, unit: int, time_s: float) -> Sight:
+    def look(self, world: World, units: Sequence[int], time_s: float) -> list[Sight]:
+        return [self._look(unit, time_s) for unit in units]
+
+    def _look(self, unit: int, time_s: float) -> Sight:
         image = self.images[unit, round(10 * time_s)]
         seen = self.detector.detect(image.copy(), time_s=time_s, unit_id=unit)
         return Sight(seen, seen.ids, seen.ids, 0, None)

@@ -6,7 +6,7 @@ import scipy.linalg
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from skyherd.control import Similarity, desired_points, fit_similarity
+from skyherd.control import Similarity, desired_points, fit_similarities, fit_similarity
 from skyherd.errors import DegenerateSetError
 
 TIGHT = 1e-10
@@ -144,3 +144,27 @@ def test_the_map_is_what_its_docstring_says() -> None:
 def test_degenerate_sets_are_refused(template, current) -> None:
     with pytest.raises(DegenerateSetError):
         fit_similarity(np.array(template, dtype=complex), np.array(current, dtype=complex))
+
+
+def test_many_fits_at_once_are_the_fits_one_by_one() -> None:
+    """Groups of any size, in any order of points; those without a similarity have none, as when asked alone.
+
+    Both sum a few dozen products of numbers of order one, in other orders.
+    """
+    rng = np.random.default_rng(5)
+    sizes = [7, 0, 1, 2, 40, 3, 3, 4]
+    group = rng.permutation(np.repeat(np.arange(len(sizes)), sizes))
+    template, current = (rng.normal(size=group.size) + 1j * rng.normal(size=group.size) for _ in range(2))
+    template[group == 5] = 0.7 - 0.2j
+    current[group == 6] = 3.0 + 1j
+    square = np.array([1, 1j, -1, -1j])
+    template[group == 7], current[group == 7] = square, square.conj()  # mirrored: explains nothing
+    fits = fit_similarities(template, current, group, len(sizes))
+    assert fits.exist.tolist() == [True, False, False, True, True, False, False, False]
+    for row in np.flatnonzero(fits.exist).tolist():
+        alone = fit_similarity(template[group == row], current[group == row])
+        there = fits(template, group)[group == row]
+        np.testing.assert_allclose(there, alone(template[group == row]), rtol=0, atol=1e-13)
+    for row in np.flatnonzero(~fits.exist).tolist():
+        with pytest.raises(DegenerateSetError):
+            fit_similarity(template[group == row], current[group == row])

@@ -1,5 +1,6 @@
 """TC1-TC5, the selection of robots, and flight: rules on image quantities alone."""
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -93,6 +94,34 @@ def test_conditions_against_the_papers_words() -> None:
 def test_edges_are_between_units_that_share_two() -> None:
     sets = {7: np.array([0, 1, 2]), 3: np.array([1, 2, 5]), 5: np.array([2, 5, 9]), 1: np.array([9])}
     assert edges(sets) == [(3, 5), (3, 7)]
+
+
+@pytest.mark.parametrize(
+    "sets",
+    [
+        pytest.param([[0, 1, 2], [1, 2, 3, 4], [3, 4, 5]], id="a path"),
+        pytest.param([[0, 1, 2, 3], [2, 3, 4], [0, 1, 5]], id="its middle has no robot of its own"),
+        pytest.param([[0, 1, 2, 3, 4, 5, 6], [0, 1], [2, 3], [4, 5]], id="a star"),
+        pytest.param([[0, 1], [0, 1, 2, 3, 4]], id="two units"),
+    ],
+)
+def test_no_unit_alone_can_change_how_many_robots_it_has(sets) -> None:
+    """Every other set that a unit could have beside the others' present ones: inside P they are as large.
+
+    Exhaustive, up to 128 sets a unit. There are exchanges, so that the statement is not empty.
+    """
+    robots = max(map(max, sets)) + 1
+    topology = np.array([[robot in members for robot in range(robots)] for members in sets])
+    assert check_conditions(topology).in_p
+    exchanges = 0
+    for unit, present in enumerate(topology.copy()):
+        for other in itertools.product([False, True], repeat=robots):
+            topology[unit] = other
+            if check_conditions(topology).in_p:
+                assert sum(other) == present.sum()
+                exchanges += tuple(other) != tuple(present)
+        topology[unit] = present
+    assert exchanges > 0
 
 
 # --- selection ---

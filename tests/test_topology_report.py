@@ -20,6 +20,7 @@ from skyherd.topology_report import (
     last_stretch,
     measured_rate_ps,
     predicted_time_s,
+    resting_error,
 )
 
 RNG = np.random.default_rng(7)
@@ -186,3 +187,26 @@ def test_switches_add_up_to_the_last_topology(small: History) -> None:
     for column, robot in enumerate(small.ids.tolist()):
         units = np.flatnonzero(small.controlled[-1, :, column])
         assert owners[robot].removeprefix("units ").removeprefix("unit ") == " + ".join(map(str, units))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_robots_that_stop_below_a_threshold_are_not_farther_from_the_shape_than_told(seed) -> None:
+    """The law with a threshold, until all rest: every state of rest is inside the bound.
+
+    The start is in the slowest mode, which comes to rest farthest out; it rests at least at a tenth of the
+    bound there, so that the bound is of the right size: with N robots b / λ holds for all at once only if
+    they are equally far off.
+    """
+    rng = np.random.default_rng(seed)
+    points, threshold, step = rng.normal(size=12) + 1j * rng.normal(size=12), 0.01, 0.2
+    sets = [np.arange(0, 5), np.arange(3, 9), np.arange(7, 12)]
+    matrix = laplacian(points, sets)
+    values, modes = np.linalg.eigh(matrix)
+    p = points + 3 * modes[:, 2]
+    while (np.abs(matrix @ p) >= threshold).any():
+        wish = matrix @ p
+        p = p - step * np.where(np.abs(wish) >= threshold, wish, 0)
+    kept = modes[:, :2] @ (modes[:, :2].conj().T @ p)
+    rest = float(np.sqrt(np.mean(np.abs(p - kept) ** 2)))
+    bound = resting_error(float(values[2]), threshold)
+    assert bound / 10 < rest <= bound

@@ -31,7 +31,7 @@ def _fits(have: tuple[int, ...], want: tuple[int | None, ...]) -> bool:
 
 def freeze_ids(owner: object, name: str) -> int:
     """Freeze a field of robot ids and refuse a repeated one; returns their number."""
-    freeze(owner, name, (None,), integer=True)
+    freeze(owner, name, (np.size(getattr(owner, name)),), integer=True)
     ids = getattr(owner, name)
     if len(set(ids.tolist())) != ids.size:
         raise MessageError(f"{type(owner).__name__}.{name}: repeated id in {ids.tolist()}")

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from math import floor
 
 import numpy as np
 
@@ -75,14 +76,14 @@ def run_steps(mission: Mission, perception: Perception | None = None) -> Iterato
             crew[unit], sets[unit] = make_mind(mission, unit), NO_ROBOTS
             network.forget(unit)
             world.fly(FlightCommand(unit, np.zeros(2), 0.0, 0.0))
-        for unit in _due(scenario, tick, dead):
-            if frame_rng.random() < scenario.network.frame_loss:
-                continue
-            sight = perception.look(world, unit, time_s)
+        lost = scenario.network.frame_loss
+        shot = [unit for unit in _due(scenario, tick, dead) if frame_rng.random() >= lost]
+        hearers = world.in_range()
+        for unit, sight in zip(shot, perception.look(world, shot, time_s), strict=True):
             decision = crew[unit].decide(sight.detections, list(network.reports[unit].values()))
             arrival_s = time_s + scenario.units[unit].latency_s
             to_robots = decision.goals, decision.encounters
-            network.send(to_robots, decision.report, arrival_s, world.in_range(unit))
+            network.send(to_robots, decision.report, arrival_s, hearers[unit] if hearers else None)
             world.fly(decision.flight)
             frames[unit] = UnitFrame(sight, decision, crew[unit].ground_map)
             sets[unit] = decision.report.controlled_ids
@@ -120,7 +121,7 @@ def _due(scenario: Scenario, tick: int, dead: list[int]) -> list[int]:
     step = scenario.step_s
 
     def shots(ticks: int, rate_hz: float) -> int:
-        return int(np.floor(ticks * step * rate_hz + 1e-9))
+        return floor(ticks * step * rate_hz + 1e-9)
 
     return [
         unit

@@ -5,7 +5,9 @@ y left, angles counter-clockwise. Units are in the names.
 """
 
 from collections.abc import Sequence
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -13,7 +15,7 @@ import numpy.typing as npt
 from skyherd.encounter_messages import Encounters as Encounters
 from skyherd.errors import MessageError
 from skyherd.frozen import freeze, freeze_ids
-from skyherd.geometry import Array, IntArray
+from skyherd.geometry import Array, BoolArray, IntArray
 from skyherd.role_messages import RoleMap as RoleMap
 from skyherd.tree_messages import NOBODY as NOBODY
 from skyherd.tree_messages import TreeWord as TreeWord
@@ -59,9 +61,9 @@ class Detections:
     def __len__(self) -> int:
         return int(self.ids.size)
 
-    def select(self, ids: npt.ArrayLike) -> "Detections":
+    def select(self, ids: AbstractSet[int] | npt.ArrayLike) -> "Detections":
         """Keep only the robots named in `ids`, in the order found."""
-        keep = np.isin(self.ids, ids)
+        keep = among(self.ids, ids)
         if keep.all():
             return self
         return Detections(
@@ -199,6 +201,17 @@ class UnitReport:
         freeze_ids(self, "controlled_ids")
         freeze_ids(self, "secure_ids")
 
+    @cached_property
+    def controlled(self) -> frozenset[int]:
+        """Robots it controls, as a set."""
+        return frozenset(self.controlled_ids.tolist())
+
+    @cached_property
+    def distances(self) -> dict[int, float]:
+        """Distances of the robots it sees from its image centre, in halves of its image's shorter side."""
+        distances = np.linalg.norm(centred(self.points_px, self.image_size_px), axis=1)
+        return dict(zip(self.ids.tolist(), distances.tolist(), strict=True))
+
 
 @dataclass(frozen=True)
 class FlightCommand:
@@ -224,6 +237,12 @@ class FlightCommand:
             raise MessageError("FlightCommand: climb_mps, yaw_rate_radps and zoom_rate_ps must be finite")
 
 
+def among(ids: IntArray, members: AbstractSet[int] | npt.ArrayLike) -> BoolArray:
+    """(N,) which of the robots `ids` are members; for the few in an image faster than sorting arrays."""
+    wanted = members if isinstance(members, AbstractSet) else set(np.asarray(members).tolist())
+    return np.array([robot in wanted for robot in ids.tolist()], dtype=bool)
+
+
 def centred(points_px: Array, image_size_px: Array) -> Array:
     """Image points (N, 2) from the image centre, in halves of the image's shorter side.
 
@@ -234,5 +253,5 @@ def centred(points_px: Array, image_size_px: Array) -> Array:
 
 def shared_ids(own: npt.ArrayLike, reports: Sequence[UnitReport]) -> IntArray:
     """Robots of `own` that at least one other unit reports to control."""
-    others = [report.controlled_ids for report in reports]
-    return np.intersect1d(own, np.concatenate(others)) if others else np.array([], dtype=np.int64)
+    others: set[int] = set().union(*(report.controlled for report in reports))
+    return np.array(sorted(others.intersection(np.asarray(own).tolist())), dtype=np.int64)

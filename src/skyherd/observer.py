@@ -7,11 +7,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.distance import pdist
+from scipy.spatial import KDTree
 
-from skyherd.control import Template, fit_similarity
+from skyherd.control import Template, fit_similarities, fit_similarity
 from skyherd.control.topology import Conditions, ControlSets, check_conditions, control_matrix
-from skyherd.errors import DegenerateSetError
 from skyherd.geometry import Array, IntArray, to_complex
 
 
@@ -84,19 +83,23 @@ class Observer:
         template = self.template_ground if shape is None else shape.points_of(self.ids).conj()
         positions = to_complex(positions_m)
         controlled = control_matrix(sets, self.ids)
-        partial = np.full((len(controlled), 3), np.nan)
-        for unit, mine in enumerate(controlled):
-            try:
-                fit = fit_shape(template[mine], positions[mine])
-            except DegenerateSetError:
-                continue
-            partial[unit] = fit.squares_m2 / 2, fit.scale, fit.rotation_rad
+        unit, robot = np.nonzero(controlled)
+        units = len(controlled)
+        partial = fit_similarities(template[robot], positions[robot], unit, units)
+        missed = np.abs(partial(template[robot], unit) - positions[robot])
+        costs = np.bincount(unit, weights=missed**2, minlength=units) / 2
         return Observation(
-            V=float(np.nansum(partial[:, 0])),
-            V_units=partial[:, 0],
-            scales=partial[:, 1],
-            rotations_rad=partial[:, 2],
+            V=float(costs[partial.exist].sum()),
+            V_units=np.where(partial.exist, costs, np.nan),
+            scales=np.where(partial.exist, np.abs(partial.turns), np.nan),
+            rotations_rad=np.where(partial.exist, np.angle(partial.turns), np.nan),
             conditions=check_conditions(np.delete(controlled, list(dead), axis=0)),
             shape=fit_shape(template, positions),
-            min_separation_m=float(pdist(positions_m).min()),
+            min_separation_m=_least_separation(positions_m),
         )
+
+
+def _least_separation(positions_m: Array) -> float:
+    """Distance of the two robots that are nearest to each other; a robot is the nearest to itself."""
+    distances, _ = KDTree(positions_m).query(positions_m, 2)
+    return float(np.asarray(distances)[:, 1].min())

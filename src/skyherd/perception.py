@@ -1,5 +1,6 @@
 """From the world to a unit's detections: through rendered pixels, or by projection, exact or noisy."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -19,7 +20,8 @@ from skyherd.render import (
     Motion,
     Renderer,
     Shutter,
-    project_markers,
+    TeamImage,
+    project_team,
 )
 from skyherd.vision import create_detector, explain_mirrored
 from skyherd.vision.accuracy import DetectorAccuracy, load_accuracy
@@ -50,8 +52,8 @@ class Sight:
 class Perception(Protocol):
     """A unit's eyes."""
 
-    def look(self, world: World, unit: int, time_s: float) -> Sight:
-        """What `unit` sees now."""
+    def look(self, world: World, units: Sequence[int], time_s: float) -> list[Sight]:
+        """What each of `units` sees now."""
         ...
 
 
@@ -64,19 +66,6 @@ def make_perception(mission: Mission, rng: np.random.Generator) -> Perception:
         accuracy = load_accuracy(scenario.detector)
         return Projected(scenario.marker.side_m, scenario.marker.dictionary, accuracy=accuracy, rng=rng)
     return Rendered(mission, rng)
-
-
-def _project(world: World, unit: int, side_m: float, dictionary: str) -> FrameTruth:
-    markers = world.markers
-    return project_markers(
-        world.cameras[unit],
-        world.camera_pose(unit),
-        markers.positions_m,
-        markers.headings_rad,
-        side_m,
-        side_m * card_side(dictionary),
-        ids=markers.ids,
-    )
 
 
 def make_renderer(mission: Mission, rng: np.random.Generator) -> Renderer:
@@ -117,8 +106,11 @@ class Rendered:
         self._occluders = [occluder.make() for occluder in scenario.occluders]
         self._moves = self.renderer.shutter != Shutter()
 
-    def look(self, world: World, unit: int, time_s: float) -> Sight:
-        """Render the unit's image and detect the markers in it."""
+    def look(self, world: World, units: Sequence[int], time_s: float) -> list[Sight]:
+        """Render each unit's image and detect the markers in it."""
+        return [self._look(world, unit, time_s) for unit in units]
+
+    def _look(self, world: World, unit: int, time_s: float) -> Sight:
         camera, pose = world.cameras[unit], world.camera_pose(unit)
         markers = world.markers
         team = markers.ids, markers.positions_m, markers.headings_rad
@@ -171,11 +163,18 @@ class Projected:
         self.side_m, self.dictionary, self.accuracy = side_m, dictionary, accuracy
         self.rng = rng or np.random.default_rng(0)
 
-    def look(self, world: World, unit: int, time_s: float) -> Sight:
-        """Project the markers into the unit's image."""
-        truth = _project(world, unit, self.side_m, self.dictionary)
-        ids = truth.ids[truth.whole]
-        centers, corners = truth.centers_px[truth.whole], truth.corners_px[truth.whole]
+    def look(self, world: World, units: Sequence[int], time_s: float) -> list[Sight]:
+        """Project the markers into each unit's image."""
+        views = [(world.cameras[unit], world.camera_pose(unit)) for unit in units]
+        markers, card_side_m = world.markers, self.side_m * card_side(self.dictionary)
+        images = project_team(views, markers.positions_m, markers.headings_rad, self.side_m, card_side_m)
+        return [
+            self._sight(world, unit, time_s, image, markers.ids[image.rows])
+            for unit, image in zip(units, images, strict=True)
+        ]
+
+    def _sight(self, world: World, unit: int, time_s: float, image: TeamImage, ids: IntArray) -> Sight:
+        centers, corners = image.centers_px, image.corners_px
         headings, sides = _headings_and_sides(centers, corners)
         covariances = np.zeros((ids.size, 3, 3))
         if self.accuracy is not None and ids.size:

@@ -142,6 +142,15 @@ def predicted_time_s(
     return float(brentq(excess, 0.0, longest_s))
 
 
+def resting_error(slowest: float, threshold: float) -> float:
+    """How far from the shape robots may come to rest that stop below a threshold: RMS, in its unit.
+
+    At rest `|(L p)_i| < b` for each of N robots, so that `|L p| < b sqrt(N)`; the part of p that is no
+    similarity of the template is shrunk by λ_3 at most, and so less than `b sqrt(N) / λ_3`: RMS `b / λ_3`.
+    """
+    return threshold / slowest if slowest > 0 else np.inf
+
+
 def measured_rate_ps(times_s: Array, errors: Array) -> float | None:
     """Rate at which a shape error (T,) falls late in a stretch, 1/s; None if there is too little to see.
 

@@ -1,6 +1,7 @@
 """What a unit says of the tree it belongs to: part of its report (control/roster.py has the protocol)."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 from skyherd.frozen import freeze, freeze_ids
 from skyherd.geometry import IntArray
@@ -49,3 +50,13 @@ class TreeWord:
         freeze(self, "lent_to_ids", (lent,), integer=True)
         freeze_ids(self, "wished_ids")
         freeze_ids(self, "missing_ids")
+
+    @cached_property
+    def rows(self) -> dict[int, int]:
+        """The row of each edge, by its other end."""
+        return {neighbor: row for row, neighbor in enumerate(self.neighbor_ids.tolist())}
+
+    @cached_property
+    def paired(self) -> frozenset[int]:
+        """Robots in the pairs of the unit's edges."""
+        return frozenset(self.pairs.ravel().tolist()) - {NOBODY}

@@ -124,6 +124,8 @@ class World:
         self._time_s = 0.0
         self._tilts_rad = np.radians([unit.tilt_deg for unit in units])
         self._sways = [self._draw_sway(number, unit) for number, unit in enumerate(units)]
+        self._zooms = [np.array(unit.zoom, dtype=float).T for unit in units]
+        self._zoom_limits = np.array([unit.zoom_range for unit in units], dtype=float).T
         self.fleet = Fleet(
             positions_m=np.array([unit.position_m for unit in units]),
             heights_m=np.array([unit.height_m for unit in units]),
@@ -171,13 +173,14 @@ class World:
             tilt_rates_radps=(tilt_u, tilt_v),
         )
 
-    def in_range(self, unit: int) -> list[int] | None:
-        """Units that hear a unit's radio; None for all."""
+    def in_range(self) -> list[list[int]] | None:
+        """Units that hear each unit's radio; None if all hear all."""
         range_m = self.scenario.network.range_m
         if range_m is None:
             return None
-        apart_m = np.linalg.norm(self.fleet.positions_m - self.fleet.positions_m[unit], axis=1)
-        return np.flatnonzero(apart_m <= range_m).tolist()
+        places_m = self.fleet.positions_m
+        apart_m = np.linalg.norm(places_m[:, None] - places_m, axis=2)
+        return [np.flatnonzero(row).tolist() for row in apart_m <= range_m]
 
     def fly(self, command: FlightCommand) -> None:
         """Hand a unit's autopilot the velocity to fly until the next command."""
@@ -216,10 +219,9 @@ class World:
     def _scripted(self, time_s: float) -> Array:
         """Zooms that the scenario prescribes."""
         return np.array(
-            [np.interp(time_s, *np.array(unit.zoom, dtype=float).T) for unit in self.scenario.units]
+            [np.interp(time_s, *plan) if len(plan[0]) > 1 else plan[1][0] for plan in self._zooms]
         )
 
     def _limited(self, flown: Array, time_s: float) -> Array:
         """Zooms as scripted, times what the units ask for within their lenses' ranges."""
-        low, high = np.array([unit.zoom_range for unit in self.scenario.units], dtype=float).T
-        return np.asarray(self._scripted(time_s) * np.clip(flown, low, high))
+        return np.asarray(self._scripted(time_s) * np.clip(flown, *self._zoom_limits))

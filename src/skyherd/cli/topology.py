@@ -26,6 +26,7 @@ from skyherd.topology_report import (
     last_stretch,
     measured_rate_ps,
     predicted_time_s,
+    resting_error,
 )
 
 PICTURES = (".png", ".svg")
@@ -131,6 +132,13 @@ def _tell_rates(report: TopologyReport, history: History, *, is_run: bool) -> No
     scenario = history.mission.scenario
     slowest = report.slowest if report.slowest > 1e-9 else 0.0
     out.print(f"slowest mode: λ = {slowest:.4g}, in units of the gain k", markup=False)
+    control = scenario.control
+    if control.b_th:
+        unit = "marker sides" if control.gains == "marker" else "px"
+        most = resting_error(slowest, control.b_th)
+        out.print(
+            f"b_th = {control.b_th:g} {unit}: robots may stop up to {most:.3g} {unit} RMS from the shape"
+        )
     if scenario.control.gains != "marker":
         out.print("no rate in seconds: with pixel gains it depends on every camera's scale", markup=False)
         return

@@ -49,7 +49,7 @@ class Tracks:
         """Tracks of the markers in the next image; those followed before have a velocity."""
         elapsed = self.elapsed_s(time_s)
         velocities, growths = np.zeros((2, ids.size), dtype=complex)
-        _, now, before = np.intersect1d(ids, self.ids, return_indices=True)
+        now, before = np.nonzero(ids[:, None] == self.ids)
         velocities[now] = (shapes.centers[now] - self.shapes.centers[before]) / elapsed
         growths[now] = np.log(shapes.arms[now] / self.shapes.arms[before]) / elapsed
         return Tracks(time_s, ids, shapes, velocities, growths)

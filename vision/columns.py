@@ -101,7 +101,7 @@ class Pixels:
         self.columns = np.empty((rows.size, ROWS, self.x.shape[1]), dtype=np.float32)
         self.columns[:, PIXELS + 1 :] = 0.0
         self._weigh(looks, lines.padded)
-        grey = np.subtract(image.ravel().take(lines.places, mode="clip"), MIDDLE_GREY, dtype=np.float32)
+        grey = np.subtract(image.ravel().take(lines.places, mode="wrap"), MIDDLE_GREY, dtype=np.float32)
         np.multiply(grey, self.columns[:, BLACK], out=self.columns[:, PIXELS])
         self._fill(looks, shapes)
 
@@ -270,7 +270,7 @@ def seen_beyond(x: Floats, y: Floats, looks: Looks) -> Floats:
 
     def covered(along: Floats) -> Floats:
         place = edge - per_side * np.abs(along)
-        return _EDGE.take(np.clip(place, 0, 2 * middle - 1, out=place).astype(np.intp))
+        return _EDGE.take(np.clip(place, 0, 2 * middle - 1, out=place).astype(np.intp), mode="wrap")
 
     return np.asarray(1 - covered(x) * covered(y))
 

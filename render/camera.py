@@ -123,9 +123,9 @@ def homography_image_ground(camera: Camera, pose: CameraPose) -> Array:
     rotation = rotation_camera_world(pose)
     center = np.array([*pose.position_m, pose.height_m])
     matrix = camera.intrinsic_matrix(pose.zoom) @ np.column_stack([rotation[:, :2], -rotation @ center])
-    matrix /= matrix[2, 2]
-    matrix.setflags(write=False)
-    return matrix
+    scaled: Array = matrix / matrix[2, 2]
+    scaled.setflags(write=False)
+    return scaled
 
 
 def distort(camera: Camera, zoom: float, points_px: Array) -> Array:

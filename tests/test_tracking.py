@@ -73,7 +73,7 @@ def test_arc_and_turning_camera_together_leave_what_is_of_second_order_in_the_st
 
 
 def test_steps_that_turn_and_steps_that_do_not_are_told_apart():
-    """One robot on an arc, one that turns while the camera flies past: from three images on both are exact."""
+    """One robot on an arc, one that turns while the camera flies past: after three images both are exact."""
 
     def shapes(t):
         arms = 25.0 * np.exp(0.8j * t) * np.ones(2)

@@ -117,12 +117,15 @@ def rotation_camera_world(pose: CameraPose) -> Array:
     return np.asarray(about_v @ about_u @ downward)
 
 
+@lru_cache(maxsize=32)
 def homography_image_ground(camera: Camera, pose: CameraPose) -> Array:
     """H (3, 3) from ground metres to pixels: `H = K [r1 r2 -R c]`, scaled so that H[2, 2] = 1."""
     rotation = rotation_camera_world(pose)
     center = np.array([*pose.position_m, pose.height_m])
     matrix = camera.intrinsic_matrix(pose.zoom) @ np.column_stack([rotation[:, :2], -rotation @ center])
-    return np.asarray(matrix / matrix[2, 2])
+    scaled: Array = matrix / matrix[2, 2]
+    scaled.setflags(write=False)
+    return scaled
 
 
 def distort(camera: Camera, zoom: float, points_px: Array) -> Array:

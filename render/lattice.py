@@ -92,7 +92,7 @@ def _gather(axis: Axis, lines: int, cells: int, table: Float) -> Gathered:
         place = np.clip(distance, -REACH, REACH)
         place *= np.float32(PER_SIGMA)
         place += axis.table_start
-        spread.append(table.take(place.astype(np.intp)))
+        spread.append(table.take(place.astype(np.intp), mode="wrap"))
     return Gathered(first, distances, spread)
 
 
@@ -120,8 +120,8 @@ def gather_light(pixels: Pixels, lattices: Lattices, table: Float) -> tuple[Floa
         nodes = GAUSS if float(np.abs(pixels.corner.correlation).max()) > SLANTED else MIDPOINT
         for j, k in np.ndindex(lines, lines):
             more = _at_corner(pixels.corner, x.distance[k], y.distance[j], nodes)
-            light += both[j * width + k :].take(base) * more
-            cover += lattices.corners[j * width + k :].take(one_grid) * more
+            light += both[j * width + k :].take(base, mode="wrap") * more
+            cover += lattices.corners[j * width + k :].take(one_grid, mode="wrap") * more
     return light, cover
 
 
@@ -141,7 +141,8 @@ def _binormal(r: Float, x: Float, y: Float) -> Float:
 
 def _sum(level: Float, steps: Float, base: Index, spread: list[Float]) -> Float:
     """`T_0 + Σ_k T_k S_k` (P,), tables of T read from `base` on."""
-    total = level.take(base)
+    # All indices are within: wrapping never happens, and is faster than to check that.
+    total = level.take(base, mode="wrap")
     for k, along in enumerate(spread):
-        total += steps[k:].take(base) * along
+        total += steps[k:].take(base, mode="wrap") * along
     return total

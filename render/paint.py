@@ -57,7 +57,7 @@ def paint_discs(canvas: Canvas, images: ShapeImages, levels: Array, spread: Edge
 def _lay(canvas: Canvas, pixels: Pixels, light: Float, covered: Float) -> None:
     """Light and cover (P,) over what is there: `F + (1 - A) background`, rounded if that is of 8 bits."""
     flat = canvas.reshape(-1)
-    seen = (1 - covered) * flat.take(pixels.index)
+    seen = (1 - covered) * flat.take(pixels.index, mode="wrap")
     seen += light
     flat[pixels.index] = seen if canvas.dtype == np.float32 else np.rint(seen, out=seen)
 
@@ -87,7 +87,8 @@ def _pixels(images: ShapeImages, corners: Array, spread: EdgeSpread) -> Iterator
 def _apart(low: Array, high: Array) -> list[IntArray]:
     """Indices of boxes (N, 2) to (N, 2) in layers without overlap, each box above those before it."""
     layer = np.zeros(len(low), dtype=np.int64)
-    meet = ((low[:, None] < high) & (low < high[:, None])).all(axis=-1)
+    before = low[:, None] < high
+    meet = (before & before.transpose(1, 0, 2)).all(axis=-1)
     for later, earlier in np.argwhere(np.tril(meet, -1)).tolist():
         layer[later] = max(layer[later], layer[earlier] + 1)
     return [np.flatnonzero(layer == number) for number in range(int(layer.max(initial=-1)) + 1)]

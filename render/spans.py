@@ -49,7 +49,8 @@ def cover(outlines_px: Array, margin_px: float, size_px: tuple[int, int]) -> Spa
     """
     width, height = size_px
     u, v = outlines_px.T
-    along_u, along_v = np.roll(u, -1, axis=0) - u, np.roll(v, -1, axis=0) - v
+    following = np.arange(1, len(u) + 1) % len(u)
+    along_u, along_v = u[following] - u, v[following] - v
     length = np.sqrt(along_u**2 + along_v**2) + TINY
     sense = np.where((u * along_v - v * along_u).sum(axis=0) < 0, -1.0, 1.0) / length
     normal_u, normal_v = sense * along_v, -sense * along_u
@@ -57,14 +58,15 @@ def cover(outlines_px: Array, margin_px: float, size_px: tuple[int, int]) -> Spa
     # Along a row each edge bounds u on one side: `u <= cut - slope v` where n_u > 0, else `u >=`.
     cut = (normal_u * u + normal_v * v + margin_px) / normal_u
     slope, to_right = normal_v / normal_u, normal_u > 0
-    first = np.clip(np.ceil(v.min(axis=0) - margin_px), 0, height).astype(np.int64)
-    rows = np.clip(np.floor(v.max(axis=0) + margin_px) + 1, 0, height).astype(np.int64) - first
-    rows = np.maximum(rows, 0)
+    first, end = np.ceil(v.min(axis=0) - margin_px), np.floor(v.max(axis=0) + margin_px) + 1
+    first, end = (np.minimum(np.maximum(line, 0), height).astype(np.int64) for line in (first, end))
+    rows = np.maximum(end - first, 0)
     shape = np.repeat(np.arange(rows.size), rows)
     row = np.arange(shape.size) - np.repeat(np.cumsum(rows) - rows - first, rows)
     bound = cut[:, shape] - slope[:, shape] * row
     right = to_right[:, shape]
-    low = np.ceil(np.clip(np.where(right, -np.inf, bound).max(axis=0), 0, width)).astype(np.int64)
-    high = np.floor(np.clip(np.where(right, bound, np.inf).min(axis=0), -1, width - 1)).astype(np.int64) + 1
+    low, high = np.where(right, -np.inf, bound).max(axis=0), np.where(right, bound, np.inf).min(axis=0)
+    low = np.ceil(np.minimum(np.maximum(low, 0), width)).astype(np.int64)
+    high = np.floor(np.minimum(np.maximum(high, -1), width - 1)).astype(np.int64) + 1
     some = high > low
     return Spans(shape[some], row[some], low[some], (high - low)[some])

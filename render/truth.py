@@ -102,13 +102,16 @@ def project_markers(
     clear = np.where(whole, 1.0, 0.0)
     touches = ((cards.max(axis=1) >= -0.5) & (cards.min(axis=1) <= limit)).all(axis=1)
     unsure = np.flatnonzero(ahead & touches & (~whole | bool(occluders)))
-    some, grounds = images.only(unsure), markers(0.0)[unsure]
+
+    def shares(side: float) -> Array:
+        return _shares(images.only(unsure), markers(0.0)[unsure], occluders, side)
+
     if occluders:
-        whole[unsure] &= _shares(some, grounds, occluders, card) == 1.0
+        whole[unsure] &= shares(card) == 1.0
 
     def count_visible() -> Array:
         fractions = clear.copy()
-        fractions[unsure] = _shares(some, grounds, occluders, 1.0)
+        fractions[unsure] = shares(1.0)
         return fractions
 
     return FrameTruth(

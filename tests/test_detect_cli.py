@@ -151,6 +151,13 @@ def test_an_interrupted_video_leaves_no_table_and_no_film(here, capsys, monkeypa
     assert not list((here / "detections" / "v").iterdir())
 
 
+def test_a_folder_of_folders_is_told_which_of_them_has_pictures(here, capsys) -> None:
+    (here / "all" / "images" / "train").mkdir(parents=True)
+    Image.fromarray(sheet()).save(here / "all" / "images" / "train" / "a.png")
+    code, _, err = call(capsys, "all")
+    assert code == 2 and "train" in err and "the folder that they are in" in err, err
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

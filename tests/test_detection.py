@@ -4,6 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
+from skyherd.markers import card_side
+from skyherd.render import Camera, CameraPose, Ground, Renderer, Sensor
 from skyherd.vision import PhotometricDetector
 from skyherd.vision.photometric import SEARCH_INTERVAL
 from skyherd.vision.tracks import Tracks
@@ -121,6 +123,57 @@ def test_light_squares_in_dark_ones_are_taken_for_the_marker_that_is_one_and_rar
 def test_dark_quadrilaterals_are_no_markers_in_two_thousand_images():
     found = false_positives(2000, 3)
     assert not found, found
+
+
+# --- cards side by side on dark ground ---
+
+
+def crowd(rng):
+    """Up to 25 cards, 0-0.35 sides apart, on textured ground as dark as their black: image and truth.
+
+    Ground between four cards has the contrast and the size of a marker's cells, and cards' borders beside it.
+    """
+    ground = Ground(
+        int(rng.integers(10**6)), mean=rng.uniform(15, 60), contrast=rng.uniform(4, 15), tile_m=8.0
+    )
+    sensor = Sensor(rng.uniform(1, 10), rng)
+    renderer = Renderer(DICTIONARY, 1.0, ground, sensor, psf_px=rng.uniform(0.5, 1.5))
+    side, step = rng.uniform(12, 40), card_side(DICTIONARY) + rng.uniform(0, 0.35)
+    across = min(5, int(340 / side / step))
+    home = step * (np.stack(np.meshgrid(*2 * [np.arange(across)]), axis=-1).reshape(-1, 2) - (across - 1) / 2)
+    home = home[rng.permutation(len(home))[: rng.integers(1, len(home) + 1)]]
+    home += rng.uniform(-0.5, 0.5, home.shape) * (step - card_side(DICTIONARY))
+    headings = rng.integers(0, 4, len(home)) * np.pi / 2 + rng.uniform(-0.05, 0.05, len(home))
+    ids = np.sort(rng.permutation(50)[: len(home)])
+    view = Camera((360, 360), focal_px=10 * side), CameraPose((0.0, 0.0), 10.0, rng.uniform(-np.pi, np.pi))
+    return renderer.render(*view, ids, home, headings), renderer.truth(*view, ids, home, headings)
+
+
+def ghosts(count, seed):
+    """Detections of what is not there among cards, and the share found of those from 18 px."""
+    found, whole, false = 0, 0, []
+    for index in range(count):
+        image, truth = crowd(np.random.default_rng([seed, index]))
+        seen = PhotometricDetector(DICTIONARY).detect(image)
+        for marker, center, side in zip(seen.ids, seen.centers_px, seen.sides_px, strict=True):
+            off = np.linalg.norm(truth.centers_px[truth.ids == marker] - center, axis=1)
+            if not (off < side / 2).any():
+                false.append(f"image {index}: {marker} at {center}, {side:.1f} px")
+        large = truth.ids[truth.whole & (truth.sides_px >= 18)]
+        found, whole = found + np.isin(large, seen.ids).sum(), whole + large.size
+    return false, found / whole
+
+
+def test_dark_ground_between_cards_is_no_marker():
+    false, recall = ghosts(40, 1)
+    assert not false, false
+    assert recall > 0.99
+
+
+@pytest.mark.slow
+def test_dark_ground_between_cards_is_no_marker_in_two_thousand_images():
+    false, _ = ghosts(2000, 2)
+    assert not false, false
 
 
 # --- borders ---

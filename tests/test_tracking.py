@@ -72,6 +72,23 @@ def test_arc_and_turning_camera_together_leave_what_is_of_second_order_in_the_st
     assert np.polyfit(np.log(steps), np.log(errors), 1)[0] == pytest.approx(2.0, abs=0.15)
 
 
+def test_steps_that_turn_and_steps_that_do_not_are_told_apart():
+    """One robot on an arc, one that turns while the camera flies past: after three images both are exact."""
+
+    def shapes(t):
+        arms = 25.0 * np.exp(0.8j * t) * np.ones(2)
+        arc, past = 120 + 40 * np.exp(0.8j * t), 200 + 90j + (20 - 12j) * t
+        return Shapes(np.array([arc, past]), arms, 0 * arms, 0 * arms)
+
+    tracks, ids, times = no_tracks(), np.array([3, 8]), 0.5 * np.arange(5)
+    for t in times[:3]:
+        tracks = tracks.seen(t, ids, shapes(t))
+    for t in times[3:]:
+        np.testing.assert_allclose(tracks.predicted(t).centers, shapes(t).centers, atol=1e-10)
+        tracks = tracks.seen(t, ids, shapes(t))
+    assert tracks.turning.tolist() == [True, False]
+
+
 def test_markers_are_looked_for_while_their_centres_are_in_the_image():
     centers = np.array([50 + 50j, -0.4 - 0.4j, 119.4 + 99.4j, -0.6 + 50j, 119.6 + 50j, 50 + 99.6j])
     arms = np.full(centers.size, 20 + 0j)

@@ -9,11 +9,13 @@ ground g beyond the card, and light l that changes over the marker, with r = a /
 the pattern, so that the noise stays white.
 """
 
+import math
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 import numpy.typing as npt
+from scipy.special import ndtr
 
 from skyherd.geometry import Array, BoolArray, ComplexArray, IntArray
 from skyherd.vision.grey import Image
@@ -38,34 +40,48 @@ ALIKE = 1.5
 BLOCK = 64
 """Pixels are padded to a multiple of this: OpenCV reads a pattern at blocks of points."""
 
+EDGE_REACH, PER_SIGMA = 4.0, 64
+"""Half-width of the table of the card's edge, σ, and its entries to a σ: nearest ones are right to 0.003."""
+
+_EDGE: Floats = ndtr(np.arange(-EDGE_REACH, EDGE_REACH + 1 / PER_SIGMA, 1 / PER_SIGMA)).astype(np.float32)
+_EDGE[[0, -1]] = 0.0, 1.0
+
 
 @dataclass(frozen=True)
 class Looks:
-    """What markers look like at their size and blur: N patterns, and what of the ground each would show.
+    """What N markers look like at their size and blur.
 
-    `limits` (N,) are the marker coordinates up to which pixels are read, `ratios` (N,) black over contrast,
-    `textures` (N,) deviations of the ground's texture over the noise; `bends` are needed of squeezed markers
-    only.
+    Attributes:
+        patterns: of each.
+        bends: of each, if they are squeezed.
+        sigmas: (N,) blurs, in marker sides.
+        limits: (N,) marker coordinates up to which pixels are read.
+        sees_ground: (N,) whether the ground beyond the card can be seen within them.
+        ratios: (N,) black over contrast.
+        half_card: where the card ends, in marker coordinates.
+        texture: deviation of the ground's texture over the noise.
     """
 
     patterns: list[Pattern]
-    grounds: list[Pattern]
     bends: list[Pattern]
+    sigmas: Array
     limits: Array
     sees_ground: BoolArray
-    textures: Array
     ratios: Array
+    half_card: float
+    texture: float
 
     def take(self, rows: IntArray) -> "Looks":
         """Some of them."""
         return Looks(
             [self.patterns[row] for row in rows],
-            [self.grounds[row] for row in rows],
             [self.bends[row] for row in rows] if self.bends else [],
+            self.sigmas[rows],
             self.limits[rows],
             self.sees_ground[rows],
-            self.textures[rows],
             self.ratios[rows],
+            self.half_card,
+            self.texture,
         )
 
 
@@ -81,13 +97,12 @@ class Pixels:
     def __init__(self, image: Image, rows: IntArray, shapes: Shapes, looks: Looks) -> None:
         self.rows = rows
         lines = _lines_within(shapes, looks.limits, image.shape)
-        self.x, self.y, padded = lines.x, lines.y, lines.padded
-        self.counts = padded.sum(axis=1)
-        self.columns = np.empty((rows.size, ROWS, padded.shape[1]), dtype=np.float32)
+        self.x, self.y, self.counts = lines.x, lines.y, lines.counts
+        self.columns = np.empty((rows.size, ROWS, self.x.shape[1]), dtype=np.float32)
         self.columns[:, PIXELS + 1 :] = 0.0
-        self._weigh(looks, padded)
-        grey = image.ravel().take(lines.places, mode="clip").reshape(padded.shape)
-        np.multiply(grey - np.float32(MIDDLE_GREY), self.weights, out=self.columns[:, PIXELS])
+        self._weigh(looks, lines.padded)
+        grey = np.subtract(image.ravel().take(lines.places, mode="wrap"), MIDDLE_GREY, dtype=np.float32)
+        np.multiply(grey, self.columns[:, BLACK], out=self.columns[:, PIXELS])
         self._fill(looks, shapes)
 
     def grams(self) -> Floats:
@@ -96,35 +111,38 @@ class Pixels:
 
     def _weigh(self, looks: Looks, padded: Floats) -> None:
         """What of the ground is seen, and the pixels' weights: texture seen there is noise as well."""
-        ground = self.columns[:, GROUND]
-        ground[...] = 0.0
-        seeing = np.flatnonzero(looks.sees_ground)
-        if seeing.size:
-            ground[seeing] = _read([looks.grounds[row] for row in seeing], self.x[seeing], self.y[seeing])
-        seen = ground * looks.textures.astype(np.float32)[:, None]
-        self.weights = self.columns[:, BLACK]
-        np.divide(padded, np.sqrt(1 + seen * seen), out=self.weights)
-        ground *= self.weights
+        weights, ground = self.columns[:, BLACK], self.columns[:, GROUND]
+        if not looks.sees_ground.any():
+            weights[...], ground[...] = padded, 0.0
+            return
+        ground[...] = seen_beyond(self.x, self.y, looks)
+        np.multiply(ground, ground, out=weights)
+        weights *= np.float32(looks.texture**2)
+        weights += 1
+        np.divide(padded, np.sqrt(weights, out=weights), out=weights)
+        ground *= weights
 
     def _fill(self, looks: Looks, shapes: Shapes) -> None:
         """Read the patterns at the pixels and make the model's columns of them."""
-        x, y, columns = self.x, self.y, self.columns
+        x, y, columns = self.x, self.y, self.columns.transpose(1, 0, 2)
+        weights = columns[BLACK]
         drawn = _read(looks.patterns, x, y)
         if looks.bends:
             self._bend(drawn, looks.bends, shapes)
-        np.multiply(drawn[..., 0], self.weights, out=columns[:, CONTRAST])
-        slope_x, slope_y = (np.multiply(drawn[..., axis], self.weights) for axis in (1, 2))
-        np.multiply(drawn[..., 3], self.weights, out=columns[:, BLUR])
-        np.negative(slope_x, out=columns[:, RIGHT])
-        np.negative(slope_y, out=columns[:, DOWN])
+        np.multiply(drawn[..., 0], weights, out=columns[CONTRAST])
+        slope_x, slope_y = (np.multiply(drawn[..., axis], weights) for axis in (1, 2))
+        np.multiply(drawn[..., 3], weights, out=columns[BLUR])
+        np.negative(slope_x, out=columns[RIGHT])
+        np.negative(slope_y, out=columns[DOWN])
         xx, yy, xy, yx = x * slope_x, y * slope_y, x * slope_y, y * slope_x
-        np.subtract(yx, xy, out=columns[:, TURN])
-        np.subtract(-xx, yy, out=columns[:, GROW])
-        np.subtract(yy, xx, out=columns[:, SQUEEZE[0]])
-        np.subtract(-yx, xy, out=columns[:, SQUEEZE[1]])
-        light = columns[:, CONTRAST] + looks.ratios.astype(np.float32)[:, None] * self.weights
-        np.multiply(x, light, out=columns[:, LIGHT[0]])
-        np.multiply(y, light, out=columns[:, LIGHT[1]])
+        np.subtract(yx, xy, out=columns[TURN])
+        np.subtract(-xx, yy, out=columns[GROW])
+        np.subtract(yy, xx, out=columns[SQUEEZE[0]])
+        np.subtract(-yx, xy, out=columns[SQUEEZE[1]])
+        light = looks.ratios.astype(np.float32)[:, None] * weights
+        light += columns[CONTRAST]
+        np.multiply(x, light, out=columns[LIGHT[0]])
+        np.multiply(y, light, out=columns[LIGHT[1]])
 
     def _bend(self, drawn: Floats, bends: list[Pattern], shapes: Shapes) -> None:
         """Take into T (N, M, 4) that a blur round in the image is not so in a squeezed marker's coordinates.
@@ -147,17 +165,22 @@ class Pixels:
         model[:, :PIXELS], model[:, PIXELS] = -solutions, 1.0
         left = (model[:, None] @ self.columns)[:, 0]
         grid = n_cells + 2  # with a ring around for pixels outside
-        across, down = (
-            np.clip(z * np.float32(n_cells) + np.float32(n_cells / 2 + 1), 0, grid - 0.5).astype(np.intp)
-            for z in (self.x, self.y)
-        )
-        cell = ((np.arange(count)[:, None] * grid + down) * grid + across).ravel()
-        sums, sizes = (
-            np.bincount(cell, values.ravel(), minlength=count * grid**2)
-            for values in (left, self.weights > 0)
-        )
-        means = (sums / np.maximum(sizes, 1)).reshape(count, grid, grid)
-        return np.asarray(means[:, 1:-1, 1:-1])
+        down = self._cells(self.y, n_cells)
+        down += np.arange(0, count * grid, grid)[:, None]
+        down *= grid
+        cell = (down + self._cells(self.x, n_cells)).ravel()
+        sums = np.bincount(cell, left.ravel(), minlength=count * grid**2).reshape(count, grid, grid)
+        sizes = np.bincount(cell, minlength=count * grid**2).reshape(count, grid, grid)
+        middle = int(n_cells / 2 + 1)  # where the padding is
+        sizes[:, middle, middle] -= self.x.shape[1] - self.counts
+        return np.asarray((sums / np.maximum(sizes, 1))[:, 1:-1, 1:-1])
+
+    @staticmethod
+    def _cells(along: Floats, n_cells: int) -> IntArray:
+        """Cells, counted from 1, that marker coordinates (N, M) along one axis lie in."""
+        cells = along * np.float32(n_cells)
+        cells += np.float32(n_cells / 2 + 1)
+        return np.clip(cells, 0, n_cells + 1.5, out=cells).astype(np.int64)
 
 
 @dataclass(frozen=True)
@@ -165,11 +188,13 @@ class Lines:
     """Pixels of N markers, line by line, each marker's filled up to the same number M with its centre.
 
     Attributes:
+        counts: (N,) pixels of each.
         padded: (N, M) 1 for a pixel, 0 for one that only fills up.
-        places: (N x M,) where the pixels are in the image.
+        places: (N, M) where the pixels are in the image.
         x, y: (N, M) marker coordinates.
     """
 
+    counts: IntArray
     padded: Floats
     places: IntArray
     x: Floats
@@ -179,57 +204,81 @@ class Lines:
 def _lines_within(shapes: Shapes, limits: Array, image_shape: tuple[int, ...]) -> Lines:
     """The pixels of an image that lie within `limits` (N,) of the markers' centres, in marker coordinates.
 
-    Each line of pixels meets the two strips `|x| < limit` and `|y| < limit` in intervals; their common part
-    is taken.
+    Each line of pixels meets the strips `|x| < limit` and `|y| < limit` in intervals: their common part.
     """
     right, down = shapes.arms + shapes.squeezes, 1j * (shapes.arms - shapes.squeezes)
     reach = limits * (np.abs(right.imag) + np.abs(down.imag))
-    lines = np.ceil(shapes.centers.imag - reach)[:, None] + np.arange(int(2 * reach.max()) + 1)
-    v = lines - shapes.centers.imag[:, None]
-    low, high = np.full(v.shape, -np.inf), np.full(v.shape, np.inf)
+    corner = shapes.centers.real.round() + 1j * shapes.centers.imag.round()
+    off = shapes.centers - corner
+    # Lines and columns are counted from the pixels nearest to the centres: small numbers, without rounding.
+    lines = np.ceil(off.imag - reach)[:, None] + np.arange(int(2 * reach.max()) + 1)
+    v = lines - off.imag[:, None]
+    low, high = -corner.real[:, None], image_shape[1] - 1 - corner.real[:, None]
     for axis in shapes.axes():
-        per_u = np.where(np.abs(axis.real) < 1e-12, 1e-12, axis.real)[:, None]
-        middle, half = -axis.imag[:, None] * v / per_u, limits[:, None] / np.abs(per_u)
-        low, high = np.maximum(low, middle - half), np.minimum(high, middle + half)
-    low = np.maximum(np.ceil(low + shapes.centers.real[:, None]), 0)
-    high = np.minimum(np.floor(high + shapes.centers.real[:, None]), image_shape[1] - 1)
-    inside = (lines >= 0) & (lines < image_shape[0])
-    counts = np.where(inside, np.maximum(high - low + 1, 0), 0).astype(np.int64)
-    return _laid_out(shapes, low, lines, counts, image_shape[1])
+        per_u = np.where(np.abs(axis.real) < 1e-12, 1e-12, axis.real)
+        middle = off.real[:, None] - (axis.imag / per_u)[:, None] * v
+        half = (limits / np.abs(per_u))[:, None]
+        low, high = np.maximum(low, np.ceil(middle - half)), np.minimum(high, np.floor(middle + half))
+    on = lines + corner.imag[:, None]
+    meets = (on >= 0) & (on < image_shape[0]) & (high >= low)
+    counts = np.where(meets, high - low + 1, 0).astype(np.int64)
+    return _laid_out(shapes, corner, np.where(meets, low, 0), lines, counts, image_shape[1])
 
 
-def _laid_out(shapes: Shapes, low: Array, lines: Array, counts: IntArray, width: int) -> Lines:
-    """Pixels from `low` (N, L), `counts` of them, on image `lines`; a last line fills each marker up."""
+def _laid_out(
+    shapes: Shapes, corner: ComplexArray, low: Array, lines: Array, counts: IntArray, width: int
+) -> Lines:
+    """Pixels from `low` (N, L), `counts` of them, on `lines`, both from pixels `corner` (N,)."""
     totals = counts.sum(axis=1)
     size = -(-max(int(totals.max()), 1) // BLOCK) * BLOCK
     padded = (np.arange(size) < totals[:, None]).astype(np.float32)
     counts = np.column_stack([counts, size - totals]).ravel()
-    low = np.column_stack([low, shapes.centers.real])
-    lines = np.column_stack([lines, shapes.centers.imag])
-    begins = low - shapes.centers.real[:, None] + 1j * (lines - shapes.centers.imag[:, None])
-    step = np.arange(padded.size) - np.repeat(np.cumsum(counts) - counts, counts)
-    places = np.repeat((lines * width + low).astype(np.int64).ravel(), counts) + step
-    within = step.astype(np.float32).reshape(padded.shape) * padded
+    starts = np.cumsum(counts) - counts
+    low, lines = (np.column_stack([place, np.zeros(len(place))]).ravel() for place in (low, lines))
+    columns = np.arange(padded.size, dtype=np.int32)
+    columns += np.repeat((low - starts).astype(np.int32), counts)
+    columns = columns.reshape(padded.shape)
+    rows = np.repeat(lines.astype(np.int32), counts).reshape(padded.shape)
+    off = (shapes.centers - corner).astype(np.complex64)[:, None]
+    u, v = columns.astype(np.float32) - off.real, rows.astype(np.float32) - off.imag
 
     def along(axis: ComplexArray) -> Floats:
         """`Re(axis̄ p)` of all pixels p, from their markers' centres."""
-        at_begin = (axis.conj()[:, None] * begins).real.astype(np.float32)
-        slope = axis.real.astype(np.float32)[:, None]
-        return np.asarray(np.repeat(at_begin.ravel(), counts).reshape(padded.shape) + slope * within)
+        real, imag = axis.real.astype(np.float32)[:, None], axis.imag.astype(np.float32)[:, None]
+        return np.asarray(real * u + imag * v)
 
-    x, y = (along(axis) for axis in shapes.axes())
+    x, y = (along(axis) * padded for axis in shapes.axes())
     if shapes.horizons.any():
-        nearness = 1 - along(shapes.horizons)
+        nearness = 1 - along(shapes.horizons) * padded
         x, y = x / nearness, y / nearness
-    return Lines(padded, places, x, y)
+    rows *= width
+    rows += columns
+    rows += (corner.imag * width + corner.real).astype(np.int32)[:, None]
+    return Lines(totals, padded, rows, x, y)
+
+
+def seen_beyond(x: Floats, y: Floats, looks: Looks) -> Floats:
+    """What of the ground beyond the card is seen at marker coordinates (N, M), `1 - A(x) A(y)`.
+
+    With the blur σ and the card's edge at h, `A(x) = Φ((h - |x|) / σ)`: the other edge is too far off to be
+    felt. Zero where a marker sees none within its limits.
+    """
+    per_side = (PER_SIGMA / looks.sigmas).astype(np.float32)[:, None]
+    middle = EDGE_REACH * PER_SIGMA + 0.5
+    edge = np.where(looks.sees_ground, looks.half_card / looks.sigmas * PER_SIGMA + middle, np.inf)
+    edge = edge.astype(np.float32)[:, None]
+
+    def covered(along: Floats) -> Floats:
+        place = edge - per_side * np.abs(along)
+        return _EDGE.take(np.clip(place, 0, 2 * middle - 1, out=place).astype(np.intp), mode="wrap")
+
+    return np.asarray(1 - covered(x) * covered(y))
 
 
 def _read(patterns: list[Pattern], x: Floats, y: Floats) -> Floats:
     """Values of N patterns at marker coordinates (N, M): (N, M), or (N, M, channels)."""
-    rates, centers = (
-        np.array([[getattr(pattern, name)] for pattern in patterns], dtype=np.float32)
-        for name in ("rate", "center")
-    )
+    scales = np.array([(pattern.rate, pattern.center) for pattern in patterns], dtype=np.float32)
+    rates, centers = scales[:, :1], scales[:, 1:]
     u, v = ((z * rates + centers).reshape(len(patterns), -1, BLOCK) for z in (x, y))
     values = np.empty((*u.shape, *patterns[0].values.shape[2:]), dtype=np.float32)
     for row, pattern in enumerate(patterns):
@@ -241,7 +290,9 @@ def _read(patterns: list[Pattern], x: Floats, y: Floats) -> Floats:
 
 def take_pixels(image: Image, rows: IntArray, shapes: Shapes, looks: Looks) -> list[Pixels]:
     """Pixels of the markers `rows`, those whose sides differ by less than `ALIKE` together."""
-    kinds = np.floor(np.log(shapes.sides_px()[rows]) / np.log(ALIKE))
+    kinds = np.floor(np.log(shapes.sides_px()[rows]) / math.log(ALIKE))
+    if rows.size == len(shapes) and (kinds == kinds[0]).all():
+        return [Pixels(image, rows, shapes, looks)]
     return [
         Pixels(image, alike, shapes.take(alike), looks.take(alike))
         for kind in np.unique(kinds)

@@ -5,6 +5,7 @@ all markers as of one plane (`skyherd.vision.plane`) where that explains them, a
 covariance is `σ_n² (JᵀJ)⁻¹`, with the noise σ_n from what the fit leaves of the pixels.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,7 +15,7 @@ from skyherd.markers import card_side, cells_per_side
 from skyherd.vision import columns
 from skyherd.vision.columns import BLACK, BLUR, CONTRAST, LIGHT, MIDDLE_GREY, PIXELS, SQUEEZE, Looks, Pixels
 from skyherd.vision.grey import Image
-from skyherd.vision.pattern import Pattern, blur_bucket, make_bend, make_ground, make_pattern
+from skyherd.vision.pattern import Pattern, blur_buckets, make_bend, make_pattern
 from skyherd.vision.plane import Plane, fit_plane
 from skyherd.vision.regression import Solved
 from skyherd.vision.rows import Rows
@@ -70,6 +71,7 @@ class Fits(Rows):
         blurs_cells: (N,) what it was taken for, in cells.
         pixels: (N,) pixels read.
         cell_means: (N, n, n) mean of what is left over each cell, grey levels.
+        moved_px: (N,) by how much the last step moved the sides.
     """
 
     ids: IntArray
@@ -82,6 +84,7 @@ class Fits(Rows):
     blurs_cells: Array
     pixels: Array
     cell_means: Array
+    moved_px: Array
 
     def print_contrasts(self) -> Array:
         """(N,) print contrast `(white - black) / white`: of the print alone, whatever light falls on it."""
@@ -93,7 +96,9 @@ def no_fits(dictionary: str) -> Fits:
     n, none, points = cells_per_side(dictionary), np.zeros(0), np.zeros(0, dtype=complex)
     shapes = Shapes(points, points, points, points)
     covariances, cells = np.zeros((0, 3, 3)), np.zeros((0, n, n))
-    return Fits(np.zeros(0, dtype=np.int64), shapes, covariances, none, none, none, none, none, none, cells)
+    return Fits(
+        np.zeros(0, dtype=np.int64), shapes, covariances, none, none, none, none, none, none, cells, none
+    )
 
 
 def fit_markers(
@@ -127,7 +132,7 @@ def fit_markers(
     start = shapes = replace(shapes, horizons=plane.horizons(shapes.centers - middle))
     rows = np.arange(ids.size)
     for _ in range(ROUNDS):
-        start = start.replaced(rows, shapes)
+        start = shapes if rows.size == ids.size else start.replaced(rows, shapes)
         for pixels in columns.take_pixels(image, rows, start, looks):
             grams[pixels.rows] = pixels.grams()
             counts[pixels.rows] = pixels.counts
@@ -157,6 +162,7 @@ def fit_markers(
         blurs_cells=sigma_px / shapes.sides_px() * n_cells,
         pixels=solved.pixels,
         cell_means=_cell_means(taken, solved, n_cells),
+        moved_px=moved_px,
     ), plane
 
 
@@ -164,22 +170,29 @@ def _bends(dictionary: str, ids: IntArray, relative_sigmas: Array, plane: Plane)
     """What blur does to squeezed markers; nothing to look for on a plane that is not."""
     if plane == Plane():
         return []
-    return [make_bend(dictionary, int(i), blur_bucket(s)) for i, s in zip(ids, relative_sigmas, strict=True)]
+    return _patterns(make_bend, dictionary, ids, relative_sigmas)
+
+
+def _patterns(
+    make: Callable[[str, int, int], Pattern], dictionary: str, ids: IntArray, relative_sigmas: Array
+) -> list[Pattern]:
+    buckets = blur_buckets(relative_sigmas).tolist()
+    return [make(dictionary, marker, bucket) for marker, bucket in zip(ids.tolist(), buckets, strict=True)]
 
 
 def _looks(dictionary: str, ids: IntArray, relative_sigmas: Array, plane: Plane, noise: float) -> Looks:
     """What markers of `ids` (N,) look like under blurs (N,), in marker sides."""
     quiet = (card_side(dictionary) - 1) / 2
     beyond = np.clip(quiet - INSIDE_SIGMAS * relative_sigmas, 0, OUTSIDE_SIGMAS * relative_sigmas)
-    buckets = [blur_bucket(sigma) for sigma in relative_sigmas]
     return Looks(
-        patterns=[make_pattern(dictionary, int(i), bucket) for i, bucket in zip(ids, buckets, strict=True)],
-        grounds=[make_ground(dictionary, bucket) for bucket in buckets],
+        patterns=_patterns(make_pattern, dictionary, ids, relative_sigmas),
         bends=_bends(dictionary, ids, relative_sigmas, plane),
+        sigmas=relative_sigmas,
         limits=0.5 + beyond,
         sees_ground=quiet - beyond < SEEN_SIGMAS * relative_sigmas,
-        textures=np.full(ids.size, TEXTURE / noise),
         ratios=np.full(ids.size, USUAL_RATIO),
+        half_card=0.5 + quiet,
+        texture=TEXTURE / noise,
     )
 
 

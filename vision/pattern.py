@@ -17,8 +17,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from skyherd.geometry import Array
-from skyherd.markers import QUIET_ZONE_CELLS, cells_per_side, marker_cells
+from skyherd.geometry import Array, IntArray
+from skyherd.markers import marker_cells
 from skyherd.optics import Gathered, gather_with_derivatives
 
 BLUR_STEP = 1.05
@@ -41,23 +41,19 @@ class Pattern:
 
     values: npt.NDArray[np.float32]
     rate: float
-
-    @property
-    def center(self) -> float:
-        """Sample at which the marker's centre lies, along either axis."""
-        return (len(self.values) - 1) / 2
+    center: float
 
 
 def _pattern(values: Array, rate: float) -> Pattern:
     """A pattern of `rate` samples to a marker side, the marker's centre in its middle."""
     kept = np.ascontiguousarray(values, dtype=np.float32)
     kept.setflags(write=False)
-    return Pattern(kept, rate)
+    return Pattern(kept, rate, (len(kept) - 1) / 2)
 
 
-def blur_bucket(relative_sigma: float) -> int:
-    """Index of the pattern nearest to a blur, in marker sides."""
-    return round(math.log(relative_sigma) / math.log(BLUR_STEP))
+def blur_buckets(relative_sigmas: Array) -> IntArray:
+    """Indices (N,) of the patterns nearest to blurs (N,), in marker sides."""
+    return np.rint(np.log(relative_sigmas) / math.log(BLUR_STEP)).astype(np.int64)
 
 
 def _axis(extent: float, sigma: float) -> tuple[Array, float]:
@@ -113,13 +109,3 @@ def make_bend(dictionary: str, marker_id: int, bucket: int) -> Pattern:
     curvature = sigma**2 * e.curvature
     along = product(e.value, curvature) - product(curvature, e.value)
     return _pattern(np.stack([along, 2 * sigma**2 * product(e.slope, e.slope)], axis=-1), rate)
-
-
-@lru_cache(maxsize=64)
-def make_ground(dictionary: str, bucket: int) -> Pattern:
-    """What of the ground beyond the card is seen, `1 - A(y) A(x)`, (S, S) float32, as `make_pattern`."""
-    sigma = BLUR_STEP**bucket
-    half_card = 0.5 + QUIET_ZONE_CELLS / cells_per_side(dictionary)
-    x, rate = _axis(half_card + REACH_SIGMAS * sigma, sigma)
-    cover = gather_with_derivatives(x, np.array([-half_card, half_card]), sigma).value[:, 0]
-    return _pattern(1.0 - np.outer(cover, cover), rate)

@@ -6,7 +6,9 @@ leave nothing but noise before it counts. What a camera's images have in common,
 plane that the markers lie on, is learned from the fits, for each unit.
 """
 
+import math
 from dataclasses import dataclass, field, replace
+from statistics import median
 
 import numpy as np
 
@@ -34,6 +36,9 @@ START_SIGMA_PX = total_sigma_px(0.8)
 SIGMA_LIMITS_PX = (0.35, 4.0)
 BLUR_RATE, BLUR_ROUNDS, BLUR_SETTLED = 0.2, 5, 0.04
 """A camera's blur is found in the first image that shows markers, to 4 %, and followed slowly from there."""
+
+LARGEST_BLUR_CHANGE = 0.4
+"""The blur's logarithm is changed by no more than this at a time."""
 
 CORNERS_TELL_PX = 1.0
 """Squeezes of candidates are right to this."""
@@ -72,6 +77,12 @@ class Camera:
     tracks: Tracks = field(default_factory=no_tracks)
     unsearched: int = 0
     found: int = 0
+
+    def blur(self, log_off: float, rate: float) -> None:
+        """Move the blur by a share of what it is off by, in its logarithm."""
+        step = rate * min(max(log_off, -LARGEST_BLUR_CHANGE), LARGEST_BLUR_CHANGE)
+        sigma_px = (self.sigma_px or START_SIGMA_PX) * math.exp(step)
+        self.sigma_px = min(max(sigma_px, SIGMA_LIMITS_PX[0]), SIGMA_LIMITS_PX[1])
 
 
 class PhotometricDetector:
@@ -167,7 +178,11 @@ class PhotometricDetector:
         for _ in range(BLUR_ROUNDS):
             found = self._candidates(image, camera, quads_px)
             found = found.take(_seem_right(found, image))
-            if not len(found.ids) or abs(_learn_blur(camera, found, 1.0)) < BLUR_SETTLED:
+            if not len(found.ids):
+                return
+            off = median(found.log_blurs.tolist())
+            camera.blur(off, 1.0)
+            if abs(off) < BLUR_SETTLED:
                 return
 
     def _learn(self, camera: Camera, found: Fits, time_s: float) -> None:
@@ -175,12 +190,12 @@ class PhotometricDetector:
         camera.found = len(found.ids)
         told = found if camera.noise is None else found.take(found.noises < COVERED_NOISE * camera.noise)
         if len(told.ids):
-            _learn_blur(camera, told, BLUR_RATE)
-            medians = np.median([told.noises, told.print_contrasts()], axis=1).tolist()
-            noise, camera.print_contrast = medians
-            camera.noise = (
-                noise if camera.noise is None else camera.noise + BLUR_RATE * (noise - camera.noise)
+            off, noise, camera.print_contrast = (
+                median(values.tolist()) for values in (told.log_blurs, told.noises, told.print_contrasts())
             )
+            camera.blur(off, BLUR_RATE)
+            before = noise if camera.noise is None else camera.noise
+            camera.noise = before + BLUR_RATE * (noise - before)
         if self.following:
             camera.tracks = camera.tracks.seen(time_s, found.ids, found.shapes)
 
@@ -189,14 +204,6 @@ def _rows(ids: IntArray, among: IntArray) -> IntArray:
     """Where each of the ids (N,) stands among (N,) the same ids in another order."""
     order = np.argsort(among)
     return np.asarray(order[np.searchsorted(among, ids, sorter=order)])
-
-
-def _learn_blur(camera: Camera, found: Fits, rate: float) -> float:
-    """Move a camera's blur, in logarithms, by a share of what the fits found; returns what they found."""
-    step = float(np.clip(np.median(found.log_blurs), -0.4, 0.4))
-    sigma_px = camera.sigma_px or START_SIGMA_PX
-    camera.sigma_px = float(np.clip(sigma_px * np.exp(rate * step), *SIGMA_LIMITS_PX))
-    return step
 
 
 def _on_plane(shapes: Shapes, plane: Plane, image_shape: tuple[int, ...]) -> Shapes:
@@ -233,12 +240,14 @@ def _best_of_each(candidates: Candidates) -> Candidates:
     """Of candidates for one marker in one place, such as the two boundaries of its border, the likeliest."""
     middles = to_complex(candidates.corners_px).mean(axis=1)
     sides = Shapes.of_corners(candidates.corners_px).sides_px()
-    kept: list[int] = []
+    twins = np.abs(middles[:, None] - middles) < sides / 2
+    twins &= candidates.ids[:, None] == candidates.ids
+    kept = np.ones(middles.size, dtype=bool)
     for row in np.argsort(-candidates.likenesses):
-        twins = [k for k in kept if candidates.ids[k] == candidates.ids[row]]
-        if not any(abs(middles[row] - middles[k]) < sides[k] / 2 for k in twins):
-            kept.append(int(row))
-    return candidates.take(np.array(sorted(kept), dtype=np.int64))
+        if kept[row]:
+            kept &= ~twins[:, row]
+            kept[row] = True
+    return candidates.take(kept)
 
 
 def _unambiguous(fits: Fits) -> Fits:

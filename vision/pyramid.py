@@ -46,8 +46,15 @@ def fit_all_sizes(
         fits, here = fit_markers(small, dictionary, ids[rows], near, variance**0.5, here, noise / shrink)
         scale = np.diag([shrink, shrink, 1.0])
         full_size = fits.shapes.scaled(1 / shrink)
-        pixels, covariances = fits.pixels * shrink**2, scale @ fits.covariances @ scale
-        parts.append(replace(fits, shapes=full_size, covariances=covariances, pixels=pixels))
+        parts.append(
+            replace(
+                fits,
+                shapes=full_size,
+                covariances=scale @ fits.covariances @ scale,
+                pixels=fits.pixels * shrink**2,
+                moved_px=fits.moved_px * shrink,
+            )
+        )
         if len(parts) == 1:
             told = replace(here, horizon=here.horizon / shrink)
     return reduce(Fits.joined, parts), told

@@ -13,6 +13,8 @@ class Rows:
 
     def take(self, rows: IntArray | BoolArray) -> Self:
         """Some of them."""
+        if rows.dtype == bool and rows.all():
+            return self
         return type(self)(*(_taken(value, rows) for value in _values(self)))
 
     def joined(self, others: Self) -> Self:

@@ -10,6 +10,7 @@ marker is turned.
 """
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -88,7 +89,17 @@ class Shapes(Rows):
 
     def sides_px(self) -> Array:
         """Square roots of the areas of the markers' affine images: local scale, px a side."""
-        return np.asarray(np.sqrt(np.abs(np.abs(self.arms) ** 2 - np.abs(self.squeezes) ** 2)))
+        return self._sides_px
+
+    @cached_property
+    def _sides_px(self) -> Array:
+        return np.asarray(np.sqrt(np.abs(self._areas)))
+
+    @cached_property
+    def _areas(self) -> Array:
+        """`|m|² - |k|²`, px²."""
+        m, k = self.arms, self.squeezes
+        return np.asarray(m.real**2 + m.imag**2 - (k.real**2 + k.imag**2))
 
     def headings_rad(self) -> Array:
         """Directions of forward, z = -i."""
@@ -96,5 +107,4 @@ class Shapes(Rows):
 
     def axes(self) -> tuple[ComplexArray, ComplexArray]:
         """X and Y (N,), 1/px: a point p from the centre is `z = (Re(X̄ p) + i Re(Ȳ p)) / (1 - Re(h̄ p))`."""
-        area = np.abs(self.arms) ** 2 - np.abs(self.squeezes) ** 2
-        return (self.arms - self.squeezes) / area, 1j * (self.arms + self.squeezes) / area
+        return (self.arms - self.squeezes) / self._areas, 1j * (self.arms + self.squeezes) / self._areas

@@ -9,6 +9,7 @@ sun and shade: what has less of it than the camera's markers is no print of them
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from scipy.special import ndtr
@@ -32,6 +33,9 @@ MAX_SQUEEZE = 0.2
 
 MAX_BLUR_CELLS = 0.75
 """Largest blur, in cells: beyond it other markers, and even texture, can pass for one."""
+
+MAX_LAST_STEP = 0.05
+"""Largest last step of a fit, in marker sides: one that still moves by more has found nothing."""
 
 MIN_SEEN = 0.8
 """Least share of a marker's area that its pixels must cover: an image may cut off its border, not bits."""
@@ -62,16 +66,19 @@ READINGS, SPAN = 8, 5
 
 def bits_are_right(fits: Fits) -> BoolArray:
     """Which fits (N,) show every cell of their marker, plainly enough."""
-    mean = _wrong_cells(fits).means
-    cell_noises = fits.noises / (mean * _cells_px(fits))
-    worst = np.abs(fits.cell_means).max(axis=(1, 2)) / mean
+    return _bits_are_right(fits, WrongCells.of(fits))
+
+
+def _bits_are_right(fits: Fits, wrong: "WrongCells") -> BoolArray:
+    cell_noises = fits.noises / (wrong.means * wrong.cells_px)
+    worst = np.abs(fits.cell_means).max(axis=(1, 2)) / wrong.means
     allowed = np.minimum(WRONG_CELL + WRONG_CELL_SIGMAS * cell_noises, WRONG_CELL_LIMIT)
     return np.asarray(_are_plain(fits, cell_noises) & (worst < allowed))
 
 
 def border_is_covered(fits: Fits) -> BoolArray:
     """Which fits (N,) show all the bits of their marker, and enough of its border."""
-    wrong = _wrong_cells(fits)
+    wrong = WrongCells.of(fits)
     is_wrong = np.abs(fits.cell_means) > WRONG_CELL_LIMIT * wrong.means[:, None, None]
     bits_wrong = is_wrong[:, 1:-1, 1:-1].sum(axis=(1, 2))
     few = (bits_wrong == 0) & (is_wrong.sum(axis=(1, 2)) <= MOST_COVERED)
@@ -83,6 +90,7 @@ def _are_plain(fits: Fits, cell_noises: Array) -> BoolArray:
     """Which fits (N,) have contrast, sharpness, pixels and a shape such as markers have."""
     plain = (fits.contrasts >= LEAST_CONTRAST) & (fits.blacks + fits.contrasts <= LARGEST_WHITE)
     plain &= (fits.blurs_cells <= MAX_BLUR_CELLS) & (cell_noises <= MAX_CELL_NOISE)
+    plain &= fits.moved_px <= MAX_LAST_STEP * fits.shapes.sides_px()
     plain &= fits.pixels >= MIN_SEEN * fits.shapes.sides_px() ** 2
     plain &= np.abs(fits.shapes.squeezes) <= MAX_SQUEEZE * np.abs(fits.shapes.arms)
     return np.asarray(plain)
@@ -90,7 +98,8 @@ def _are_plain(fits: Fits, cell_noises: Array) -> BoolArray:
 
 def verified(fits: Fits, noise: float, share: float = WRONG_BIT_SHARE) -> BoolArray:
     """Which fits (N,) show their marker, blurred and printed as the others, and leave little but noise."""
-    right = bits_are_right(fits) & _leave_noise(fits, noise, share)
+    wrong = WrongCells.of(fits)
+    right = _bits_are_right(fits, wrong) & _leave_noise(fits, wrong, noise, share)
     if not right.any():
         return right
     blur, contrast = (
@@ -105,15 +114,14 @@ def are_alike(fits: Fits, log_blur: float, print_contrast: float) -> BoolArray:
     return np.asarray(blurred & (fits.print_contrasts() >= LEAST_PRINT_CONTRAST * print_contrast))
 
 
-def _leave_noise(fits: Fits, noise: float, share: float) -> BoolArray:
+def _leave_noise(fits: Fits, wrong: "WrongCells", noise: float, share: float) -> BoolArray:
     """Which fits (N,) leave little more than the noise, pixel by pixel and cell by cell.
 
     The noise is one that others tell: what a fit itself leaves would excuse it.
     """
-    wrong = _wrong_cells(fits)
     over_cells = np.sqrt(np.square(fits.cell_means).mean(axis=(1, 2)))
     quiet = fits.noises <= np.hypot(NOISE_FACTOR * noise, share * wrong.pixels)
-    quiet &= over_cells <= np.hypot(NOISE_FACTOR * noise / _cells_px(fits), share * wrong.cells)
+    quiet &= over_cells <= np.hypot(NOISE_FACTOR * noise / wrong.cells_px, share * wrong.cells)
     return np.asarray(quiet)
 
 
@@ -136,10 +144,6 @@ def image_noise(image: Image) -> float:
     return float(np.median(told)) / (0.6745 * 6**0.5) if told.size >= LEAST_TOLD else np.inf
 
 
-def _cells_px(fits: Fits) -> Array:
-    return np.asarray(fits.shapes.sides_px() / fits.cell_means.shape[1])
-
-
 @dataclass(frozen=True)
 class WrongCells:
     """What one cell of the wrong colour would leave of N fits, in grey.
@@ -148,23 +152,38 @@ class WrongCells:
         means: (N,) mean over that cell.
         pixels: (N,) root mean square over all pixels.
         cells: (N,) root mean square over all cells' means.
+        cells_px: (N,) side of a cell.
     """
 
     means: Array
     pixels: Array
     cells: Array
+    cells_px: Array
+
+    @classmethod
+    def of(cls, fits: Fits) -> "WrongCells":
+        """By the blur that the fits found."""
+        cells_px = fits.shapes.sides_px() / fits.cell_means.shape[1]
+        log_sigmas = np.log(fits.blurs_cells) + np.minimum(np.maximum(fits.log_blurs, -1.0), 1.0)
+        own, along, square = (np.interp(log_sigmas, _LOG_SIGMAS, leaves) for leaves in _leavings())
+        contrast = np.maximum(fits.contrasts, 1e-3)
+        return cls(
+            means=contrast * own**2,
+            pixels=contrast * square * cells_px / np.sqrt(np.maximum(fits.pixels, 1.0)),
+            cells=contrast * along / fits.cell_means.shape[1],
+            cells_px=cells_px,
+        )
 
 
-def _wrong_cells(fits: Fits) -> WrongCells:
-    """By the blur that the fits found."""
+_LOG_SIGMAS: Array = np.linspace(np.log(0.01), np.log(10.0), 400)
+"""Logarithms of the blurs, in cells, that are tabulated: linear between them to 1e-4."""
+
+
+@lru_cache(maxsize=1)
+def _leavings() -> tuple[Array, Array, Array]:
+    """At the tabulated blurs `e_0`, `Σ e_k²` and `∫ E²`."""
     x = (np.arange(SPAN * READINGS) + 0.5) / READINGS - SPAN / 2
-    sigma = (fits.blurs_cells * np.exp(np.clip(fits.log_blurs, -1.0, 1.0)))[:, None]
+    sigma = np.exp(_LOG_SIGMAS)[:, None]
     seen = ndtr((x + 0.5) / sigma) - ndtr((x - 0.5) / sigma)
-    contrast = np.maximum(fits.contrasts, 1e-3)
-    squares = ((seen**2).sum(axis=1) / READINGS) ** 2 * _cells_px(fits) ** 2
     means = seen.reshape(-1, SPAN, READINGS).mean(axis=2)
-    return WrongCells(
-        means=contrast * means[:, SPAN // 2] ** 2,
-        pixels=contrast * np.sqrt(squares / np.maximum(fits.pixels, 1.0)),
-        cells=contrast * (means**2).sum(axis=1) / fits.cell_means.shape[1],
-    )
+    return means[:, SPAN // 2], (means**2).sum(axis=1), (seen**2).sum(axis=1) / READINGS

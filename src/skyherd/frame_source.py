@@ -12,6 +12,9 @@ import numpy.typing as npt
 from skyherd.errors import InputError
 from skyherd.image_files import SUFFIXES
 
+DEEPER, FEW = ("*/*", "*/*/*"), 4
+"""Where pictures are looked for that are not in the folder itself, and how many such folders are named."""
+
 VIDEO_SUFFIXES = frozenset(
     {".mp4", ".m4v", ".mov", ".avi", ".mkv", ".webm", ".mpg", ".mpeg", ".ts", ".mts", ".wmv"}
 )
@@ -56,9 +59,13 @@ def find_files(target: Path) -> list[Path]:
     known = SUFFIXES | VIDEO_SUFFIXES
     found = [file for file in target.iterdir() if file.is_file() and file.suffix.lower() in known]
     if not found:
-        raise InputError(
-            str(target), "no picture in this folder", f"names that end in {', '.join(sorted(known))}"
-        )
+        deeper = {
+            file.parent for level in DEEPER for file in target.glob(level) if file.suffix.lower() in known
+        }
+        allowed = f"names that end in {', '.join(sorted(known))}"
+        if deeper:
+            allowed = f"the folder that they are in: {', '.join(sorted(map(str, deeper))[:FEW])}"
+        raise InputError(str(target), "no picture in this folder", allowed)
     return sorted(found, key=lambda file: file.name)
 
 

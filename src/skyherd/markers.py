@@ -53,6 +53,7 @@ def dictionary_size(name: str) -> int:
     return int(load_dictionary(name).bytesList.shape[0])
 
 
+@cache
 def cells_per_side(name: str) -> int:
     """Cells along a marker's side, its black border included."""
     return int(load_dictionary(name).markerSize) + 2

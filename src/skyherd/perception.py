@@ -122,7 +122,7 @@ class Rendered:
         if unit in self._unproven:
             self._prove_unmirrored(unit, image, len(detections))
         right = _right(detections, truth)
-        found_ids = np.intersect1d(whole_ids, detections.ids[right])
+        found_ids = whole_ids[(whole_ids[:, None] == detections.ids[right]).any(axis=1)]
         return Sight(detections, whole_ids, found_ids, int((~right).sum()), image)
 
     def _prove_unmirrored(self, unit: int, image: Image, found: int) -> None:

@@ -4,7 +4,7 @@
     python benchmarks/bodies.py --missions 1000 --jobs 2 --json crowded.jsonl
     python benchmarks/bodies.py --network lossy --json lossy.jsonl          # 30 % lost, up to 0.5 s late
     python benchmarks/bodies.py --kill --json killed.jsonl                  # one unit dies, for good
-    python benchmarks/bodies.py --without avoidance --json points.jsonl     # or roles, size; more than one
+    python benchmarks/bodies.py --without avoidance --json points.jsonl     # or roles, size, steering
     python benchmarks/bodies.py --start kind --json kind.jsonl              # starts that need no avoidance
     python benchmarks/bodies.py --perception rendered --missions 20 --json rendered.jsonl
     python benchmarks/bodies.py --compare points.jsonl crowded.jsonl        # times, second over first
@@ -36,7 +36,13 @@ GOAL = 0.01
 HOLD_S = 3.0
 LIMIT_S = 600.0
 LOSSY = {"message_loss": 0.3, "delay_s": 0.5, "repeats": 0.2}
-PARTS = {"roles": {}, "size": {}, "avoidance": {}}
+OFF: dict[str, dict[str, Any]] = {
+    "roles": {"roles": {}},
+    "size": {"size": {}},
+    "avoidance": {"avoidance": {}},
+    "steering": {"avoidance": {"on": True, "steer": False}},
+}
+"""What each part is without, as scenario keys."""
 
 
 def mission_tree(seed: int, options: argparse.Namespace) -> dict[str, Any]:
@@ -48,7 +54,8 @@ def mission_tree(seed: int, options: argparse.Namespace) -> dict[str, Any]:
         tree["avoidance"] = {"on": True}
     else:
         tree = crowded_mission(seed)
-    tree |= {part: PARTS[part] for part in options.without}
+    for part in options.without:
+        tree |= OFF[part]
     tree |= {"perception": options.perception, "duration_s": LIMIT_S}
     if options.network == "lossy":
         tree["network"] = LOSSY
@@ -183,7 +190,7 @@ def main() -> None:
     parser.add_argument("--perception", choices=["ideal", "noisy", "rendered"], default="noisy")
     parser.add_argument("--network", choices=["perfect", "lossy"], default="perfect")
     parser.add_argument("--kill", action="store_true", help="one unit dies")
-    parser.add_argument("--without", nargs="*", choices=list(PARTS), default=[])
+    parser.add_argument("--without", nargs="*", choices=list(OFF), default=[])
     parser.add_argument("--compare", nargs=2, type=Path, metavar=("FIRST", "SECOND"))
     options = parser.parse_args()
     if options.compare:

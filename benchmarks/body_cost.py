@@ -44,7 +44,7 @@ def times_ms(parts: bool) -> tuple[float, float]:
     steps, commands = [], []
     for image in range(IMAGES):
         time_s = 0.2 * image
-        seen = perception.look(world, 0, time_s).detections
+        seen = perception.look(world, [0], time_s)[0].detections
         started = perf_counter()
         decision = mind.decide(seen, [])
         steps.append(perf_counter() - started)

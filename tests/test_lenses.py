@@ -200,7 +200,7 @@ def test_every_test_camera_can_be_used_and_reads_its_markers(name, scenario_tree
     tree["units"] = [UnitModel(position_m=(0, 0), height_m=12.0, camera=camera).model_dump()]
     tree["marker"]["side_m"] = max(0.4, 20 / camera.focal_length_px * 12.0)
     mission = make_mission(tree)
-    sight = make_perception(mission, np.random.default_rng(1)).look(World(mission), 0, 0.0)
+    sight = make_perception(mission, np.random.default_rng(1)).look(World(mission), [0], 0.0)[0]
     assert sight.whole_ids.size == 6
     np.testing.assert_array_equal(np.sort(sight.found_ids), np.arange(6))
     assert sight.detections.sides_px.min() > 14

@@ -135,7 +135,7 @@ def test_obstacles_are_seen_like_robots_and_are_not_false(mission_of, perception
     """Detected within half a pixel of their projection: tens of the detector's standard deviations."""
     mission = mission_of(perception)
     world = World(mission)
-    sight = make_perception(mission, np.random.default_rng(1)).look(world, 0, 0.0)
+    sight = make_perception(mission, np.random.default_rng(1)).look(world, [0], 0.0)[0]
     assert set(sight.whole_ids.tolist()) == {*mission.ids.tolist(), 7, 41}
     assert np.array_equal(np.sort(sight.found_ids), np.sort(sight.whole_ids))
     assert sight.false_detections == 0
@@ -148,7 +148,7 @@ def test_what_is_no_marker_of_the_scene_stays_false(mission_of) -> None:
     """An obstacle's marker found where it is not, and a marker that nobody has."""
     mission = mission_of("rendered")
     world, perception = World(mission), Rendered(mission, np.random.default_rng(1))
-    true = perception.look(world, 0, 0.0).detections
+    true = perception.look(world, [0], 0.0)[0].detections
     ids, shift = true.ids.copy(), np.zeros((len(true), 2))
     shift[ids == 41] = (0.6 * true.sides_px[ids == 41][0], 0)
     ids[ids == 2] = 33
@@ -165,7 +165,7 @@ def test_what_is_no_marker_of_the_scene_stays_false(mission_of) -> None:
             )
 
     perception.detector = Wrong()  # type: ignore[assignment]
-    sight = perception.look(world, 0, 0.0)
+    sight = perception.look(world, [0], 0.0)[0]
     assert sight.false_detections == 2
     assert set(sight.whole_ids.tolist()) - set(sight.found_ids.tolist()) == {2, 41}
 

@@ -145,7 +145,7 @@ def test_the_built_in_study_has_every_robot_in_view_and_markers_of_14_px() -> No
     for run in plan.runs:
         if run.parameters["perception"] == IDEAL:
             mission = plan.mission(run)
-            sight = make_perception(mission, np.random.default_rng(0)).look(World(mission), 0, 0.0)
+            sight = make_perception(mission, np.random.default_rng(0)).look(World(mission), [0], 0.0)[0]
             assert sight.whole_ids.size == 6, run.text()
             assert sight.detections.sides_px.min() > 14, run.text()
     assert len({own_key(s) for s in plan.study.spec.all_sweeps if s.name != "reference"}) >= 14

@@ -8,6 +8,7 @@
     python benchmarks/bodies.py --start kind --json kind.jsonl              # starts that need no avoidance
     python benchmarks/bodies.py --perception rendered --missions 20 --json rendered.jsonl
     python benchmarks/bodies.py --compare points.jsonl crowded.jsonl        # times, second over first
+    python benchmarks/bodies.py --figure bodies.png crowded.jsonl points.jsonl
 
 6 to 40 robots with bodies of two marker sides across, which cover 3 to 12 % of the ground they stand on,
 under 1 to 5 units. One row a mission, as it ends, as a line of JSON; a file that is there is gone on with.
@@ -28,9 +29,11 @@ from rows import Row, gather, read_rows
 from skyherd.datasets import Mission, make_mission
 from skyherd.datasets.crowded_missions import BODY_SIDES, SHAPE_SPACING, crowded_mission
 from skyherd.datasets.random_missions import Crowd, random_mission
+from skyherd.figure_canvas import DPI, drawing_style, new_figure
 from skyherd.geometry import to_complex
 from skyherd.hindsight import shortest_path
 from skyherd.loop import Step, run_steps
+from skyherd.palette import INK, unit_color
 
 GOAL = 0.01
 HOLD_S = 3.0
@@ -177,6 +180,42 @@ def compare(first: list[Row], second: list[Row]) -> dict[str, Any]:
     return {"missions": len(both), "medians_s": medians, "quantiles_of_ratio": quantiles}
 
 
+def draw(ours: list[Row], points: list[Row], path: Path) -> None:
+    """Least gaps, ways and times of crowded missions; gaps beside those of robots that are points."""
+    with drawing_style():
+        figure = new_figure(2.9, 9.6)
+        gaps, ways, times = figure.subplots(1, 3)
+        bins = np.arange(-2.0, 2.01, 0.2)
+        for rows, color, label in (
+            (points, unit_color(1), "without"),
+            (ours, unit_color(0), "with all parts"),
+        ):
+            share = np.full(len(rows), 100 / len(rows))
+            least = [row["min_gap_sides"] for row in rows]
+            gaps.hist(least, bins, weights=share, color=color, alpha=0.8, label=f"{label}, {len(rows)}")
+        gaps.axvline(0.0, ymax=0.72, color=INK, linewidth=1.0)
+        gaps.set(
+            xlabel="least gap between bodies (marker sides)",
+            ylabel="missions (%)",
+            title="touching, left of 0",
+        )
+        gaps.legend(loc="upper right", handlelength=1.0)
+        crews = sorted({row["units"] for row in ours})
+        for axes, values in (
+            (ways, [[row["path_m"] / row["shortest_m"] for row in ours if row["units"] == u] for u in crews]),
+            (times, [[row["time_to_1pct_s"] for row in ours if row["units"] == u] for u in crews]),
+        ):
+            parts = axes.boxplot(values, positions=crews, whis=(5, 95), showfliers=False, patch_artist=True)
+            for box in parts["boxes"]:
+                box.set(facecolor=unit_color(0), alpha=0.35)
+            for middle in parts["medians"]:
+                middle.set(color=INK, linewidth=1.6)
+            axes.set(xlabel="units")
+        ways.set(ylabel="path / shortest in hindsight", title="way of all robots")
+        times.set(ylabel="time to 1 % (s)", title="time, from when the tree is ready")
+        figure.savefig(path, dpi=DPI)
+
+
 def main() -> None:
     """Run, print rows and a summary."""
     parser = argparse.ArgumentParser(
@@ -192,7 +231,11 @@ def main() -> None:
     parser.add_argument("--kill", action="store_true", help="one unit dies")
     parser.add_argument("--without", nargs="*", choices=list(OFF), default=[])
     parser.add_argument("--compare", nargs=2, type=Path, metavar=("FIRST", "SECOND"))
+    parser.add_argument("--figure", nargs=3, type=Path, metavar=("PNG", "ROWS", "POINTS"))
     options = parser.parse_args()
+    if options.figure:
+        draw(*(read_rows(path) for path in options.figure[1:]), options.figure[0])
+        return
     if options.compare:
         print(compare(*(read_rows(path) for path in options.compare)))
         return

@@ -23,8 +23,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-import skyherd.loop
-from skyherd.control import AerialController
+from skyherd.control import AerialController, Team
 from skyherd.datasets import load_mission
 from skyherd.loop import run_steps
 from skyherd.markers import load_dictionary
@@ -60,9 +59,9 @@ def measure(name: str, duration_s: float) -> dict[str, Any]:
     perception = Rendered(mission, np.random.default_rng(mission.scenario.seed))
     perception.renderer.render = laps.timed("render", perception.renderer.render)  # type: ignore[method-assign]
     perception.detector.detect = laps.timed("detect", perception.detector.detect)  # type: ignore[method-assign]
-    originals = AerialController.step, skyherd.loop.robot_commands
+    originals = AerialController.step, Team.command
     AerialController.step = laps.timed("control", originals[0])  # type: ignore[method-assign]
-    skyherd.loop.robot_commands = laps.timed("control", originals[1])
+    Team.command = laps.timed("control", originals[1])  # type: ignore[method-assign]
     try:
         with (
             tempfile.TemporaryDirectory() as folder,
@@ -76,7 +75,7 @@ def measure(name: str, duration_s: float) -> dict[str, Any]:
                 step_s.append(perf_counter() - started)
                 started = perf_counter()
     finally:
-        AerialController.step, skyherd.loop.robot_commands = originals  # type: ignore[method-assign]
+        AerialController.step, Team.command = originals  # type: ignore[method-assign]
     return _account(name, mission.scenario.marker.dictionary, step_s, laps, images)
 
 

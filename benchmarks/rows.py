@@ -1,10 +1,13 @@
 """Rows of a benchmark over many seeds: run in parallel, written as they end, and gone on with."""
 
 import json
+import sys
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
+
+from skyherd.files import write_text
 
 Row = dict[str, Any]
 
@@ -24,11 +27,12 @@ def gather(run: Callable[[int], Row], seeds: range, jobs: int, path: Path | None
     """All rows of `seeds`: those in the file, and the others as they end, printed and added to it."""
     rows = [row for row in read_rows(path) if row["seed"] in seeds] if path else []
     done = {row["seed"] for row in rows}
-    if path:
-        path.write_text("".join(json.dumps(row) + "\n" for row in read_rows(path)))
+    if path and path.exists():
+        whole = "".join(json.dumps(row) + "\n" for row in read_rows(path))
+        write_text(path, whole)
     for row in _run(run, [seed for seed in seeds if seed not in done], jobs):
         line = json.dumps(row)
-        print(line, flush=True)
+        print(line, file=sys.stderr, flush=True)
         rows.append(row)
         if path:
             with path.open("a") as file:

@@ -19,15 +19,13 @@ is the longer of the two, and `predicted_s + driving_s` the bound to hold a time
 import argparse
 import json
 import os
-import sys
-from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from pathlib import Path
 from time import perf_counter
 from typing import Any
 
 import numpy as np
+from rows import gather, read_rows
 
 from skyherd.control.rate import slowest_rate
 from skyherd.datasets import Mission, make_mission
@@ -172,27 +170,6 @@ def run_mission(seed: int, options: argparse.Namespace) -> dict[str, Any]:
     return {key: round(value, 4) if isinstance(value, float) else value for key, value in row.items()}
 
 
-def read_rows(path: Path) -> list[dict[str, Any]]:
-    """Rows of a file; an unfinished last line is left out."""
-    rows = []
-    for line in path.read_text().splitlines() if path.exists() else []:
-        try:
-            rows.append(json.loads(line))
-        except json.JSONDecodeError:
-            break
-    return rows
-
-
-def new_rows(seeds: list[int], options: argparse.Namespace) -> Iterator[dict[str, Any]]:
-    """Rows of missions, as they end."""
-    run = partial(run_mission, options=options)
-    if options.jobs == 1:
-        yield from map(run, seeds)
-        return
-    with ProcessPoolExecutor(options.jobs) as pool:
-        yield from pool.map(run, seeds)
-
-
 def summarize(rows: list[dict[str, Any]]) -> dict[str, Any]:
     """What all rows come to."""
     good = [row for row in rows if "error" not in row]
@@ -268,16 +245,8 @@ def main() -> None:
     if options.compare:
         print(json.dumps(compare(*(read_rows(path) for path in options.compare)), indent=1))
         return
-    rows = read_rows(options.json) if options.json else []
-    have = {row["seed"] for row in rows}
-    seeds = [seed for seed in range(options.seed, options.seed + options.missions) if seed not in have]
-    for row in new_rows(seeds, options):
-        rows.append(row)
-        line = json.dumps(row)
-        if options.json:
-            with options.json.open("a") as file:
-                file.write(line + "\n")
-        print(line, file=sys.stderr)
+    seeds = range(options.seed, options.seed + options.missions)
+    rows = gather(partial(run_mission, options=options), seeds, options.jobs, options.json)
     print(json.dumps(summarize(rows), indent=1))
 
 

@@ -50,14 +50,14 @@ def best_assignment(
     best_z = np.vdot(p, x)
     turns = [best_z, *np.exp(2j * np.pi * np.arange(starts) / max(starts, 1))]
     for turn in turns:
-        order, z = _ascend(x, p, turn, classes)
+        order, z = ascend(x, p, turn, classes)
         if abs(z) > abs(best_z):
             best, best_z = order, z
     return best
 
 
-def _ascend(x: ComplexArray, p: ComplexArray, turn: complex, classes: IntArray) -> tuple[IntArray, complex]:
-    """Assign and rotate in turn until the map stays."""
+def ascend(x: ComplexArray, p: ComplexArray, turn: complex, classes: IntArray) -> tuple[IntArray, complex]:
+    """The map (M,) that assigning and rotating in turn end at, from a rotation on, and its Z; all centred."""
     order, z = np.arange(x.size), turn
     for _ in range(TURNS):
         turn = z / abs(z) if z else 1.0

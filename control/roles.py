@@ -80,9 +80,20 @@ class Roles:
         if newest.name > self.map.name:
             self._take(newest)
 
-    def exchange(self, unit_id: int, time_s: float, team: Panorama, reports: Sequence[UnitReport]) -> bool:
-        """Make a newer map if this is the unit's slot and there is a better one; whether it did."""
-        if self.rule is None or not self._may(unit_id, time_s, reports):
+    def may_exchange(self, unit_id: int, time_s: float, reports: Sequence[UnitReport]) -> bool:
+        """Whether this is the first image of the unit's own slot, and the others follow the same map."""
+        if self.rule is None:
+            return False
+        slot, before = int(np.floor(time_s / self.rule.period_s + 1e-9)), self._slot
+        self._slot = slot
+        units = sorted({unit_id, *(report.unit_id for report in reports)})
+        if slot == before or units[slot % len(units)] != unit_id:
+            return False
+        return all(report.roles is None or report.roles.name == self.map.name for report in reports)
+
+    def exchange(self, unit_id: int, team: Panorama) -> bool:
+        """Make a newer map if there is a better one, which the unit must be free to do; whether it did."""
+        if self.rule is None:
             return False
         rows = np.flatnonzero(team.known)
         if rows.size < 2:
@@ -97,16 +108,6 @@ class Roles:
         roles[rows] = roles[rows][order]
         self._take(RoleMap(self.map.version + 1, unit_id, roles))
         return True
-
-    def _may(self, unit_id: int, time_s: float, reports: Sequence[UnitReport]) -> bool:
-        """Whether this is the first image of the unit's own slot, and the others follow the same map."""
-        assert self.rule is not None
-        slot, before = int(np.floor(time_s / self.rule.period_s + 1e-9)), self._slot
-        self._slot = slot
-        units = sorted({unit_id, *(report.unit_id for report in reports)})
-        if slot == before or units[slot % len(units)] != unit_id:
-            return False
-        return all(report.roles is None or report.roles.name == self.map.name for report in reports)
 
     def _take(self, newer: RoleMap) -> None:
         self.map = newer

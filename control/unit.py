@@ -97,10 +97,9 @@ class AerialController:
 
     def _choose_roles(self, seen: Detections, reports: Sequence[UnitReport]) -> None:
         self.roles.take_up(self.program.at(seen.time_s))
-        if self.roles.rule is not None:
-            self.roles.hear(reports)
-            team = panorama(self.template.ids, seen, reports)
-            self.roles.exchange(seen.unit_id, seen.time_s, team, reports)
+        self.roles.hear(reports)
+        if self.roles.may_exchange(seen.unit_id, seen.time_s, reports):
+            self.roles.exchange(seen.unit_id, panorama(self.template.ids, seen, reports))
         self.control_set.reshape(self.roles.shape)
 
     def _fly(self, seen: Detections, controlled: IntArray, reports: Sequence[UnitReport]) -> FlightCommand:

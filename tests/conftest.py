@@ -1,10 +1,12 @@
 """Helpers common to several test files, as fixtures (session-scoped: hypothesis may use them too)."""
 
+import importlib.util
 import os
 import shutil
 import tomllib
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import cv2
@@ -14,6 +16,24 @@ import pytest
 from skyherd.datasets import scenario_text
 from skyherd.markers import QUIET_ZONE_CELLS, cells_per_side, corners_of_pose, marker_cells
 from skyherd.messages import Detections, MotionGoals, UnitReport
+
+BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
+
+
+@pytest.fixture(scope="session")
+def load_benchmark() -> Iterator[Callable[[str], ModuleType]]:
+    """A script of `benchmarks/` as a module, which finds what it imports beside itself."""
+
+    def load(name: str) -> ModuleType:
+        spec = importlib.util.spec_from_file_location(f"benchmark_{name}", BENCHMARKS / f"{name}.py")
+        assert spec is not None and spec.loader is not None
+        module = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(module)
+        return module
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(BENCHMARKS))
+        yield load
 
 
 @pytest.fixture(scope="session")

@@ -134,7 +134,7 @@ def test_bodies_never_touch(make_detections, kind, latency, loss, seed) -> None:
 )
 def test_robots_that_do_not_know_their_wheels_touch(make_detections, kind, forgotten) -> None:
     """Negative control: each part of the bound is needed."""
-    drive, known = ROBOTS_AS_THEY_ARE[kind]
+    drive, _ = ROBOTS_AS_THEY_ARE[kind]
     blind = AvoidanceRule(SIDE_M, WHEELS, prompt_s=0.2, next_s=0.2, step_s=STEP_S, lifetime_s=60.0)
     if forgotten == "gamma":
         blind = AvoidanceRule(SIDE_M, WHEELS, prompt_s=0.0, next_s=0.2, step_s=0.001, lifetime_s=60.0)
@@ -142,7 +142,6 @@ def test_robots_that_do_not_know_their_wheels_touch(make_detections, kind, forgo
         least_gap_m(Crowd(np.random.default_rng([seed, 7]), blind, make_detections, drive), 60)
         for seed in range(8)
     ]
-    assert known or forgotten == "gamma"
     assert min(gaps) < 0
 
 

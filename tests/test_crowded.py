@@ -1,24 +1,14 @@
 """Crowded starts with random roles: nobody touches, and the shape comes; with the parts off they do touch."""
 
 import argparse
-import importlib.util
-import sys
-from pathlib import Path
 
 import pytest
 
-BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
-
 
 @pytest.fixture(scope="module")
-def benchmark():
+def benchmark(load_benchmark):
     """`benchmarks/bodies.py` as a module."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sys, "path", [str(BENCHMARKS), *sys.path])
-        spec = importlib.util.spec_from_file_location("bodies_benchmark", BENCHMARKS / "bodies.py")
-        module = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(module)
-        yield module
+    return load_benchmark("bodies")
 
 
 def options(**changed) -> argparse.Namespace:

@@ -1,8 +1,6 @@
 """Random missions keep what they promise, and a few of them keep TC1-TC5 and reach their shape."""
 
 import argparse
-import importlib.util
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,15 +11,6 @@ from skyherd.datasets import make_mission
 from skyherd.datasets.random_missions import IN_COMMON, SIDE_M, random_mission, star_mission
 from skyherd.geometry import to_complex, to_points
 from skyherd.loop import run_steps
-
-BENCHMARK = Path(__file__).parents[1] / "benchmarks" / "topology.py"
-
-
-def benchmark():
-    spec = importlib.util.spec_from_file_location("topology_benchmark", BENCHMARK)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 def options(**changed) -> argparse.Namespace:
@@ -58,22 +47,22 @@ def test_the_same_seed_is_the_same_mission() -> None:
 
 @pytest.mark.parametrize("network", ["perfect", "lossy"])
 @pytest.mark.parametrize("seed", [0, 9])
-def test_a_few_missions_stay_inside_p_and_reach_their_shape(seed, network) -> None:
+def test_a_few_missions_stay_inside_p_and_reach_their_shape(load_benchmark, seed, network) -> None:
     """Two and five units; what `benchmarks/topology.py` does a thousand times."""
-    row = benchmark().run_mission(seed, options(network=network))
+    row = load_benchmark("topology").run_mission(seed, options(network=network))
     assert row["converged"] and row["p_violation_s"] == 0.0
     assert row["time_to_1pct_s"] < 1.5 * row["predicted_s"]
 
 
-def test_a_unit_that_dies_is_succeeded() -> None:
-    row = benchmark().run_mission(2, options(kill=True))
+def test_a_unit_that_dies_is_succeeded(load_benchmark) -> None:
+    row = load_benchmark("topology").run_mission(2, options(kill=True))
     assert row["converged"]
     assert 0 < row["tc12_back_s"] < 30 and row["covered_s"] < 30
 
 
-def test_the_benchmark_notices_a_topology_that_leaves_p() -> None:
+def test_the_benchmark_notices_a_topology_that_leaves_p(load_benchmark) -> None:
     """Negative control: free overlaps are outside P from the first instant that counts."""
-    module = benchmark()
+    module = load_benchmark("topology")
     made = module.mission_tree
     module.mission_tree = lambda seed, chosen: made(seed, chosen) | {"selection": {"kind": "radius"}}
     with pytest.MonkeyPatch.context() as patch:

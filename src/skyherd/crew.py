@@ -29,19 +29,23 @@ from skyherd.control import (
     Template,
     TreeRule,
     Wheels,
+    newest_roles,
 )
 from skyherd.control.flight import Flight
 from skyherd.control.robot_law import Gains
+from skyherd.control.selection import NO_ROBOTS
 from skyherd.datasets import Mission, Scenario
 from skyherd.datasets.models import SelectionModel
 from skyherd.datasets.unit_models import FlightModel
+from skyherd.geometry import IntArray
 from skyherd.messages import Detections, UnitReport
 
 REPORT_LIFETIME_S = 2.0
-SLIPS = 3.0
-"""Standard deviations of slip that robots reckon with."""
 REPORTS_MISSED = 5
 """A unit counts as silent after this long, and not before this many of its images."""
+
+SLIPS = 3.0
+"""Standard deviations of slip that robots reckon with."""
 
 
 def make_flight(model: FlightModel, template: Template) -> Flight:
@@ -121,6 +125,37 @@ def make_mind(mission: Mission, unit: int) -> Mind:
     return Mind(controller, Rectifier() if scenario.control.rectify else None)
 
 
+class Crew:
+    """The minds of all units.
+
+    Attributes:
+        minds: by unit.
+        sets: S_j^c that each unit declared last.
+    """
+
+    def __init__(self, mission: Mission) -> None:
+        self._mission = mission
+        units = range(len(mission.scenario.units))
+        self.minds = [make_mind(mission, unit) for unit in units]
+        self.sets = {unit: NO_ROBOTS for unit in units}
+
+    def lose(self, unit: int) -> None:
+        """A unit is dead: what takes its place one day knows nothing."""
+        self.minds[unit], self.sets[unit] = make_mind(self._mission, unit), NO_ROBOTS
+
+    def decide(self, seen: Detections, reports: Sequence[UnitReport]) -> Decision:
+        """What the unit whose image was taken does, given the last report heard from each other one."""
+        decision = self.minds[seen.unit_id].decide(seen, reports)
+        self.sets[seen.unit_id] = decision.report.controlled_ids
+        return decision
+
+    @property
+    def roles(self) -> IntArray:
+        """(N,) row of the template's point that each robot goes to, by the newest map."""
+        words = [mind.controller.roles.word for mind in self.minds]
+        return newest_roles(words, self._mission.ids.size)
+
+
 def make_roles(scenario: Scenario) -> RoleRule | None:
     """How units exchange the robots' places; None if they do not."""
     model = scenario.roles
@@ -174,13 +209,15 @@ def make_avoidance(scenario: Scenario) -> AvoidanceRule:
     robots, drive, step_s = scenario.robots, scenario.robots.drive, scenario.step_s
     brakes_s = robots.max_speed_mps / drive.max_accel_mps2 if drive.max_accel_mps2 else 0.0
     news_s = [unit.latency_s + 1 / unit.frame_rate_hz for unit in scenario.units]
+    rates_hz = {unit.frame_rate_hz for unit in scenario.units}
+    apart_s = step_s if len(rates_hz) > 1 else 1 / rates_hz.pop()  # between two images, of whatever units
     share = drive.gain_error + SLIPS * drive.slip
     wheel_mps = drive.wheel_step_mps / 2 + drive.dead_zone_mps + drive.gain_error * robots.max_speed_mps
     return AvoidanceRule(
         side_m=scenario.marker.side_m,
         wheels=make_wheels(scenario),
         prompt_s=max(news_s),
-        next_s=min(news_s),
+        next_s=min(unit.latency_s for unit in scenario.units) + apart_s,
         step_s=step_s,
         lag_s=np.ceil(drive.delay_s / step_s - 1e-9) * step_s + brakes_s,
         overshoot=share,

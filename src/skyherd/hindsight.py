@@ -6,6 +6,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import pdist
 
+from skyherd.control.assignment import ascend
 from skyherd.geometry import ComplexArray, IntArray, to_points
 
 ROTATIONS = 72
@@ -57,19 +58,15 @@ def shortest_path(
         classes: (N,) only robots of one class exchange their points; all may if None.
         spacing: least and greatest distance of the shape's two nearest points, in the starts' unit.
     """
-    groups = _groups(np.zeros(starts.size, dtype=int) if classes is None else classes)
+    classes = np.zeros(starts.size, dtype=np.int64) if classes is None else classes
+    groups = [np.flatnonzero(classes == label) for label in np.unique(classes)]
     nearest = float(pdist(to_points(template)).min())
     sizes = spacing[0] / nearest, spacing[1] / nearest
     found = [
         _follow_up(template, starts, order, groups, sizes)
-        for order in _choice(template, starts, groups)[:REFINED]
+        for order in _choice(template, starts, classes)[:REFINED]
     ]
     return min(found, key=lambda path: path.length)
-
-
-def _groups(classes: IntArray) -> list[IntArray]:
-    """Rows of each class."""
-    return [np.flatnonzero(classes == label) for label in np.unique(classes)]
 
 
 def _assign(costs: np.ndarray, groups: list[IntArray]) -> IntArray:
@@ -80,28 +77,16 @@ def _assign(costs: np.ndarray, groups: list[IntArray]) -> IntArray:
     return order
 
 
-def _choice(template: ComplexArray, starts: ComplexArray, groups: list[IntArray]) -> list[IntArray]:
+def _choice(template: ComplexArray, starts: ComplexArray, classes: IntArray) -> list[IntArray]:
     """Different assignments, least squares first, no two of which turn into each other."""
-    if all(rows.size == 1 for rows in groups):
+    if np.unique(classes).size == classes.size:
         return [np.arange(starts.size)]
     points, robots = template - template.mean(), starts - starts.mean()
-    products = np.outer(robots, points.conj())
     reached: dict[bytes, tuple[float, IntArray]] = {}
     for turn in np.exp(2j * np.pi * np.arange(ROTATIONS) / ROTATIONS):
-        order, gain = _turn_and_assign(products, turn, groups)
-        reached.setdefault(order.tobytes(), (gain, order))
+        order, z = ascend(robots, points, turn, classes)
+        reached.setdefault(order.tobytes(), (abs(z), order))
     return [order for _, order in sorted(reached.values(), key=lambda item: -item[0])]
-
-
-def _turn_and_assign(products: np.ndarray, turn: complex, groups: list[IntArray]) -> tuple[IntArray, float]:
-    """The assignment that rotation and assignment in turn end at, and its `|Σ conj(p_σ(i)) x_i|`."""
-    rows, gain = np.arange(len(products)), 0.0
-    while True:
-        order = _assign(-(products * np.conj(turn)).real, groups)
-        total = products[rows, order].sum()
-        if abs(total) <= gain * (1 + 1e-12):
-            return order, gain
-        gain, turn = abs(total), total / abs(total)
 
 
 def _follow_up(

@@ -6,10 +6,9 @@ from math import floor
 
 import numpy as np
 
-from skyherd.control import GroundMap, newest_roles
-from skyherd.control.selection import NO_ROBOTS
+from skyherd.control import GroundMap
 from skyherd.control.unit import Decision
-from skyherd.crew import make_mind, make_team
+from skyherd.crew import Crew, make_team
 from skyherd.datasets import Mission, Scenario
 from skyherd.geometry import IntArray
 from skyherd.messages import FlightCommand, VelocityCommand
@@ -64,34 +63,29 @@ def run_steps(mission: Mission, perception: Perception | None = None) -> Iterato
     scenario = mission.scenario
     sight_rng, network_rng, frame_rng = (np.random.default_rng([scenario.seed, part]) for part in (1, 2, 3))
     world, observer = World(mission), Observer(mission.template, mission.ids)
-    crew = [make_mind(mission, unit) for unit in range(len(scenario.units))]
     perception = perception or make_perception(mission, sight_rng)
-    network = Network(scenario.network, network_rng, len(crew))
-    team, sets = make_team(mission), {unit: NO_ROBOTS for unit in range(len(crew))}
+    network = Network(scenario.network, network_rng, len(scenario.units))
+    crew, team, lost = Crew(mission), make_team(mission), scenario.network.frame_loss
     for tick in range(round(scenario.duration_s / scenario.step_s) + 1):
         time_s = tick * scenario.step_s
-        frames = {}
-        dead = dead_units(scenario, time_s)
+        frames, dead = {}, dead_units(scenario, time_s)
         for unit in dead:
-            crew[unit], sets[unit] = make_mind(mission, unit), NO_ROBOTS
+            crew.lose(unit)
             network.forget(unit)
             world.fly(FlightCommand(unit, np.zeros(2), 0.0, 0.0))
-        lost = scenario.network.frame_loss
         shot = [unit for unit in _due(scenario, tick, dead) if frame_rng.random() >= lost]
         hearers = world.in_range()
         for unit, sight in zip(shot, perception.look(world, shot, time_s), strict=True):
-            decision = crew[unit].decide(sight.detections, list(network.reports[unit].values()))
+            decision = crew.decide(sight.detections, list(network.reports[unit].values()))
             arrival_s = time_s + scenario.units[unit].latency_s
             to_robots = decision.goals, decision.encounters
             network.send(to_robots, decision.report, arrival_s, hearers[unit] if hearers else None)
             world.fly(decision.flight)
-            frames[unit] = UnitFrame(sight, decision, crew[unit].ground_map)
-            sets[unit] = decision.report.controlled_ids
+            frames[unit] = UnitFrame(sight, decision, crew.minds[unit].ground_map)
         for message, heard in network.deliver(time_s):
             team.receive(message, time_s, heard)
         command = world.limit(team.command(time_s))
-        roles = newest_roles([mind.controller.roles.word for mind in crew], mission.ids.size)
-        shape = mission.shape_at(time_s, roles)
+        shape = mission.shape_at(time_s, crew.roles)
         yield Step(
             time_s=time_s,
             positions_m=world.positions_m,
@@ -100,9 +94,9 @@ def run_steps(mission: Mission, perception: Perception | None = None) -> Iterato
             frames=frames,
             command=command,
             commanded_ids=team.commanded_ids(time_s),
-            control_sets=dict(sets),
-            observation=observer.observe(world.positions_m, sets, dead, shape),
-            roles=roles,
+            control_sets=dict(crew.sets),
+            observation=observer.observe(world.positions_m, crew.sets, dead, shape),
+            roles=crew.roles,
         )
         world.advance(command, time_s, scenario.step_s)
 

@@ -29,24 +29,29 @@ def summarize(history: History, wall_s: float | None) -> dict[str, Any]:
     is between the middles of robots, `min_gap_m` between bodies, obstacles' too; both, and collisions, are
     judged at the steps.
     """
-    scenario, times = history.mission.scenario, history.times_s
-    steps, simulated_s = int(times.size), float(times[-1])
-    counted = history.conditions[history.ready_row or 0 : -1]
-    violated_s = (~counted).sum(axis=0) * scenario.step_s
-    roles = np.concatenate([np.arange(history.ids.size)[None], history.roles])
-    switches = (history.controlled[1:] != history.controlled[:-1]).any(axis=(1, 2))
-    travelled = np.linalg.norm(np.diff(history.positions_m, axis=0), axis=2).sum()
-    collisions, min_gap_m = _contacts(history)
+    scenario = history.mission.scenario
+    return {
+        "scenario": scenario.name,
+        "seed": scenario.seed,
+        "perception": scenario.perception,
+        **_course(history, wall_s),
+        **_shape(history),
+        "detection_recall": history.found / history.whole if history.whole else None,
+        "false_detections": history.false_detections,
+        **_topology(history),
+        **_tree(history),
+        **_robots(history),
+    }
 
-    goal_errors = history.goal_errors_m
+
+def _course(history: History, wall_s: float | None) -> dict[str, Any]:
+    """How far the run went, and how fast."""
+    steps, simulated_s = int(history.times_s.size), float(history.times_s[-1])
 
     def per_wall(amount: float) -> float | None:
         return None if not wall_s else amount / wall_s
 
     return {
-        "scenario": scenario.name,
-        "seed": scenario.seed,
-        "perception": scenario.perception,
         "converged": held_to_the_end(history),
         "complete": wall_s is not None,
         "simulated_s": simulated_s,
@@ -56,19 +61,42 @@ def summarize(history: History, wall_s: float | None) -> dict[str, Any]:
         "loop_steps_per_s": per_wall(steps),
         "frames": history.frames,
         "frames_per_s": per_wall(history.frames),
+    }
+
+
+def _shape(history: History) -> dict[str, Any]:
+    """What they formed."""
+    errors_m = history.goal_errors_m
+    return {
         "shape_error": float(history.shape_error[-1]),
-        "goal_error_m": float(np.nanmax(goal_errors)) if np.isfinite(goal_errors).any() else None,
+        "goal_error_m": float(np.nanmax(errors_m)) if np.isfinite(errors_m).any() else None,
         "scale": float(history.shape_scale[-1]),
         "rotation_rad": float(history.shape_rotation_rad[-1]),
         "V_start": float(history.V[history.ready_row or 0]),
         "V_end": float(history.V[-1]),
-        "detection_recall": history.found / history.whole if history.whole else None,
-        "false_detections": history.false_detections,
+    }
+
+
+def _topology(history: History) -> dict[str, Any]:
+    """How often sets changed, and how long each of TC1-TC5 did not hold."""
+    step_s = history.mission.scenario.step_s
+    counted = history.conditions[history.ready_row or 0 : -1]
+    violated_s = (~counted).sum(axis=0) * step_s
+    switches = (history.controlled[1:] != history.controlled[:-1]).any(axis=(1, 2))
+    return {
         "topology_switches": int(switches.sum()),
-        "p_violation_s": float((~counted.all(axis=1)).sum() * scenario.step_s),
+        "p_violation_s": float((~counted.all(axis=1)).sum() * step_s),
         **{f"tc{number}_violation_s": float(violated_s[number - 1]) for number in range(1, 6)},
-        **_tree(history),
-        "uncommanded_robot_s": float((~history.commanded[:-1]).sum() * scenario.step_s),
+    }
+
+
+def _robots(history: History) -> dict[str, Any]:
+    """Where robots went, and how near to one another."""
+    roles = np.concatenate([np.arange(history.ids.size)[None], history.roles])
+    travelled = np.linalg.norm(np.diff(history.positions_m, axis=0), axis=2).sum()
+    collisions, min_gap_m = _contacts(history)
+    return {
+        "uncommanded_robot_s": float((~history.commanded[:-1]).sum() * history.mission.scenario.step_s),
         "min_separation_m": float(history.min_separation_m.min()),
         "min_gap_m": min_gap_m,
         "collisions": collisions,

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullLocator
 
+from skyherd.bench.axes import AIM, ratio_axes, share_axes, side_axis, span
 from skyherd.bench.design import SWEEPS
 from skyherd.bench.entrants import is_ours
 from skyherd.bench.result import Result, Row
@@ -21,9 +22,7 @@ from skyherd.palette import INK, MUTED, UNIT_COLORS
 OUR_COLORS = (UNIT_COLORS[0], UNIT_COLORS[1], INK, UNIT_COLORS[2])
 OTHER_COLORS = (UNIT_COLORS[7], UNIT_COLORS[4], UNIT_COLORS[5], UNIT_COLORS[3], UNIT_COLORS[2], MUTED)
 MARKS = "osD^vPX<>*"
-AIM = 1.2
 HONEST = (0.8, 1.25)
-SIDE_TICKS = (8, 12, 16, 20, 30, 40, 60, 100)
 
 
 @dataclass(frozen=True)
@@ -74,47 +73,6 @@ def _legend(figure: Figure, result: Result, names: Iterable[str]) -> None:
     legend_above(figure, handles, columns=4)
 
 
-def _side_axis(axes: Axes, sides_px: Iterable[float]) -> None:
-    sides = sorted(set(sides_px))
-    axes.set_xscale("log")
-    ticks = [side for side in SIDE_TICKS if sides[0] <= side <= sides[-1]]
-    axes.xaxis.set_major_locator(FixedLocator(ticks))
-    axes.xaxis.set_minor_locator(NullLocator())
-    axes.xaxis.set_major_formatter(FuncFormatter(lambda side, _: f"{side:g}"))
-
-
-def _span(panels: Sequence[Axes], low: float, high: float) -> tuple[float, float]:
-    """Limits of log axes that show all lines, and `low` and `high` at least."""
-    lines = [line for axes in panels for line in axes.lines]
-    drawn = np.concatenate([[low, high], *(np.asarray(line.get_ydata(), float) for line in lines)])
-    shown = drawn[np.isfinite(drawn) & (drawn > 0)]
-    return float(shown.min() / 1.15), float(shown.max() * 1.15)
-
-
-def _ratio_axes(panels: Sequence[Axes]) -> None:
-    """Log axes of ratios, all alike, with the bound and the aim."""
-    low, high = _span(panels, 0.9, 3.0)
-    for axes in panels:
-        _ratio_axis(axes, low, high)
-
-
-def _ratio_axis(axes: Axes, low: float, high: float) -> None:
-    axes.set_yscale("log")
-    axes.set_ylim(low, high)
-    axes.yaxis.set_major_locator(
-        FixedLocator([t for t in (1, 2, 5, 10, 20, 50, 100, 200, 500) if low <= t <= high])
-    )
-    axes.yaxis.set_minor_locator(NullLocator())
-    axes.yaxis.set_major_formatter(FuncFormatter(lambda ratio, _: f"{ratio:g}"))
-    axes.axhline(1.0, color=INK, lw=1.0, zorder=1)
-    axes.axhline(AIM, color=MUTED, lw=0.9, ls=":", zorder=1)
-
-
-def _share_axes(panels: Sequence[Axes]) -> None:
-    for axes in panels:
-        axes.set_ylim(-0.03, 1.03)
-
-
 def _line(axes: Axes, points: list[tuple[float, float | None]], style: dict[str, Any]) -> None:
     known = np.array([(x, np.nan if y is None else y) for x, y in points], dtype=float).reshape(-1, 2)
     axes.plot(known[:, 0], known[:, 1], **style)
@@ -138,7 +96,7 @@ def _grid_figure(
     for noise, top, bottom in zip(noises, panels[0], panels[-1], strict=True):
         top.set_title(f"noise {noise:g} grey levels")
         bottom.set_xlabel("marker side (px)")
-        _side_axis(
+        side_axis(
             bottom, (r["side_px"] for r in result.cells if r["noise"] == noise and r["sweep"] != "base")
         )
     _legend(figure, result, result.detectors)
@@ -154,7 +112,7 @@ def draw_accuracy(result: Result) -> Figure | None:
         return None
     figure, panels = made
     for row in panels:
-        _ratio_axes(row)
+        ratio_axes(row)
     return figure
 
 
@@ -164,7 +122,7 @@ def draw_recall(result: Result) -> Figure | None:
     if made is None:
         return None
     figure, panels = made
-    _share_axes(panels.ravel())
+    share_axes(panels.ravel())
     return figure
 
 
@@ -194,12 +152,12 @@ def _sweep_figure(
 
 def draw_factors(result: Result) -> Figure | None:
     """Position's RMSE over bound along each sweep."""
-    return _sweep_figure(result, "ratio_px", "position: RMSE / bound", _ratio_axes)
+    return _sweep_figure(result, "ratio_px", "position: RMSE / bound", ratio_axes)
 
 
 def draw_factor_recall(result: Result) -> Figure | None:
     """Recall along each sweep."""
-    return _sweep_figure(result, "recall", "recall", _share_axes)
+    return _sweep_figure(result, "recall", "recall", share_axes)
 
 
 def draw_honesty(result: Result) -> Figure | None:
@@ -222,11 +180,11 @@ def draw_honesty(result: Result) -> Figure | None:
         axes.axhspan(*HONEST, color=MUTED, alpha=0.18, lw=0)
         axes.axhline(1.0, color=INK, lw=1.0)
         axes.set(title=axis, xlabel="marker side (px)", yscale="log")
-        _side_axis(axes, (row["side_px"] for name in telling for row in result.by_side(name, noise)))
+        side_axis(axes, (row["side_px"] for name in telling for row in result.by_side(name, noise)))
         axes.yaxis.set_major_locator(FixedLocator([0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 1000]))
         axes.yaxis.set_minor_locator(NullLocator())
         axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    panels[0].set_ylim(_span(panels, 0.5, 2.0))
+    panels[0].set_ylim(span(panels, 0.5, 2.0))
     panels[0].set_ylabel("error² / variance reported")
     _legend(figure, result, telling)
     return figure

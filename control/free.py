@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from skyherd.control.roster import Roster
-from skyherd.control.selection import ControlSet, SafetyRadius
+from skyherd.control.selection import NO_ROBOTS, ControlSet, SafetyRadius
 from skyherd.control.standing import TreeRule
 from skyherd.control.template import Template
 from skyherd.control.topology import check_conditions, control_matrix
@@ -71,6 +71,11 @@ class FreeThenTree:
     def searches(self) -> bool:
         """Whether the tree lacks units or robots that nobody finds."""
         return self.tree is not None and self.tree.searches
+
+    @property
+    def sought(self) -> IntArray:
+        """Robots that would bind the tree firmly."""
+        return NO_ROBOTS if self.tree is None else self.tree.sought
 
     def update(self, seen: Detections, reports: Sequence[UnitReport]) -> IntArray:
         """S_j^c after an image, ascending."""

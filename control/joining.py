@@ -4,19 +4,29 @@ from dataclasses import dataclass
 
 from skyherd.control.edge import NO_ROBOTS, NO_TURN, first_turn, word_of
 from skyherd.control.hearsay import Heard
+from skyherd.control.selection import centre_distances
 from skyherd.control.standing import Standing
 from skyherd.messages import NOBODY
 
 
 def seek(unit: Standing, time_s: float, at_slot: bool) -> None:
-    """Without a tree: ask one to be admitted to it, or found it if there is none and no lower unit."""
+    """Without a tree: ask one to be admitted to it; if there is none, who sees most robots founds it.
+
+    Large sets bind the team firmly (docs/topology.md), and the founder's is all that it sees.
+    """
     members = unit.heard.members(time_s)
     if members:
         _ask(unit, members, time_s)
         return
-    is_first = all(unit.unit_id < heard.report.unit_id for heard in unit.heard.fresh(time_s))
-    if at_slot and is_first and time_s - unit.since_s >= unit.rule.dwell_s:
+    if at_slot and time_s - unit.since_s >= unit.rule.dwell_s and _sees_most(unit, time_s):
         unit.tree_id, unit.asks_id, unit.own = unit.unit_id, NOBODY, unit.visible
+
+
+def _sees_most(unit: Standing, time_s: float) -> bool:
+    """Whether no unit heard of late sees more robots inside the radius, nor a lower one as many."""
+    others = [heard.report for heard in unit.heard.fresh(time_s)]
+    counts = [(-int((centre_distances(r) < unit.rule.radius).sum()), r.unit_id) for r in others]
+    return (-len(unit.visible), unit.unit_id) <= min(counts, default=(0, unit.unit_id))
 
 
 def _ask(unit: Standing, members: list[Heard], time_s: float) -> None:

@@ -4,7 +4,7 @@ from itertools import combinations
 
 import numpy as np
 
-from skyherd.control.edge import Robots
+from skyherd.control.edge import NO_ROBOTS, Robots
 from skyherd.control.rate import pair_rates
 from skyherd.control.standing import Share
 from skyherd.control.template import Template
@@ -59,6 +59,27 @@ def choose_pair(
         if moved[best] <= moved[now] and merit[best] < gain * merit[now]:
             return None
     return None if chosen == present else chosen
+
+
+def firmer_pair(
+    template: Template, present: Robots, candidates: Robots, theirs: Robots, ours: Robots, firm: float
+) -> Robots:
+    """The pair to get into view where the present one binds two units less than firmly; none if it is firm.
+
+    Of all pairs of candidates that bind at the rate `firm`, or as firmly as any does, the one that lies
+    nearest to the unit's own robots in the shape.
+    """
+    robots = sorted(candidates | present)
+    pairs = np.array(list(combinations(robots, 2)), dtype=np.int64)
+    rates = _leverage(template, pairs, np.array(sorted(theirs)), np.array(sorted(ours), dtype=np.int64))
+    now = rates[(pairs == sorted(present)).all(axis=1)][0]
+    enough = np.flatnonzero(rates >= min(firm, float(rates.max())))
+    if now >= firm or not ours or not rates.max() > now:
+        return NO_ROBOTS
+    points, rows = template.points_px, np.searchsorted(template.ids, pairs[enough])
+    middle = points[np.searchsorted(template.ids, sorted(ours | present))].mean()
+    nearest = int(np.argmin(np.abs(points[rows] - middle).max(axis=1)))
+    return frozenset(pairs[enough[nearest]].tolist())
 
 
 def _leverage(template: Template, pairs: IntArray, theirs: IntArray, ours: IntArray) -> Array:

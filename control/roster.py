@@ -28,10 +28,11 @@ from skyherd.control.adoption import Orphans, disown, yield_claims
 from skyherd.control.cohesion import Cohesion
 from skyherd.control.hearsay import Hearsay
 from skyherd.control.joining import Extent, admit, extent_of, is_complete, seek
+from skyherd.control.selection import NO_ROBOTS
 from skyherd.control.standing import Standing, TreeRule
 from skyherd.control.succession import name_heir, succeed
 from skyherd.control.template import Template
-from skyherd.control.turns import take_turns
+from skyherd.control.turns import robots_sought, take_turns
 from skyherd.geometry import IntArray
 from skyherd.messages import NOBODY, Detections, TreeWord, UnitReport
 
@@ -41,11 +42,17 @@ STALLED = 1
 
 @dataclass
 class Roster:
-    """One unit's part of the assignment."""
+    """One unit's part of the assignment.
+
+    `searches` while the unit is to look around for what the tree lacks; `sought` are robots to get into view,
+    with which it could bind the tree firmly.
+    """
 
     rule: TreeRule
     template: Template
     unit: Standing = field(init=False)
+    searches: bool = field(default=False, init=False)
+    sought: IntArray = field(default_factory=lambda: NO_ROBOTS, init=False)
     _orphans: Orphans = field(default_factory=Orphans, init=False)
     _cohesion: Cohesion = field(default_factory=Cohesion, init=False)
     _heir_id: int = field(default=NOBODY, init=False)
@@ -60,11 +67,6 @@ class Roster:
     def ready(self) -> bool:
         """Whether robots may move."""
         return self.unit.ready
-
-    @property
-    def searches(self) -> bool:
-        """Whether the tree lacks units or robots, and has once not grown where the unit hears of it."""
-        return self._stalled and not self.ready
 
     def update(self, seen: Detections, reports: Sequence[UnitReport]) -> IntArray:
         """S_j^c after an image, ascending, given the last report heard from each other unit."""
@@ -85,6 +87,8 @@ class Roster:
         if not unit.ready:
             self._deploy(time_s)
         self._heir_id = name_heir(unit, self._heir_id)
+        if at_slot:
+            self.sought = robots_sought(unit)
         unit.held_s = {robot: unit.held_s.get(robot, time_s) for robot in unit.controlled}
         return np.array(sorted(unit.held_s), dtype=np.int64)
 
@@ -123,12 +127,14 @@ class Roster:
         """V falls by itself where TC1-TC5 hold: nothing to watch."""
 
     def _deploy(self, time_s: float) -> None:
-        """Watch the tree grow until it is complete."""
+        """Watch the tree grow until it is complete; look around before it is begun, and where it stalls."""
         extent = extent_of(self.unit, time_s)
-        if extent != self._extent or not (self.unit.is_member or self.unit.heard.members(time_s)):
+        begun = self.unit.is_member or bool(self.unit.heard.members(time_s))
+        if extent != self._extent or not begun:
             self._extent, self._grew_slot = extent, self.unit.slot
         self._stalled = self._stalled or self.unit.slot - self._grew_slot >= STALLED
         self.unit.ready = is_complete(self.unit, extent, time_s)
+        self.searches = not self.unit.ready and (self._stalled or not begun)
 
     def _hear(self, reports: Sequence[UnitReport]) -> None:
         """Take the turns that are handed over; of two trees the one with the lower number stays."""

@@ -46,6 +46,7 @@ class ControlSet:
     rule: SafetyRadius
     ready: bool = field(default=True, init=False)
     searches: bool = field(default=False, init=False)
+    sought: IntArray = field(default_factory=lambda: NO_ROBOTS, init=False)
     ids: IntArray = field(default_factory=lambda: NO_ROBOTS, init=False)
     _slot: int | None = field(default=None, init=False)
     _last_seen: dict[int, tuple[float, float]] = field(default_factory=dict, init=False)

@@ -24,6 +24,7 @@ class TreeRule:
         hysteresis: a unit wishes to lose a robot outside `radius (1 + hysteresis)`.
         dwell_s: sets change at multiples of this, but for succession.
         gain: a new pair must be better by this factor.
+        firm: while an edge binds at a rate below this, its units fly to see robots that bind it better.
         silence_s: a unit that was not heard for so long is dead, a robot not seen for so long is missing.
         patience_s: robots move after this even if some unit or robot has not been found.
     """
@@ -33,6 +34,7 @@ class TreeRule:
     hysteresis: float = 0.06
     dwell_s: float = 2.0
     gain: float = 1.25
+    firm: float = 0.2
     silence_s: float = 3.0
     patience_s: float = 60.0
 

@@ -3,8 +3,9 @@
 import numpy as np
 
 from skyherd.control.edge import NO_ROBOTS, Edge, Robots
-from skyherd.control.pairing import choose_pair
+from skyherd.control.pairing import choose_pair, firmer_pair
 from skyherd.control.standing import Standing
+from skyherd.geometry import IntArray
 from skyherd.messages import NOBODY
 
 
@@ -29,6 +30,24 @@ def take_turns(unit: Standing, time_s: float, at_slot: bool) -> None:
         if not edge.wants:
             lent = unit.lendable(edge.neighbor_id, time_s)
             edge.hand_over(lent, _unwanted(unit, edge, lent))
+
+
+def robots_sought(unit: Standing) -> IntArray:
+    """Robots, ascending, that a unit flies to see since with them it could bind a weak edge firmly."""
+    robots: Robots = NO_ROBOTS
+    if unit.rule.share == "leverage":
+        for edge in unit.edges.values():
+            there = unit.heard.newest[edge.neighbor_id]
+            if edge.pair and edge.pair <= there.controlled:
+                robots |= firmer_pair(
+                    unit.template,
+                    edge.pair,
+                    candidates=(there.controlled - there.paired) - unit.controlled,
+                    theirs=there.controlled,
+                    ours=frozenset(unit.controlled - edge.pair),
+                    firm=unit.rule.firm,
+                )
+    return np.array(sorted(robots), dtype=np.int64)
 
 
 def _exchange(unit: Standing, edge: Edge, pair: Robots) -> None:

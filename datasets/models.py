@@ -140,6 +140,9 @@ class SelectionModel(Model):
     share: Literal["leverage", "nearest"] = Field(
         "leverage", description="tree: two neighbours share the pair that binds them best, or the nearest"
     )
+    firm: Fraction = Field(
+        0.2, description="tree: units fly to see a better pair while two agree slower than this, times k"
+    )
     radius: Annotated[FiniteFloat, Field(gt=0, le=1.5)] = Field(
         0.85, description="safety radius, in halves of the image's shorter side"
     )

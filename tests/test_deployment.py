@@ -1,13 +1,17 @@
-"""Before the tree is complete: units hold their place while it grows, and look around where it does not."""
+"""Before the tree is complete: units look around, hold their place while it grows, search if it stalls."""
 
 from typing import Any
 
 import numpy as np
 import pytest
 
+from skyherd.control.rate import slowest_rate
+from skyherd.control.selection import centre_distances
+from skyherd.control.standing import TreeRule
 from skyherd.datasets import make_mission
-from skyherd.datasets.random_missions import random_mission
+from skyherd.datasets.random_missions import Crowd, random_mission
 from skyherd.loop import Step, run_steps
+from skyherd.messages import NOBODY
 
 
 def is_ready(step: Step) -> bool:
@@ -23,21 +27,66 @@ def until_ready(tree: dict[str, Any], limit_s: float) -> list[Step]:
     return steps
 
 
+def founders(step: Step) -> list[int]:
+    return [unit for unit, frame in step.frames.items() if frame.decision.report.tree.tree_id != NOBODY]
+
+
 @pytest.mark.parametrize("seed", [0, 3])
-def test_units_hold_their_place_while_the_tree_grows(seed) -> None:
-    """It grows in every slot of these two missions; then units move to where their sets want them."""
-    mission = random_mission(seed)
-    *before, at_once = until_ready(mission, 20.0)
+def test_units_look_around_before_the_tree_and_hold_their_place_while_it_grows(seed) -> None:
+    """It grows in every slot of these two missions; then units move to where their sets want them.
+
+    Others hear of the tree with their next image, and robots and cameras move on a step after a command.
+    """
+    *before, at_once = until_ready(random_mission(seed), 20.0)
     assert is_ready(at_once)
-    for step in before:
-        np.testing.assert_array_equal(step.fleet.heights_m, before[0].fleet.heights_m)
-        np.testing.assert_array_equal(step.fleet.positions_m, before[0].fleet.positions_m)
+    begun = next(row for row, step in enumerate(before) if founders(step))
+    heights_m = np.array([step.fleet.heights_m for step in before])
+    positions_m = np.array([step.fleet.positions_m for step in before])
+    assert (np.diff(heights_m[: begun + 1], axis=0) > 0).all()
+    assert (heights_m[begun + 2 :] == heights_m[begun + 2]).all()
+    assert (positions_m[begun + 2 :] == positions_m[begun + 2]).all()
+    assert len(before) > begun + 5
     commands = [frame.decision.flight for frame in at_once.frames.values()]
     assert any(command.climb_mps or command.lateral_mps.any() for command in commands)
 
 
+def counts_inside(step: Step, radius: float) -> dict[int, int]:
+    reports = {unit: frame.decision.report for unit, frame in step.frames.items()}
+    return {unit: int((centre_distances(report) < radius).sum()) for unit, report in reports.items()}
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_unit_that_sees_most_robots_founds_the_tree_and_controls_all_of_them(seed) -> None:
+    """As many as any other said of its image before."""
+    mission = make_mission(random_mission(seed) | {"perception": "ideal"})
+    radius, before = mission.scenario.selection.radius, {}
+    for step in run_steps(mission):
+        if founders(step):
+            break
+        before = counts_inside(step, radius)
+    (founder,) = founders(step)
+    inside = counts_inside(step, radius)[founder]
+    assert len(step.control_sets[founder]) == inside
+    assert (inside, -founder) >= max((count, -unit) for unit, count in before.items() if unit != founder)
+
+
+@pytest.mark.parametrize(("firm", "least", "most"), [(0.2, 0.2, 1.0), (0.0, 0.03, 0.1)])
+def test_units_that_see_little_in_common_fly_to_see_what_binds_them(firm, least, most) -> None:
+    """In this mission of three units; with firm = 0, the control, they stay with the pairs in view."""
+    tree = random_mission(3, Crowd(3, 6)) | {"perception": "ideal"}
+    tree["selection"]["firm"] = firm
+    mission, ready_s = make_mission(tree), np.inf
+    for step in run_steps(mission):
+        ready_s = min(ready_s, step.time_s if is_ready(step) else np.inf)
+        assert step.observation.conditions.in_p or not is_ready(step)
+        if step.time_s > ready_s + 30:
+            break
+    rows = [np.searchsorted(mission.ids, members) for members in step.control_sets.values()]
+    assert least <= slowest_rate(mission.template.points_px, rows) <= most
+
+
 def test_units_that_share_no_robots_climb_until_they_do() -> None:
-    """No unit can ask any other; after two slots they look around, and find each other."""
+    """No unit can ask any other: the tree does not grow for a slot, and they look around again."""
     tree = random_mission(0)
     for unit in tree["units"]:
         unit["height_m"] = 0.5 * unit["height_m"]
@@ -45,7 +94,8 @@ def test_units_that_share_no_robots_climb_until_they_do() -> None:
     seen = [set(frame.sight.detections.ids.tolist()) for frame in steps[0].frames.values()]
     assert len(set.intersection(*seen)) < 2
     heights = np.array([step.fleet.heights_m for step in steps])
-    still = np.flatnonzero((heights == heights[0]).all(axis=1))
-    assert steps[still[-1]].time_s >= 4.0, "a dwell time to wait for others, and one without growth"
+    still = np.flatnonzero((np.diff(heights, axis=0) == 0).all(axis=1))
+    begun = next(step.time_s for step in steps if founders(step))
+    assert begun <= steps[still[0]].time_s and steps[still[-1]].time_s >= begun + TreeRule().dwell_s
     assert is_ready(steps[-1]) and (heights[-1] > heights[0]).all()
     assert steps[-1].observation.conditions.in_p

@@ -1,10 +1,13 @@
 """The linearised rate of a topology: closed form, null space, invariances, and the flow itself."""
 
+from itertools import combinations
+
 import numpy as np
 import pytest
 from scipy.linalg import expm
 
 from skyherd.control import Template, motion_goals
+from skyherd.control.pairing import firmer_pair
 from skyherd.control.rate import laplacian, pair_rates, slowest_rate
 from skyherd.control.topology import check_conditions
 from skyherd.datasets import make_mission
@@ -13,6 +16,7 @@ from skyherd.geometry import wrap_angle
 from skyherd.loop import run_steps
 
 NOBODY = np.array([], dtype=np.int64)
+FIRM = 0.25
 
 
 def cloud(rng: np.random.Generator, count: int) -> np.ndarray:
@@ -184,7 +188,39 @@ def test_the_flow_dies_out_at_the_slowest_rate() -> None:
         assert fall == pytest.approx(values[2], rel=max(100 * behind, 1e-6))
 
 
-@pytest.mark.parametrize("seed", [0, 4])
+def test_the_firmer_pair_is_the_nearest_that_is_firm_enough_or_the_firmest_there_is() -> None:
+    """Against every pair's eigenvalue: units of 3 to 6 robots beside their pair."""
+    rng, told = np.random.default_rng(5), {"none": 0, "firm": 0, "firmest": 0}
+    for _ in range(200):
+        mine, theirs = (int(count) for count in rng.integers(3, 7, 2))
+        points = cloud(rng, mine + 2 + theirs)
+        ours, there, pair = range(mine), range(mine, points.size), (mine, mine + 1)
+        chosen = firmer_pair(
+            Template(np.arange(points.size), points),
+            frozenset(pair),
+            candidates=frozenset(there) - frozenset(pair),
+            theirs=frozenset(there),
+            ours=frozenset(ours),
+            firm=FIRM,
+        )
+        pairs = list(combinations(there, 2))
+        rates = [slowest_rate(points, [np.array(there), np.array([*ours, *members])]) for members in pairs]
+        middle = points[: mine + 2].mean()
+        reach = [np.abs(points[list(members)] - middle).max() for members in pairs]
+        if rates[pairs.index(pair)] >= FIRM:
+            kind, expected = "none", frozenset()
+        elif max(rates) >= FIRM:
+            firm = [row for row, rate in enumerate(rates) if rate >= FIRM]
+            kind, expected = "firm", frozenset(pairs[min(firm, key=lambda row: reach[row])])
+        else:
+            best = pairs[int(np.argmax(rates))]
+            kind, expected = "firmest", frozenset(best if best != pair else ())
+        told[kind] += 1
+        assert chosen == expected
+    assert min(told.values()) >= 10, told
+
+
+@pytest.mark.parametrize("seed", [4, 6])
 def test_the_late_slope_of_a_mission_is_that_of_the_slowest_mode(seed) -> None:
     """Unicycles, two units with their own cameras, points without noise: the error falls as L says.
 

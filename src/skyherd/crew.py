@@ -81,7 +81,14 @@ def make_gains(scenario: Scenario) -> Gains:
 def make_selection(model: SelectionModel) -> Selection:
     """The rule by which a scenario's units choose their sets."""
     free = SafetyRadius(model.radius, model.hysteresis, model.dwell_s)
-    tree = TreeRule(model.share, model.radius, model.hysteresis, model.dwell_s, silence_s=model.silence_s)
+    tree = TreeRule(
+        model.share,
+        model.radius,
+        model.hysteresis,
+        model.dwell_s,
+        firm=model.firm,
+        silence_s=model.silence_s,
+    )
     rules: dict[str, Selection] = {"radius": free, "tree": tree, "radius-then-tree": FreeRule(free, tree)}
     return rules[model.kind]
 

@@ -40,16 +40,9 @@ class Orphans:
 
 
 def disown(unit: Standing, time_s: float) -> None:
-    """Leave robots that were carried off to the members that see them.
-
-    Robots that the unit has not seen since they are its own were not carried off: it has inherited them, and
-    flies to where they are; until then neighbours may take them by turns.
-    """
+    """Leave robots that went out of view to the members that see them."""
     secured = set().union(*(heard.near(unit.rule.radius) for heard in unit.heard.members(time_s)))
-    for robot in (unit.own & secured) - unit.lent():
-        inherited = unit.seen_s.get(robot, -np.inf) <= unit.held_s.get(robot, time_s)
-        if not inherited and unit.unseen_s(robot, time_s) > unit.rule.silence_s:
-            unit.own.discard(robot)
+    unit.own -= (unit.lost(time_s) & secured) - unit.lent()
 
 
 def yield_claims(unit: Standing, time_s: float) -> None:

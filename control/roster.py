@@ -88,7 +88,7 @@ class Roster:
             self._deploy(time_s)
         self._heir_id = name_heir(unit, self._heir_id)
         if at_slot:
-            self.sought = robots_sought(unit)
+            self.sought = robots_sought(unit, time_s)
         unit.held_s = {robot: unit.held_s.get(robot, time_s) for robot in unit.controlled}
         return np.array(sorted(unit.held_s), dtype=np.int64)
 

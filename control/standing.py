@@ -105,6 +105,18 @@ class Standing:
         """How long a robot has not been seen; counted from now on if it never was."""
         return time_s - self.seen_s.setdefault(robot, time_s)
 
+    def lost(self, time_s: float) -> set[int]:
+        """Own robots that went out of view: seen since the unit has them, and not for a silence.
+
+        Those that it has not seen since they are its own it has inherited, and flies to where they are.
+        """
+        return {
+            robot
+            for robot in self.own
+            if self.seen_s.get(robot, -np.inf) > self.held_s.get(robot, time_s)
+            and time_s - self.seen_s[robot] > self.rule.silence_s
+        }
+
     def lent(self, but: int = NOBODY) -> set[int]:
         """Robots promised to neighbours, but for one of them."""
         return set().union(*(edge.lent for unit, edge in self.edges.items() if unit != but))
@@ -126,13 +138,14 @@ class Standing:
         return {heard.report.unit_id for heard in asking if heard.tree.asks_id == self.unit_id}
 
     def lendable(self, unit: int, time_s: float) -> Robots:
-        """Own robots, undisputed, that a unit sees and that are lent to nobody else.
+        """Own robots, undisputed and in view of late, that a unit sees and that are lent to nobody else.
 
         Robots that several neighbours see, or units that ask to become neighbours, go to one after the other,
         slot by slot, two by two: so none is left out, and none gets a robot alone, which makes no pair. Those
         that have no pair yet come first.
         """
         free = self.undisputed(time_s).intersection(self.heard.seen_by(unit)) - self.lent(but=unit)
+        free -= self.lost(time_s)
         newcomers = self.askers(time_s) | {other for other, edge in self.edges.items() if not edge.pair}
         sharers = {
             other: self.heard.seen_by(other) for other in sorted(newcomers | self.edges.keys() | {unit})

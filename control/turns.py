@@ -32,21 +32,22 @@ def take_turns(unit: Standing, time_s: float, at_slot: bool) -> None:
             edge.hand_over(lent, _unwanted(unit, edge, lent))
 
 
-def robots_sought(unit: Standing) -> IntArray:
-    """Robots, ascending, that a unit flies to see since with them it could bind a weak edge firmly."""
-    robots: Robots = NO_ROBOTS
-    if unit.rule.share == "leverage":
-        for edge in unit.edges.values():
-            there = unit.heard.newest[edge.neighbor_id]
-            if edge.pair and edge.pair <= there.controlled:
-                robots |= firmer_pair(
-                    unit.template,
-                    edge.pair,
-                    candidates=(there.controlled - there.paired) - unit.controlled,
-                    theirs=there.controlled,
-                    ours=frozenset(unit.controlled - edge.pair),
-                    firm=unit.rule.firm,
-                )
+def robots_sought(unit: Standing, time_s: float) -> IntArray:
+    """Robots, ascending, that a unit flies to see: to bind a weak edge firmly, or that its neighbour lost."""
+    robots: set[int] = set()
+    for edge in unit.edges.values():
+        there = unit.heard.newest[edge.neighbor_id]
+        lost = there.tree.missing_ids.tolist()
+        robots.update(robot for robot in lost if unit.unseen_s(robot, time_s) < unit.rule.patience_s)
+        if unit.rule.share == "leverage" and edge.pair and edge.pair <= there.controlled:
+            robots |= firmer_pair(
+                unit.template,
+                edge.pair,
+                candidates=(there.controlled - there.paired) - unit.controlled,
+                theirs=there.controlled,
+                ours=frozenset(unit.controlled - edge.pair),
+                firm=unit.rule.firm,
+            )
     return np.array(sorted(robots), dtype=np.int64)
 
 

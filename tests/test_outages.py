@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from skyherd.datasets import make_mission
+from skyherd.datasets import load_mission, make_mission
 from skyherd.loop import Step, dead_units, run_steps
 from skyherd.messages import FlightCommand, VelocityCommand
 from skyherd.world import World
@@ -105,3 +105,24 @@ def test_a_unit_zooms_exponentially_within_its_lens_range(tree_of) -> None:
 def test_the_scripted_zoom_multiplies_the_units_own(tree_of) -> None:
     world = World(make_mission(tree_of({"zoom_range": [0.5, 4.0], "zoom": [[0.0, 1.0], [2.0, 1.5]]})))
     assert zoom_for(world, 0.2, 2.0) == pytest.approx(1.5 * np.exp(0.4), rel=1e-12)
+
+
+def test_robots_that_a_unit_cannot_keep_in_view_are_taken_over() -> None:
+    """Below a ceiling: the founder sees all of its robots only while they stand close together."""
+    mission = load_mission("scramble", ["perception=ideal"])
+    covered = []
+    for step in run_steps(mission):
+        seen = [
+            np.intersect1d(step.control_sets[unit], frame.sight.detections.ids)
+            for unit, frame in step.frames.items()
+        ]
+        covered.append(np.unique(np.concatenate(seen)).size == mission.ids.size)
+        if step.time_s >= 60.0:
+            break
+    heights_m, ceiling_m = step.fleet.heights_m, mission.scenario.autopilot.max_height_m
+    assert heights_m.max() == ceiling_m
+    ready = next(row for row, yes in enumerate(covered) if yes)
+    assert not all(covered[ready:]), "it has lost some on the way"
+    assert all(covered[-50:])
+    assert step.observation.conditions.in_p
+    assert step.observation.shape.error < 0.01

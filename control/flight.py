@@ -19,13 +19,22 @@ from skyherd.messages import Detections, FlightCommand, UnitReport, centred, sha
 class Flight(Protocol):
     """A motion law of one aerial unit."""
 
-    def command(self, seen: Detections, controlled: IntArray, reports: Sequence[UnitReport]) -> FlightCommand:
-        """Velocity to fly now, given the robots seen, those controlled, and the other units' reports."""
+    def command(
+        self,
+        seen: Detections,
+        controlled: IntArray,
+        reports: Sequence[UnitReport],
+        sought: IntArray = NO_ROBOTS,
+    ) -> FlightCommand:
+        """Velocity to fly now, given the robots seen, those controlled, and the other units' reports.
+
+        Robots `sought` are to come into view as well, so far as those controlled stay there.
+        """
         ...
 
     def search(self, seen: Detections, controlled: IntArray, reports: Sequence[UnitReport]) -> FlightCommand:
         """What to fly while the tree, not complete, does not grow: keep in view all that is seen as well."""
-        return self.command(seen, np.union1d(controlled, seen.ids), reports)
+        return self.command(seen, controlled, reports, seen.ids)
 
 
 def _hover(unit_id: int, yaw_rate_radps: float = 0.0) -> FlightCommand:
@@ -38,7 +47,13 @@ class Hover(Flight):
 
     yaw_rate_radps: float = 0.0
 
-    def command(self, seen: Detections, controlled: IntArray, reports: Sequence[UnitReport]) -> FlightCommand:
+    def command(
+        self,
+        seen: Detections,
+        controlled: IntArray,
+        reports: Sequence[UnitReport],
+        sought: IntArray = NO_ROBOTS,
+    ) -> FlightCommand:
         """No translation."""
         return _hover(seen.unit_id, self.yaw_rate_radps)
 
@@ -71,7 +86,13 @@ class Follow(Flight):
     _charges: IntArray = field(default_factory=lambda: NO_ROBOTS, init=False)
     _start: dict[int, float] | None = field(default=None, init=False)
 
-    def command(self, seen: Detections, controlled: IntArray, reports: Sequence[UnitReport]) -> FlightCommand:
+    def command(
+        self,
+        seen: Detections,
+        controlled: IntArray,
+        reports: Sequence[UnitReport],
+        sought: IntArray = NO_ROBOTS,
+    ) -> FlightCommand:
         """Velocity towards the centroid of the robots to be kept, and the height that keeps them."""
         if self._start is None:
             self._start, self._charges = _distances(seen), controlled
@@ -82,7 +103,7 @@ class Follow(Flight):
                 self._charges = np.setdiff1d(
                     self._charges, _nearer_there(shared, self._start, seen.unit_id, report)
                 )
-        keep = np.isin(seen.ids, self._robots_to_keep(seen, controlled, reports))
+        keep = np.isin(seen.ids, np.union1d(self._robots_to_keep(seen, controlled, reports), sought))
         if not keep.any():
             return _hover(seen.unit_id)
         points = centred(seen.centers_px, seen.image_size_px)[keep]
@@ -148,7 +169,13 @@ class Perimeter(Flight):
     climb_gain_mps: float = 1.0
     yaw_rate_radps: float = 0.0
 
-    def command(self, seen: Detections, controlled: IntArray, reports: Sequence[UnitReport]) -> FlightCommand:
+    def command(
+        self,
+        seen: Detections,
+        controlled: IntArray,
+        reports: Sequence[UnitReport],
+        sought: IntArray = NO_ROBOTS,
+    ) -> FlightCommand:
         """Velocity along the hull of the controlled robots."""
         robots = seen.select(controlled)
         points = centred(robots.centers_px, robots.image_size_px)

@@ -7,6 +7,7 @@ import numpy as np
 
 from skyherd.control.flight import Flight
 from skyherd.control.memory import ImageMemory
+from skyherd.control.selection import NO_ROBOTS
 from skyherd.control.template import Template
 from skyherd.geometry import Array, IntArray, to_points
 from skyherd.messages import Detections, FlightCommand, UnitReport, centred
@@ -20,9 +21,10 @@ class Serve(Flight):
     the zoom out, in proportion to how much farther than `desired_radius` the farthest robot is; down and in
     if it is nearer. Robots that the unit does not see count where memory has them (control/memory.py), so
     that a unit that takes over robots outside its view flies to where they are; while one of them has no
-    place yet, it climbs. A unit without robots keeps in view all that it sees, and climbs to see more. Units
-    that come too near to one another, measured between image centres in marker sides, part. Of several units
-    with the same set, all but the first stay.
+    place yet, it climbs. Robots that it seeks count as well; they draw it aside only while the set itself is
+    within the radius, since below a ceiling it may be unable to have both. A unit without robots keeps in
+    view all that it sees, and climbs to see more. Units that come too near to one another, measured between
+    image centres in marker sides, part. Of several units with the same set, all but the first stay.
 
     Attributes:
         template: names the team.
@@ -46,21 +48,28 @@ class Serve(Flight):
     def __post_init__(self) -> None:
         self.memory = ImageMemory(self.template)
 
-    def command(self, seen: Detections, controlled: IntArray, reports: Sequence[UnitReport]) -> FlightCommand:
+    def command(
+        self,
+        seen: Detections,
+        controlled: IntArray,
+        reports: Sequence[UnitReport],
+        sought: IntArray = NO_ROBOTS,
+    ) -> FlightCommand:
         """Velocity and zoom for the robots in duty, seen or remembered."""
         self.memory.update(seen, reports)
         robots = frozenset(controlled.tolist())
         if robots and any(r.controlled == robots for r in reports if r.unit_id < seen.unit_id):
             return FlightCommand(seen.unit_id, self._part(seen), 0.0, 0.0)
-        points = self.memory.centred(controlled if controlled.size else seen.ids, seen.image_size_px)
-        if not len(points):
+        own = self.memory.centred(controlled if controlled.size else seen.ids, seen.image_size_px)
+        if not len(own):
             return FlightCommand(seen.unit_id, self._part(seen), self.climb_gain_mps / 2, 0.0)
-        middle = (points.min(axis=0) + points.max(axis=0)) / 2
-        excess = float(np.linalg.norm(points, axis=1).max()) - self.desired_radius
+        points = np.concatenate([own, self.memory.centred(sought, seen.image_size_px)])
+        is_kept = _farthest(own) <= self.desired_radius + self.dead_band
+        excess = _farthest(points) - self.desired_radius
         if not controlled.size or not self.memory.known[self.memory.rows(controlled)].all():
             excess = max(excess, self.desired_radius / 2)
         excess -= float(np.clip(excess, -self.dead_band, self.dead_band))
-        lateral = self.lateral_gain_mps * middle + self._part(seen)
+        lateral = self.lateral_gain_mps * _middle(points if is_kept else own) + self._part(seen)
         return FlightCommand(
             seen.unit_id, lateral, self.climb_gain_mps * excess, 0.0, -self.zoom_gain_ps * excess
         )
@@ -85,3 +94,13 @@ class Serve(Flight):
         distances = np.linalg.norm(offsets, axis=1)
         pushes = np.maximum(1 - distances / least, 0.0) / np.maximum(distances, 1e-6)
         return np.asarray(-self.lateral_gain_mps * (pushes @ offsets))
+
+
+def _middle(points: Array) -> Array:
+    """Centre (2,) of the bounding box of points (M, 2)."""
+    return np.asarray((points.min(axis=0) + points.max(axis=0)) / 2)
+
+
+def _farthest(points: Array) -> float:
+    """Largest distance of points (M, 2) from the image centre."""
+    return float(np.linalg.norm(points, axis=1).max())

@@ -105,7 +105,7 @@ class AerialController:
     def _fly(self, seen: Detections, controlled: IntArray, reports: Sequence[UnitReport]) -> FlightCommand:
         """Serve the set and what is sought; while robots wait for the tree hold the place, or search."""
         if self.control_set.ready:
-            return self.flight.command(seen, np.union1d(controlled, self.control_set.sought), reports)
+            return self.flight.command(seen, controlled, reports, self.control_set.sought)
         if self.control_set.searches:
             return self.flight.search(seen, controlled, reports)
         return FlightCommand(seen.unit_id, np.zeros(2), 0.0, 0.0)

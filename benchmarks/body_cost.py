@@ -39,7 +39,8 @@ def tree(parts: bool) -> dict:
 def times_ms(parts: bool) -> tuple[float, float]:
     """Median times of a unit's step and of the team's command."""
     mission = make_mission(tree(parts))
-    mind, team, world = make_mind(mission, 0), make_team(mission), World(mission)
+    mind, world = make_mind(mission, 0), World(mission)
+    team = make_team(mission, world)
     perception = make_perception(mission, np.random.default_rng(0))
     steps, commands = [], []
     for image in range(IMAGES):

@@ -116,9 +116,15 @@ class ObstacleModel(Model):
     radius_sides: Positive = Field(1.0, description="of its body, in marker sides")
 
 
+Method = Literal["similarity", "complex-laplacian", "bearing-only"]
+
+
 class ControlModel(Model):
     """Gains of the robots' law."""
 
+    method: Method = Field(
+        "similarity", description="the units' law, or one from the literature that is told the truth"
+    )
     gains: Literal["marker", "pixel"] = Field("marker", description="marker units, or the paper's pixels")
     k: Positive = Field(0.1, description="marker gains: speed a metre of goal, 1/s")
     k_v: Positive = Field(0.001, description="pixel gains: speed a pixel of goal, m/s/px")
@@ -224,6 +230,19 @@ class Scenario(Model):
         for number, unit in enumerate(self.units):
             for complaint in self._complaints(unit):
                 raise ValueError(f"unit {number}: {complaint}")
+        return self
+
+    @model_validator(mode="after")
+    def _fit_for_baseline(self) -> Self:
+        """Laws from the literature have one shape, fixed places in it, and robots that are points."""
+        parts = {
+            "roles.exchange": self.roles.exchange,
+            "avoidance.on": self.avoidance.on,
+            "template.then": self.template.then,
+            "control.gains of pixels": self.control.gains == "pixel",
+        }
+        if self.control.method != "similarity" and (given := [name for name, on in parts.items() if on]):
+            raise ValueError(f"control.method {self.control.method} knows no {given[0]}: leave it out")
         return self
 
     def _complaints(self, unit: UnitModel) -> Iterator[str]:

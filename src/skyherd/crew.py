@@ -1,10 +1,11 @@
 """The minds of a scenario's units and robots, as its file asks for them."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from skyherd.baselines import Law, bearing_only_law, complex_laplacian_law
 from skyherd.control import (
     AerialController,
     AvoidanceRule,
@@ -37,8 +38,16 @@ from skyherd.control.selection import NO_ROBOTS
 from skyherd.datasets import Mission, Scenario
 from skyherd.datasets.models import SelectionModel
 from skyherd.datasets.unit_models import FlightModel
-from skyherd.geometry import IntArray
+from skyherd.geometry import ComplexArray, IntArray
 from skyherd.messages import Detections, UnitReport
+from skyherd.told_team import ToldTeam
+from skyherd.world import World
+
+LAWS: Mapping[str, Callable[[ComplexArray, float], Law]] = {
+    "complex-laplacian": complex_laplacian_law,
+    "bearing-only": bearing_only_law,
+}
+"""From the literature: made from the shape on the ground and the gain."""
 
 REPORT_LIFETIME_S = 2.0
 REPORTS_MISSED = 5
@@ -193,9 +202,13 @@ def make_bodies(mission: Mission) -> BodyRule | None:
     return BodyRule(radius, model.margin_sides, model.horizon_sides, obstacles)
 
 
-def make_team(mission: Mission) -> Team:
-    """The robots' minds."""
+def make_team(mission: Mission, world: World) -> Team | ToldTeam:
+    """The robots' minds; the world is for those that follow a law from the literature."""
     scenario, gains = mission.scenario, make_gains(mission.scenario)
+    if scenario.control.method != "similarity":
+        shape = mission.template.points_of(mission.ids).conj()
+        law = LAWS[scenario.control.method](shape, scenario.control.k)
+        return ToldTeam(world, law, gains, make_wheels(scenario))
     units = np.arange(len(scenario.units))
     inboxes = Inboxes(mission.ids, units, scenario.robots.timeout_s, distances=gains.needs_distances)
     if not scenario.avoidance.on:

@@ -65,7 +65,7 @@ def run_steps(mission: Mission, perception: Perception | None = None) -> Iterato
     world, observer = World(mission), Observer(mission.template, mission.ids)
     perception = perception or make_perception(mission, sight_rng)
     network = Network(scenario.network, network_rng, len(scenario.units))
-    crew, team, lost = Crew(mission), make_team(mission), scenario.network.frame_loss
+    crew, team, lost = Crew(mission), make_team(mission, world), scenario.network.frame_loss
     for tick in range(round(scenario.duration_s / scenario.step_s) + 1):
         time_s = tick * scenario.step_s
         frames, dead = {}, dead_units(scenario, time_s)

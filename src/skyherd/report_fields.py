@@ -33,6 +33,12 @@ TREE = "Tree of units"
 GROUPS: Mapping[str, tuple[Field, ...]] = {
     "Outcome": (
         Field("converged", "Converged", "", "The shape error stayed below its goal to the end."),
+        Field(
+            "reached_s",
+            "Goal reached",
+            "s",
+            "From then on the shape error stayed below its goal; from the start of the run.",
+        ),
         Field("complete", "Complete", "", "The run went to its planned end and was not cut short."),
         Field(
             "shape_error",

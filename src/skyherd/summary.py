@@ -20,6 +20,13 @@ def held_to_the_end(history: History) -> bool:
     return bool((history.shape_error[last] < goal.shape_error).all())
 
 
+def reached_s(history: History) -> float | None:
+    """From when on the shape error has stayed under the goal's threshold; None if it is not under it."""
+    above = np.flatnonzero(~(history.shape_error < history.mission.scenario.goal.shape_error))
+    first = int(above[-1]) + 1 if above.size else 0
+    return float(history.times_s[first]) if first < history.times_s.size else None
+
+
 def summarize(history: History, wall_s: float | None) -> dict[str, Any]:
     """Summary of a run; `wall_s` is None for one that was cut short.
 
@@ -53,6 +60,7 @@ def _course(history: History, wall_s: float | None) -> dict[str, Any]:
 
     return {
         "converged": held_to_the_end(history),
+        "reached_s": reached_s(history),
         "complete": wall_s is not None,
         "simulated_s": simulated_s,
         "real_time_factor": per_wall(simulated_s),

@@ -21,6 +21,9 @@ RUN_KEYS = ("perception", "control.rectify", "seed")
 
 INVARIANCE_KEEPS = ("goal_error_m", "shape_error", f"{CURVE}positions_m")
 
+METHODS_KEEPS = ("reached_s", "ready_s", "path_length_m", "min_gap_m", "collisions", "converged")
+METHODS_START = "robots.scatter"
+
 SUMMARY_FIELDS = {field.key: field for group in GROUPS.values() for field in group if field.kind != "ids"}
 _KINDS = {"uniform", "log", "whole", "choice"}
 
@@ -100,6 +103,7 @@ class SweepModel(Parts):
     """One series of runs: put over what stands at the top of the study."""
 
     name: str = Field(min_length=1, description="what the table calls it")
+    about: str = Field("", description="what it is, told on pages")
 
     def over(self, top: Parts) -> "SweepModel":
         """Itself, completed by the top's keys; its own go before."""
@@ -110,6 +114,7 @@ class SweepModel(Parts):
             random = top.random.model_copy(update={"draw": draw}) if draw else None
         return SweepModel.model_construct(
             name=self.name,
+            about=self.about,
             set={key: value for key, value in top.set.items() if key not in mine} | self.set,
             grid={key: values for key, values in top.grid.items() if key not in mine} | self.grid,
             random=random,
@@ -142,7 +147,9 @@ class StudySpec(Parts):
         min_length=1, description=f"fields of summary.json, or {CURVE}NAME for an array over time"
     )
     figures: list[FigureModel] = Field([], description="drawn of the table")
-    pages: Literal["figures", "invariance"] = Field("figures", description="what is made of the table")
+    pages: Literal["figures", "invariance", "methods"] = Field(
+        "figures", description="what is made of the table"
+    )
     quick: dict[str, Any] = Field({}, description="keys of the study that --quick changes")
 
     @field_validator("keep")
@@ -184,6 +191,21 @@ class StudySpec(Parts):
         named = {sweep.name: sweep for sweep in self.sweeps}
         if REFERENCE not in named or "ideal" not in named[REFERENCE].over(self).grid["perception"]:
             raise ValueError(f"pages of invariance need a sweep {REFERENCE!r}, ideal perception among others")
+        return self
+
+    @model_validator(mode="after")
+    def _fit_for_methods(self) -> Self:
+        if self.pages != "methods":
+            return self
+        if missing := [name for name in METHODS_KEEPS if name not in self.keep]:
+            raise ValueError(f"keep: pages of methods need {', '.join(missing)} too")
+        if not self.sweeps:
+            raise ValueError("pages of methods need a sweep for each method")
+        for sweep in self.all_sweeps:
+            if list(sweep.grid) != [METHODS_START]:
+                raise ValueError(
+                    f"sweep {sweep.name!r}: pages of methods need {METHODS_START} alone in the grid"
+                )
         return self
 
     def _varying(self) -> str:

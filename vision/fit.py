@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from skyherd.geometry import Array, IntArray
+from skyherd.geometry import Array, BoolArray, IntArray
 from skyherd.markers import card_side, cells_per_side
 from skyherd.vision import columns
 from skyherd.vision.columns import BLACK, BLUR, CONTRAST, LIGHT, MIDDLE_GREY, PIXELS, SQUEEZE, Looks, Pixels
@@ -31,7 +31,10 @@ TEXTURE = 30.0
 """Deviation of the ground's grey levels that is reckoned with, where ground blurs into the card."""
 
 ROUNDS = 6
-"""Most steps taken."""
+"""Most steps taken from where a quadrilateral puts a marker."""
+
+FOLLOWED_ROUNDS = 12
+"""From where it was expected: one that turned otherwise lies far from that, and steps are cut."""
 
 SETTLED_PX = 0.08
 """A marker is settled once a step moves its sides by no more than this, at a noise of one grey level: as
@@ -71,7 +74,7 @@ class Fits(Rows):
         blurs_cells: (N,) what it was taken for, in cells.
         pixels: (N,) pixels read.
         cell_means: (N, n, n) mean of what is left over each cell, grey levels.
-        moved_px: (N,) by how much the last step moved the sides.
+        settled: (N,) whether the last step was a small one.
     """
 
     ids: IntArray
@@ -84,7 +87,7 @@ class Fits(Rows):
     blurs_cells: Array
     pixels: Array
     cell_means: Array
-    moved_px: Array
+    settled: BoolArray
 
     def print_contrasts(self) -> Array:
         """(N,) print contrast `(white - black) / white`: of the print alone, whatever light falls on it."""
@@ -97,7 +100,7 @@ def no_fits(dictionary: str) -> Fits:
     shapes = Shapes(points, points, points, points)
     covariances, cells = np.zeros((0, 3, 3)), np.zeros((0, n, n))
     return Fits(
-        np.zeros(0, dtype=np.int64), shapes, covariances, none, none, none, none, none, none, cells, none
+        np.zeros(0, dtype=np.int64), shapes, covariances, none, none, none, none, none, none, cells, none > 0
     )
 
 
@@ -109,6 +112,7 @@ def fit_markers(
     sigma_px: float,
     plane: Plane,
     noise: float = USUAL_NOISE,
+    rounds: int = ROUNDS,
 ) -> tuple[Fits, Plane]:
     """Fit markers `ids` (N,) that lie near `shapes`, a pixel or two or a tenth of a side from the truth.
 
@@ -120,6 +124,7 @@ def fit_markers(
         sigma_px: blur of lens and pixel together, as far as it is known.
         plane: that the markers lie on, as far as it is known.
         noise: standard deviation of a pixel, grey levels, as far as it is known.
+        rounds: most steps taken.
 
     Returns:
         The fits, and the plane that they say the markers lie on.
@@ -131,7 +136,7 @@ def fit_markers(
     taken: list[Pixels] = []
     start = shapes = replace(shapes, horizons=plane.horizons(shapes.centers - middle))
     rows = np.arange(ids.size)
-    for _ in range(ROUNDS):
+    for _ in range(rounds):
         start = shapes if rows.size == ids.size else start.replaced(rows, shapes)
         for pixels in columns.take_pixels(image, rows, start, looks):
             grams[pixels.rows] = pixels.grams()
@@ -147,7 +152,8 @@ def fit_markers(
         shapes, moved_px = _step(solved, start)
         shapes = replace(shapes, horizons=plane.horizons(shapes.centers - middle))
         bent_px = np.abs(shapes.horizons - start.horizons) * sides_px**2 / 2
-        rows = np.flatnonzero((moved_px > SETTLED_PX * np.cbrt(noise)) | (bent_px > STRAIGHT_PX))
+        settled = moved_px <= SETTLED_PX * np.cbrt(noise)
+        rows = np.flatnonzero(~settled | (bent_px > STRAIGHT_PX))
         if not rows.size:
             break
     n_cells = cells_per_side(dictionary)
@@ -162,7 +168,7 @@ def fit_markers(
         blurs_cells=sigma_px / shapes.sides_px() * n_cells,
         pixels=solved.pixels,
         cell_means=_cell_means(taken, solved, n_cells),
-        moved_px=moved_px,
+        settled=settled,
     ), plane
 
 

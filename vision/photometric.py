@@ -16,7 +16,7 @@ from skyherd.geometry import Array, BoolArray, IntArray, to_complex, to_points
 from skyherd.messages import Detections
 from skyherd.optics import total_sigma_px
 from skyherd.vision.decode import Candidates, decode_quads
-from skyherd.vision.fit import USUAL_NOISE, Fits, no_fits
+from skyherd.vision.fit import FOLLOWED_ROUNDS, ROUNDS, USUAL_NOISE, Fits, no_fits
 from skyherd.vision.grey import Image, check_grey
 from skyherd.vision.plane import Plane
 from skyherd.vision.pyramid import fit_all_sizes
@@ -136,7 +136,7 @@ class PhotometricDetector:
         if not here.any():
             return self._none, False
         near = shapes.take(here)
-        fits = self._fit(image, camera, camera.tracks.ids[here], near)
+        fits = self._fit(image, camera, camera.tracks.ids[here], near, FOLLOWED_ROUNDS)
         good = _verified(fits, camera, image)
         if not good.all():
             stayed = np.abs(fits.shapes.centers - near.centers[_rows(fits.ids, camera.tracks.ids[here])])
@@ -165,10 +165,12 @@ class PhotometricDetector:
         shapes = _on_plane(Shapes.of_corners(candidates.corners_px), camera.plane, image.shape)
         return self._fit(image, camera, candidates.ids, shapes)
 
-    def _fit(self, image: Image, camera: Camera, ids: IntArray, shapes: Shapes) -> Fits:
+    def _fit(self, image: Image, camera: Camera, ids: IntArray, shapes: Shapes, rounds: int = ROUNDS) -> Fits:
         sigma_px = camera.sigma_px or START_SIGMA_PX
         noise = max(camera.noise or USUAL_NOISE, LEAST_NOISE)
-        fits, plane = fit_all_sizes(image, self.dictionary, ids, shapes, sigma_px, camera.plane, noise)
+        fits, plane = fit_all_sizes(
+            image, self.dictionary, ids, shapes, sigma_px, camera.plane, noise, rounds
+        )
         if plane != camera.plane and bits_are_right(fits).any():
             camera.plane = plane
         return fits

@@ -13,7 +13,7 @@ import numpy as np
 
 from skyherd.geometry import IntArray
 from skyherd.optics import PIXEL_VARIANCE
-from skyherd.vision.fit import Fits, fit_markers
+from skyherd.vision.fit import ROUNDS, Fits, fit_markers
 from skyherd.vision.grey import Image
 from skyherd.vision.plane import Plane
 from skyherd.vision.shapes import Shapes
@@ -30,12 +30,13 @@ def fit_all_sizes(
     sigma_px: float,
     plane: Plane,
     noise: float,
+    rounds: int = ROUNDS,
 ) -> tuple[Fits, Plane]:
     """As `fit_markers`, each marker at a resolution that suits it; the smallest tell the plane."""
     told = plane
     octaves = np.maximum(np.ceil(np.log2(shapes.sides_px() / LARGEST_SIDE_PX)), 0).astype(int)
     if not octaves.any():
-        return fit_markers(image, dictionary, ids, shapes, sigma_px, plane, noise)
+        return fit_markers(image, dictionary, ids, shapes, sigma_px, plane, noise, rounds)
     parts: list[Fits] = []
     for octave in np.unique(octaves):
         rows, shrink = np.flatnonzero(octaves == octave), 2 ** int(octave)
@@ -43,7 +44,9 @@ def fit_all_sizes(
         near = shapes.take(rows).scaled(shrink)
         here = replace(plane, horizon=plane.horizon * shrink)
         small = _shrunk(image, shrink)
-        fits, here = fit_markers(small, dictionary, ids[rows], near, variance**0.5, here, noise / shrink)
+        fits, here = fit_markers(
+            small, dictionary, ids[rows], near, variance**0.5, here, noise / shrink, rounds
+        )
         scale = np.diag([shrink, shrink, 1.0])
         full_size = fits.shapes.scaled(1 / shrink)
         parts.append(
@@ -52,7 +55,6 @@ def fit_all_sizes(
                 shapes=full_size,
                 covariances=scale @ fits.covariances @ scale,
                 pixels=fits.pixels * shrink**2,
-                moved_px=fits.moved_px * shrink,
             )
         )
         if len(parts) == 1:

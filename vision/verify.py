@@ -34,9 +34,6 @@ MAX_SQUEEZE = 0.2
 MAX_BLUR_CELLS = 0.75
 """Largest blur, in cells: beyond it other markers, and even texture, can pass for one."""
 
-MAX_LAST_STEP = 0.05
-"""Largest last step of a fit, in marker sides: one that still moves by more has found nothing."""
-
 MIN_SEEN = 0.8
 """Least share of a marker's area that its pixels must cover: an image may cut off its border, not bits."""
 
@@ -87,10 +84,10 @@ def border_is_covered(fits: Fits) -> BoolArray:
 
 
 def _are_plain(fits: Fits, cell_noises: Array) -> BoolArray:
-    """Which fits (N,) have contrast, sharpness, pixels and a shape such as markers have."""
+    """Which fits (N,) have settled, with contrast, sharpness, pixels and a shape such as markers have."""
     plain = (fits.contrasts >= LEAST_CONTRAST) & (fits.blacks + fits.contrasts <= LARGEST_WHITE)
     plain &= (fits.blurs_cells <= MAX_BLUR_CELLS) & (cell_noises <= MAX_CELL_NOISE)
-    plain &= fits.moved_px <= MAX_LAST_STEP * fits.shapes.sides_px()
+    plain &= fits.settled
     plain &= fits.pixels >= MIN_SEEN * fits.shapes.sides_px() ** 2
     plain &= np.abs(fits.shapes.squeezes) <= MAX_SQUEEZE * np.abs(fits.shapes.arms)
     return np.asarray(plain)

@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import ScalarFormatter
+from matplotlib.ticker import LogLocator, NullLocator, ScalarFormatter
 
 from skyherd.figure_canvas import legend_above, new_figure
 from skyherd.geometry import Array
@@ -44,7 +44,9 @@ def draw_methods(methods: Sequence[Method]) -> Figure:
             axes.axhline(row - 0.5, color=MUTED, linewidth=0.4)
     panels[0].set_xlim(-6, 106)
     panels[1].set_xscale("log")
+    panels[1].xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     panels[1].xaxis.set_major_formatter(ScalarFormatter())
+    panels[1].xaxis.set_minor_locator(NullLocator())
     panels[2].set_xlim(left=0)
     panels[3].axvline(0.0, color=INK, linewidth=1.0)
     panels[3].set_title("touching, left of the line", fontsize="small")

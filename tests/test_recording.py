@@ -1,6 +1,7 @@
 """A recording gives back what was written, as far as it goes."""
 
 import io
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from skyherd.history import make_history
 from skyherd.loop import run_steps
 from skyherd.recording import Recorder
 from skyherd.replay import read_messages, read_recording, read_steps
-from skyherd.summary import held_to_the_end, summarize
+from skyherd.summary import held_to_the_end, reached_s, summarize
 
 
 @pytest.fixture(scope="module")
@@ -132,6 +133,24 @@ def test_the_same_seed_gives_the_same_messages_byte_for_byte(tmp_path, mission, 
     assert len(first) > 40 * 10
     assert first == again
     assert first != other
+
+
+@pytest.mark.parametrize(
+    ("errors", "reached"),
+    [
+        ([9, 2, 0.5, 0.5], 2.0),
+        ([0.5, 2, 0.5, 2], None),
+        ([0.5, 0.5, 0.5, 0.5], 0.0),
+        ([0.5, 2, np.nan, 0.5], 3.0),
+    ],
+)
+def test_the_goal_is_reached_once_the_error_stays_below_it(errors, reached):
+    """Seconds of four images, errors in goals; an error that is not known is not below."""
+    second = ["duration_s=3.0", "step_s=1.0", "units.0.frame_rate_hz=1.0"]
+    mission = load_mission("triangle", ["perception=ideal", *second])
+    history = make_history(mission, run_steps(mission))
+    goal = mission.scenario.goal.shape_error
+    assert reached_s(replace(history, shape_error=goal * np.array(errors))) == reached
 
 
 def test_converged_means_held_to_the_end():

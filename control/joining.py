@@ -4,29 +4,39 @@ from dataclasses import dataclass
 
 from skyherd.control.edge import NO_ROBOTS, NO_TURN, first_turn, word_of
 from skyherd.control.hearsay import Heard
-from skyherd.control.selection import centre_distances
 from skyherd.control.standing import Standing
 from skyherd.messages import NOBODY
 
 
 def seek(unit: Standing, time_s: float, at_slot: bool) -> None:
-    """Without a tree: ask one to be admitted to it; if there is none, who sees most robots founds it.
+    """Without a tree: ask one to be admitted to it; if there is none, let the unit found it that sees most.
 
-    Large sets bind the team firmly (docs/topology.md), and the founder's is all that it sees.
+    Large sets bind the team firmly (docs/topology.md), and the founder's is all that it sees. So that there
+    is one founder, however late reports are, the lowest unit chooses: it founds the tree, or asks another
+    to.
     """
     members = unit.heard.members(time_s)
     if members:
         _ask(unit, members, time_s)
         return
-    if at_slot and time_s - unit.since_s >= unit.rule.dwell_s and _sees_most(unit, time_s):
-        unit.tree_id, unit.asks_id, unit.own = unit.unit_id, NOBODY, unit.visible
+    fresh = unit.heard.fresh(time_s)
+    lowest = min((heard.report.unit_id for heard in fresh), default=unit.unit_id)
+    if lowest < unit.unit_id:
+        if lowest in unit.askers(time_s):
+            _found(unit)
+    elif at_slot and time_s - unit.since_s >= unit.rule.dwell_s:
+        inside = {heard.report.unit_id: len(heard.near(unit.rule.radius)) for heard in fresh}
+        inside[unit.unit_id] = len(unit.visible)
+        chosen = max(inside, key=lambda other: (inside[other], -other))
+        if chosen == unit.unit_id:
+            _found(unit)
+        else:
+            unit.asks_id, unit.ask_turn = chosen, first_turn(time_s, unit.unit_id, chosen)
 
 
-def _sees_most(unit: Standing, time_s: float) -> bool:
-    """Whether no unit heard of late sees more robots inside the radius, nor a lower one as many."""
-    others = [heard.report for heard in unit.heard.fresh(time_s)]
-    counts = [(-int((centre_distances(r) < unit.rule.radius).sum()), r.unit_id) for r in others]
-    return (-len(unit.visible), unit.unit_id) <= min(counts, default=(0, unit.unit_id))
+def _found(unit: Standing) -> None:
+    """Begin the tree, with all robots in view as the unit's own."""
+    unit.tree_id, unit.asks_id, unit.own = unit.unit_id, NOBODY, unit.visible
 
 
 def _ask(unit: Standing, members: list[Heard], time_s: float) -> None:

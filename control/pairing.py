@@ -62,19 +62,25 @@ def choose_pair(
 
 
 def firmer_pair(
-    template: Template, present: Robots, candidates: Robots, theirs: Robots, ours: Robots, firm: float
+    template: Template,
+    present: Robots,
+    candidates: Robots,
+    theirs: Robots,
+    ours: Robots,
+    firm: float,
+    gain: float,
 ) -> Robots:
     """The pair to get into view where the present one binds two units less than firmly; none if it is firm.
 
-    Of all pairs of candidates that bind at the rate `firm`, or as firmly as any does, the one that lies
-    nearest to the unit's own robots in the shape.
+    Of all pairs of candidates that bind at the rate `firm`, or as firmly as any does, and better than the
+    present one by the factor `gain`, the one that lies nearest to the unit's own robots in the shape.
     """
     robots = sorted(candidates | present)
     pairs = np.array(list(combinations(robots, 2)), dtype=np.int64)
     rates = _leverage(template, pairs, np.array(sorted(theirs)), np.array(sorted(ours), dtype=np.int64))
     now = rates[(pairs == sorted(present)).all(axis=1)][0]
-    enough = np.flatnonzero(rates >= min(firm, float(rates.max())))
-    if now >= firm or not ours or not rates.max() > now:
+    enough = np.flatnonzero((rates >= min(firm, float(rates.max()))) & (rates >= gain * now) & (rates > 0))
+    if now >= firm or not ours or not enough.size:
         return NO_ROBOTS
     points, rows = template.points_px, np.searchsorted(template.ids, pairs[enough])
     middle = points[np.searchsorted(template.ids, sorted(ours | present))].mean()

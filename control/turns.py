@@ -47,6 +47,7 @@ def robots_sought(unit: Standing, time_s: float) -> IntArray:
                 theirs=there.controlled,
                 ours=frozenset(unit.controlled - edge.pair),
                 firm=unit.rule.firm,
+                gain=unit.rule.gain,
             )
     return np.array(sorted(robots), dtype=np.int64)
 

@@ -1,5 +1,6 @@
 """Before the tree is complete: units look around, hold their place while it grows, search if it stalls."""
 
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -70,9 +71,15 @@ def test_the_unit_that_sees_most_robots_founds_the_tree_and_controls_all_of_them
     assert (inside, -founder) >= max((count, -unit) for unit, count in before.items() if unit != founder)
 
 
-@pytest.mark.parametrize(("firm", "least", "most"), [(0.2, 0.2, 1.0), (0.0, 0.03, 0.1)])
-def test_units_that_see_little_in_common_fly_to_see_what_binds_them(firm, least, most) -> None:
-    """In this mission of three units; with firm = 0, the control, they stay with the pairs in view."""
+def edge_rate(points: np.ndarray, one: np.ndarray, other: np.ndarray) -> float:
+    """The rate at which two units agree, by themselves."""
+    both = np.union1d(one, other)
+    return slowest_rate(points[both], [np.searchsorted(both, rows) for rows in (one, other)])
+
+
+@pytest.mark.parametrize("firm", [0.2, 0.0])
+def test_units_that_see_little_in_common_fly_to_see_what_binds_them(firm) -> None:
+    """Every edge comes to bind firmly, but for the factor that a change must be worth; not with firm = 0."""
     tree = random_mission(3, Crowd(3, 6)) | {"perception": "ideal"}
     tree["selection"]["firm"] = firm
     mission, ready_s = make_mission(tree), np.inf
@@ -82,7 +89,10 @@ def test_units_that_see_little_in_common_fly_to_see_what_binds_them(firm, least,
         if step.time_s > ready_s + 30:
             break
     rows = [np.searchsorted(mission.ids, members) for members in step.control_sets.values()]
-    assert least <= slowest_rate(mission.template.points_px, rows) <= most
+    edges = [pair for pair in combinations(rows, 2) if np.intersect1d(*pair).size == 2]
+    rates = [edge_rate(mission.template.points_px, *edge) for edge in edges]
+    assert len(edges) == 2
+    assert (min(rates) >= 0.2 / TreeRule().gain) == (firm > 0)
 
 
 def test_units_that_share_no_robots_climb_until_they_do() -> None:

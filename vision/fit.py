@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from skyherd.geometry import Array, BoolArray, IntArray
+from skyherd.geometry import Array, IntArray
 from skyherd.markers import card_side, cells_per_side
 from skyherd.vision import columns
 from skyherd.vision.columns import BLACK, BLUR, CONTRAST, LIGHT, MIDDLE_GREY, PIXELS, SQUEEZE, Looks, Pixels
@@ -74,7 +74,7 @@ class Fits(Rows):
         blurs_cells: (N,) what it was taken for, in cells.
         pixels: (N,) pixels read.
         cell_means: (N, n, n) mean of what is left over each cell, grey levels.
-        settled: (N,) whether the last step was a small one.
+        moved_px: (N,) by how much the last step moved the sides.
     """
 
     ids: IntArray
@@ -87,7 +87,7 @@ class Fits(Rows):
     blurs_cells: Array
     pixels: Array
     cell_means: Array
-    settled: BoolArray
+    moved_px: Array
 
     def print_contrasts(self) -> Array:
         """(N,) print contrast `(white - black) / white`: of the print alone, whatever light falls on it."""
@@ -100,7 +100,7 @@ def no_fits(dictionary: str) -> Fits:
     shapes = Shapes(points, points, points, points)
     covariances, cells = np.zeros((0, 3, 3)), np.zeros((0, n, n))
     return Fits(
-        np.zeros(0, dtype=np.int64), shapes, covariances, none, none, none, none, none, none, cells, none > 0
+        np.zeros(0, dtype=np.int64), shapes, covariances, none, none, none, none, none, none, cells, none
     )
 
 
@@ -152,8 +152,7 @@ def fit_markers(
         shapes, moved_px = _step(solved, start)
         shapes = replace(shapes, horizons=plane.horizons(shapes.centers - middle))
         bent_px = np.abs(shapes.horizons - start.horizons) * sides_px**2 / 2
-        settled = moved_px <= SETTLED_PX * np.cbrt(noise)
-        rows = np.flatnonzero(~settled | (bent_px > STRAIGHT_PX))
+        rows = np.flatnonzero((moved_px > SETTLED_PX * np.cbrt(noise)) | (bent_px > STRAIGHT_PX))
         if not rows.size:
             break
     n_cells = cells_per_side(dictionary)
@@ -168,7 +167,7 @@ def fit_markers(
         blurs_cells=sigma_px / shapes.sides_px() * n_cells,
         pixels=solved.pixels,
         cell_means=_cell_means(taken, solved, n_cells),
-        settled=settled,
+        moved_px=moved_px,
     ), plane
 
 

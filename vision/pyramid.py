@@ -55,6 +55,7 @@ def fit_all_sizes(
                 shapes=full_size,
                 covariances=scale @ fits.covariances @ scale,
                 pixels=fits.pixels * shrink**2,
+                moved_px=fits.moved_px * shrink,
             )
         )
         if len(parts) == 1:

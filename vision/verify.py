@@ -34,6 +34,10 @@ MAX_SQUEEZE = 0.2
 MAX_BLUR_CELLS = 0.75
 """Largest blur, in cells: beyond it other markers, and even texture, can pass for one."""
 
+MAX_LAST_STEP_PX = 0.3
+"""A fit whose last step moved the marker's sides by more has found nothing, or not yet. Drawings without
+any blur, which no pattern has, settle slowly: their last steps are of 0.2 px."""
+
 MIN_SEEN = 0.8
 """Least share of a marker's area that its pixels must cover: an image may cut off its border, not bits."""
 
@@ -87,7 +91,7 @@ def _are_plain(fits: Fits, cell_noises: Array) -> BoolArray:
     """Which fits (N,) have settled, with contrast, sharpness, pixels and a shape such as markers have."""
     plain = (fits.contrasts >= LEAST_CONTRAST) & (fits.blacks + fits.contrasts <= LARGEST_WHITE)
     plain &= (fits.blurs_cells <= MAX_BLUR_CELLS) & (cell_noises <= MAX_CELL_NOISE)
-    plain &= fits.settled
+    plain &= fits.moved_px <= MAX_LAST_STEP_PX
     plain &= fits.pixels >= MIN_SEEN * fits.shapes.sides_px() ** 2
     plain &= np.abs(fits.shapes.squeezes) <= MAX_SQUEEZE * np.abs(fits.shapes.arms)
     return np.asarray(plain)

@@ -24,7 +24,7 @@ def reached_s(history: History) -> float | None:
     """From when on the shape error has stayed under the goal's threshold; None if it is not under it."""
     above = np.flatnonzero(~(history.shape_error < history.mission.scenario.goal.shape_error))
     first = int(above[-1]) + 1 if above.size else 0
-    return float(history.times_s[first]) if first < history.times_s.size else None
+    return round(float(history.times_s[first]), 9) if first < history.times_s.size else None
 
 
 def summarize(history: History, wall_s: float | None) -> dict[str, Any]:

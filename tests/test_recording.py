@@ -93,6 +93,14 @@ def test_a_torn_file_reads_up_to_its_last_whole_chunk(tmp_path, mission, steps, 
     assert len(recording.steps) >= int(len(steps) * fraction) - 12
 
 
+def test_a_run_of_one_chunk_is_read_back_whole(tmp_path, mission, steps):
+    """The wall time, metadata, then stands before the mission."""
+    path = record(tmp_path / "run.mcap", mission, steps[:1])
+    recording = read_recording(path)
+    assert (len(recording.steps), recording.wall_s) == (1, 1.5)
+    assert next(read_messages(path))[0] == "#wall"
+
+
 def test_a_whole_file_is_whole_for_an_indexed_reader(tmp_path, mission, steps):
     with record(tmp_path / "run.mcap", mission, steps).open("rb") as stream:
         summary = make_reader(stream).get_summary()

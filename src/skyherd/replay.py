@@ -89,31 +89,34 @@ def read_recording(path: Path) -> Recording:
     Raises:
         InputError: the file holds no mission, or not one whole step.
     """
-    messages = read_messages(path)
-    first = next(messages, None)
-    if first is None or first[0] != "/mission":
+    mission: Mission | None = None
+    wall_s: float | None = None
+    versions: dict[str, str] = {}
+    steps: list[Step] = []
+    pending: dict[str, Any] = {}
+    has_images = ended = False
+    for topic, time_s, record in read_messages(path):
+        # The wall time stands before the last or only chunk: that the run is whole its end tells.
+        ended |= topic == "/end"
+        has_images |= topic.endswith("/image")
+        if topic == "#wall":
+            wall_s = float(record["wall_s"])
+        elif mission is None:
+            if topic != "/mission":
+                break
+            mission = _read_mission(record)
+            versions = {name: str(record.get(name, "?")) for name in ("version", "opencv", "numpy")}
+        elif topic == "/observer":
+            steps.append(_read_step(time_s, pending | {topic: record}))
+            pending = {}
+        elif not topic.endswith("/image"):
+            pending[topic] = record
+    if mission is None:
         raise InputError(
             str(path),
             "not a recording of skyherd, or cut off at its very start",
             "a run.mcap of `skyherd run`",
         )
-    mission = _read_mission(first[2])
-    versions = {name: str(first[2].get(name, "?")) for name in ("version", "opencv", "numpy")}
-    steps: list[Step] = []
-    wall_s: float | None = None
-    pending: dict[str, Any] = {}
-    has_images = ended = False
-    for topic, time_s, record in messages:
-        # The wall time stands before the last chunk of messages: only the run's end tells that it is whole.
-        ended |= topic == "/end"
-        has_images |= topic.endswith("/image")
-        if not topic.endswith("/image"):
-            pending[topic] = record
-        if topic == "/observer":
-            steps.append(_read_step(time_s, pending))
-            pending = {}
-        elif topic == "#wall":
-            wall_s = float(record["wall_s"])
     if not steps:
         raise InputError(str(path), "no whole step in it", "a run that went on for at least one chunk")
     return Recording(mission, versions, steps, wall_s if ended else None, has_images)

@@ -34,6 +34,8 @@ class Serve(Flight):
         zoom_gain_ps: relative change of zoom for the same, 1/s.
         dead_band: errors of radius below this change nothing.
         separation_sides: least distance between the image centres of two units, in marker sides.
+        least_side_px: it neither climbs nor zooms out beyond where markers have this side in the median, and
+            sinks or zooms in where they have less: a marker that is too small is not seen at all.
     """
 
     template: Template
@@ -43,7 +45,9 @@ class Serve(Flight):
     zoom_gain_ps: float = 0.3
     dead_band: float = 0.02
     separation_sides: float = 6.0
+    least_side_px: float = 12.0
     memory: ImageMemory = field(init=False)
+    _side_px: float = field(default=np.inf, init=False)
 
     def __post_init__(self) -> None:
         self.memory = ImageMemory(self.template)
@@ -57,18 +61,23 @@ class Serve(Flight):
     ) -> FlightCommand:
         """Velocity and zoom for the robots in duty, seen or remembered."""
         self.memory.update(seen, reports)
+        if len(seen):
+            self._side_px = float(np.sort(seen.sides_px)[len(seen) // 2])
         robots = frozenset(controlled.tolist())
         if robots and any(r.controlled == robots for r in reports if r.unit_id < seen.unit_id):
             return FlightCommand(seen.unit_id, self._part(seen), 0.0, 0.0)
         own = self.memory.centred(controlled if controlled.size else seen.ids, seen.image_size_px)
         if not len(own):
-            return FlightCommand(seen.unit_id, self._part(seen), self.climb_gain_mps / 2, 0.0)
+            return FlightCommand(
+                seen.unit_id, self._part(seen), self.climb_gain_mps * min(0.5, self._room), 0.0
+            )
         points = np.concatenate([own, self.memory.centred(sought, seen.image_size_px)])
         is_kept = _farthest(own) <= self.desired_radius + self.dead_band
         excess = _farthest(points) - self.desired_radius
         if not controlled.size or not self.memory.known[self.memory.rows(controlled)].all():
             excess = max(excess, self.desired_radius / 2)
         excess -= float(np.clip(excess, -self.dead_band, self.dead_band))
+        excess = min(excess, self._room)
         lateral = self.lateral_gain_mps * _middle(points if is_kept else own) + self._part(seen)
         return FlightCommand(
             seen.unit_id, lateral, self.climb_gain_mps * excess, 0.0, -self.zoom_gain_ps * excess
@@ -76,20 +85,25 @@ class Serve(Flight):
 
     def search(self, seen: Detections, controlled: IntArray, reports: Sequence[UnitReport]) -> FlightCommand:
         """Keep all that is seen in view, and climb and zoom out all the while."""
-        command, more = super().search(seen, controlled, reports), self.desired_radius / 2
+        command = super().search(seen, controlled, reports)
+        more = min(self.desired_radius / 2, self._room)
         return replace(
             command,
             climb_mps=max(command.climb_mps, self.climb_gain_mps * more),
             zoom_rate_ps=min(command.zoom_rate_ps, -self.zoom_gain_ps * more),
         )
 
+    @property
+    def _room(self) -> float:
+        """How much higher it may go, as a share of its height, before markers are too small."""
+        return self._side_px / self.least_side_px - 1 if self.least_side_px else np.inf
+
     def _part(self, seen: Detections) -> Array:
         """Velocity (2,) away from units that are too near."""
         if not (len(seen) and self.memory.centers_px and self.separation_sides):
             return np.zeros(2)
         centers = to_points(list(self.memory.centers_px.values()))
-        side_px = float(np.sort(seen.sides_px)[len(seen) // 2])
-        least = self.separation_sides * side_px / (seen.image_size_px.min() / 2)
+        least = self.separation_sides * self._side_px / (seen.image_size_px.min() / 2)
         offsets = centred(centers, seen.image_size_px)
         distances = np.linalg.norm(offsets, axis=1)
         pushes = np.maximum(1 - distances / least, 0.0) / np.maximum(distances, 1e-6)

@@ -28,6 +28,9 @@ class FlightModel(Model):
     separation_sides: NotNegative = Field(
         6.0, description="serve: least distance between two units' image centres, in marker sides"
     )
+    least_side_px: NotNegative = Field(
+        12.0, description="serve: neither climb nor zoom out beyond where markers have this side"
+    )
     speed_mps: NotNegative = Field(0.1, description="perimeter: speed along it")
     yaw_rate_degps: FiniteFloat = Field(
         0.0, description="perimeter, hover: turn, counter-clockwise from above"

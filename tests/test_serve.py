@@ -43,9 +43,25 @@ def test_a_duty_outside_the_frame_draws_it_there_and_up(make_detections, make_re
     ground = np.array([0.1, 0.4j, -0.2, 1.6])
     seen = view_of(make_detections, ground[:3])
     report = make_report(1, range(4), CENTRE + HALF_PX * (ground - 1.0), NOBODY)
-    command = Serve(TEMPLATE, dead_band=0.0, separation_sides=0.0).command(seen, np.arange(4), [report])
+    flight = Serve(TEMPLATE, dead_band=0.0, separation_sides=0.0, least_side_px=0.0)
+    command = flight.command(seen, np.arange(4), [report])
     np.testing.assert_allclose(command.lateral_mps, [(1.6 - 0.2) / 2, 0.2], atol=1e-9)
     assert command.climb_mps == pytest.approx(1.6 - 0.75, abs=1e-9)
+
+
+@pytest.mark.parametrize(("side_px", "climb"), [(48.0, 0.25), (12.6, 0.05), (12.0, 0.0), (9.0, -0.25)])
+def test_it_goes_no_higher_than_markers_can_be_seen_from(make_detections, side_px, climb) -> None:
+    """A robot 0.25 too far out; 12 px are the least: up by what is left of them, down by what lacks."""
+    seen = view_of(make_detections, [1.0, 0.1, -0.2j], sides=[side_px] * 3)
+    flight = Serve(TEMPLATE, dead_band=0.0, zoom_gain_ps=0.3)
+    command = flight.command(seen, seen.ids, [])
+    assert command.climb_mps == pytest.approx(climb, abs=1e-12)
+    assert command.zoom_rate_ps == pytest.approx(-0.3 * climb, abs=1e-12)
+    search = flight.search(seen, seen.ids, [])
+    assert search.climb_mps <= max(0.0, side_px / 12 - 1) + 1e-12
+    blind = view_of(make_detections, [])
+    assert np.sign(Serve(TEMPLATE).command(blind, blind.ids, []).climb_mps) == 1, "it has seen nothing yet"
+    assert np.sign(flight.command(blind, blind.ids, []).climb_mps) == np.sign(round(side_px / 12 - 1, 9))
 
 
 def test_a_duty_that_is_nowhere_makes_it_climb(make_detections) -> None:
@@ -83,7 +99,10 @@ def test_flown_in_a_simple_world_all_duties_come_into_view_with_margin(make_dete
 def test_the_same_view_gives_the_same_command_whatever_its_pixels(
     make_detections, make_report, factor
 ) -> None:
-    """Points, marker sides and the reports of others through another sensor: to rounding, 1e-12."""
+    """Points, marker sides and the reports of others through another sensor: to rounding, 1e-12.
+
+    But for `least_side_px`, which is about pixels.
+    """
     points = np.array([0.1 + 0.2j, 0.5 - 0.6j, -0.3, 0.8j])
     seen = view_of(make_detections, points, sides=[30.0, 20.0, 25.0, 28.0])
     report = make_report(1, range(4), CENTRE + HALF_PX * (points + 0.1), NOBODY)
@@ -100,7 +119,9 @@ def test_the_same_view_gives_the_same_command_whatever_its_pixels(
         sides_px=seen.sides_px * scale,
         corners_px=moved(seen.corners_px),
     )
-    commands = [Serve(TEMPLATE).command(view, np.arange(3), [report]) for view in (seen, other)]
+    flights = [Serve(TEMPLATE, least_side_px=0.0) for _ in range(2)]
+    views = zip(flights, (seen, other), strict=True)
+    commands = [flight.command(view, np.arange(3), [report]) for flight, view in views]
     assert np.abs(commands[0].lateral_mps).max() > 0.01
     np.testing.assert_allclose(commands[1].lateral_mps, commands[0].lateral_mps, rtol=0, atol=1e-12)
     assert commands[1].climb_mps == pytest.approx(commands[0].climb_mps, abs=1e-12)

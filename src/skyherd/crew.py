@@ -75,6 +75,7 @@ def make_flight(model: FlightModel, template: Template) -> Flight:
             model.zoom_gain_ps,
             model.dead_band,
             model.separation_sides,
+            model.least_side_px,
         )
     return Follow(model.desired_radius, model.lateral_gain_mps, model.climb_gain_mps, model.dead_band)
 

@@ -28,7 +28,7 @@ from rows import Row, gather, read_rows
 
 from skyherd.datasets import Mission, make_mission
 from skyherd.datasets.crowded_missions import BODY_SIDES, SHAPE_SPACING, crowded_mission
-from skyherd.datasets.random_missions import Crowd, random_mission
+from skyherd.datasets.random_missions import Crowd, legible, random_mission
 from skyherd.figure_canvas import DPI, drawing_style, new_figure
 from skyherd.geometry import to_complex
 from skyherd.hindsight import shortest_path
@@ -60,6 +60,8 @@ def mission_tree(seed: int, options: argparse.Namespace) -> dict[str, Any]:
     for part in options.without:
         tree |= OFF[part]
     tree |= {"perception": options.perception, "duration_s": LIMIT_S}
+    if options.perception == "rendered":
+        tree = legible(tree)
     if options.network == "lossy":
         tree["network"] = LOSSY
         tree["robots"]["timeout_s"] = 2.0

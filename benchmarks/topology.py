@@ -29,7 +29,7 @@ from rows import gather, read_rows
 
 from skyherd.control.rate import slowest_rate
 from skyherd.datasets import Mission, make_mission
-from skyherd.datasets.random_missions import random_crowd, random_mission, star_mission
+from skyherd.datasets.random_missions import legible, random_crowd, random_mission, star_mission
 from skyherd.loop import Step, run_steps
 
 GOAL = 0.01
@@ -46,6 +46,8 @@ def mission_tree(seed: int, options: argparse.Namespace) -> dict[str, Any]:
         tree = random_mission(seed, random_crowd(rng, (3, 8)) if options.kill else None)
     tree["selection"]["share"] = options.share
     tree["perception"] = options.perception
+    if options.perception == "rendered":
+        tree = legible(tree)
     if options.network == "lossy":
         tree["network"] = LOSSY
         tree["robots"]["timeout_s"] = 2.0

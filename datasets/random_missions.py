@@ -15,6 +15,8 @@ SIDE_M = 0.2
 IN_COMMON = 4
 """Robots that neighbours see together at the start, at least."""
 TRIES = 200
+LEGIBLE_PX = 20.0
+"""Side of a marker in the images of `legible`, at least, at the start."""
 
 
 @dataclass(frozen=True)
@@ -116,6 +118,27 @@ def make_tree(
         "autopilot": {"min_height_m": 3.0, "max_height_m": 60.0, "max_speed_mps": 1.0, "max_climb_mps": 1.0},
         "units": units,
     }
+
+
+def legible(tree: dict[str, Any]) -> dict[str, Any]:
+    """The same mission for a detector that reads pixels.
+
+    Images have so many that markers are LEGIBLE_PX large at the start, and units keep them from becoming too
+    small.
+    """
+    units = []
+    for unit in tree["units"]:
+        camera = unit["camera"]
+        size, (u0, v0) = min(camera["size_px"]), camera["principal_point_px"]
+        focal_px = size / 2 / np.tan(np.radians(camera["half_angle_deg"]))
+        finer = int(np.ceil(LEGIBLE_PX * unit["height_m"] / (tree["marker"]["side_m"] * focal_px)))
+        sharper = {
+            "size_px": [finer * side for side in camera["size_px"]],
+            "principal_point_px": [finer * (place + 0.5) - 0.5 for place in (u0, v0)],
+        }
+        flight = {key: value for key, value in unit["flight"].items() if key != "least_side_px"}
+        units.append(unit | {"camera": camera | sharper, "flight": flight})
+    return tree | {"perception": "rendered", "units": units}
 
 
 def _tree(rng: np.random.Generator, crowd: Crowd) -> tuple[ComplexArray, list[int]]:

@@ -8,9 +8,18 @@ from scipy.spatial.distance import pdist
 
 from skyherd.control import fit_similarity
 from skyherd.datasets import make_mission
-from skyherd.datasets.random_missions import IN_COMMON, SIDE_M, random_mission, star_mission
+from skyherd.datasets.random_missions import (
+    IN_COMMON,
+    LEGIBLE_PX,
+    SIDE_M,
+    legible,
+    random_mission,
+    star_mission,
+)
 from skyherd.geometry import to_complex, to_points
 from skyherd.loop import run_steps
+from skyherd.render import project
+from skyherd.world import World
 
 
 def options(**changed) -> argparse.Namespace:
@@ -38,6 +47,21 @@ def test_a_random_mission_keeps_its_promises(seed) -> None:
     while left and (more := {u for u in left if any(len(seen[u] & seen[k]) >= IN_COMMON for k in reached)}):
         reached, left = reached | more, left - more
     assert not left, "neighbours that see enough in common connect all units"
+
+
+def test_a_legible_mission_is_the_same_with_finer_images() -> None:
+    """Every ground point lies a whole number of times as far along each axis of the image, edge to edge."""
+    tree = random_mission(1)
+    coarse, fine = (make_mission(either) for either in (tree, legible(tree)))
+    ground = np.array([[0.3, -1.2], [2.0, 0.4]])
+    for unit in range(len(tree["units"])):
+        pose = World(coarse).fleet.pose(unit)
+        cameras = [World(mission).cameras[unit] for mission in (coarse, fine)]
+        finer = cameras[1].size_px[0] // cameras[0].size_px[0]
+        points = [project(camera, pose, ground) + 0.5 for camera in cameras]
+        np.testing.assert_allclose(points[1], finer * points[0], rtol=1e-12)
+        side_px = cameras[1].focal_px * SIDE_M / pose.height_m
+        assert LEGIBLE_PX <= side_px < LEGIBLE_PX * finer / max(finer - 1, 0.5)
 
 
 def test_the_same_seed_is_the_same_mission() -> None:

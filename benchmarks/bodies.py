@@ -4,7 +4,7 @@
     python benchmarks/bodies.py --missions 1000 --jobs 2 --json crowded.jsonl
     python benchmarks/bodies.py --network lossy --json lossy.jsonl          # 30 % lost, up to 0.5 s late
     python benchmarks/bodies.py --kill --json killed.jsonl                  # one unit dies, for good
-    python benchmarks/bodies.py --without avoidance --json points.jsonl     # or roles, size, steering
+    python benchmarks/bodies.py --without avoidance --json points.jsonl     # or roles, size, steering, search
     python benchmarks/bodies.py --start kind --json kind.jsonl              # starts that need no avoidance
     python benchmarks/bodies.py --perception rendered --missions 20 --json rendered.jsonl
     python benchmarks/bodies.py --compare points.jsonl crowded.jsonl        # times, second over first
@@ -43,7 +43,8 @@ OFF: dict[str, dict[str, Any]] = {
     "roles": {"roles": {}},
     "size": {"size": {}},
     "avoidance": {"avoidance": {}},
-    "steering": {"avoidance": {"on": True, "steer": False}},
+    "steering": {"avoidance": {"on": True, "steer": "none"}},
+    "search": {"avoidance": {"on": True, "steer": "gyroscopic"}},
 }
 """What each part is without, as scenario keys."""
 

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from skyherd.control.robot_law import Gains, Wheels, wheel_law
-from skyherd.control.steering import slide
+from skyherd.control.steering import WAYS, Steering
 from skyherd.control.surroundings import Surroundings
 from skyherd.geometry import Array, ComplexArray, IntArray, wrap_angle
 
@@ -36,7 +36,7 @@ class AvoidanceRule:
         creep_mps: and by how much besides.
         turn_error_radps: how far its rate of turn may be off.
         lifetime_s: news older than this are forgotten.
-        steers: whether it looks for a way around; else it only stops.
+        steering: how it looks for a way around, if at all.
     """
 
     side_m: float
@@ -49,7 +49,7 @@ class AvoidanceRule:
     creep_mps: float = 0.0
     turn_error_radps: float = 0.0
     lifetime_s: float = 2.0
-    steers: bool = True
+    steering: Steering = "around"
 
     @property
     def gamma_ps(self) -> float:
@@ -136,11 +136,11 @@ def avoiding_law(
 ) -> tuple[Array, Array]:
     """Speeds v (N,), m/s, and omega (N,), rad/s: the paper's law where nothing bars the way."""
     bounds = closing_bounds(around, rule, time_s)
-    if rule.steers:
+    if rule.steering != "none":
         speed = gains.speed_mps(np.ones(1))[0]
         wanted = rho * speed
         wanted = wanted * np.minimum(1.0, rule.wheels.max_speed_mps / np.maximum(np.abs(wanted), 1e-12))
-        barred, way = slide(wanted, bounds.rows, bounds.bearings_rad, bounds.speeds_mps)
+        barred, way = WAYS[rule.steering](wanted, bounds.rows, bounds.bearings_rad, bounds.speeds_mps)
         rho = rho.copy()
         rho[barred] = way / speed
     v_mps, omega_radps = wheel_law(rho, gains, rule.wheels)

@@ -1,8 +1,11 @@
-"""A way around: the direction in which a robot that is barred gets on best."""
+"""Ways around: where a robot goes that is barred from the velocity that it wants."""
+
+from collections.abc import Callable, Mapping
+from typing import Literal
 
 import numpy as np
 
-from skyherd.geometry import Array, ComplexArray, IntArray
+from skyherd.geometry import Array, ComplexArray, IntArray, wrap_angle
 
 DIRECTIONS = 36
 SIDEWAYS = 0.2
@@ -26,8 +29,7 @@ def slide(
         bearings_rad: (P,) where the other is.
         speeds_mps: (P,) how fast it may be approached.
     """
-    closing = (np.conj(np.exp(1j * bearings_rad)) * wanted[rows]).real
-    barred = np.unique(rows[closing > speeds_mps])
+    barred = np.unique(rows[_closing(wanted, rows, bearings_rad) > speeds_mps])
     if not barred.size:
         return barred, np.zeros(0, dtype=np.complex128)
     theta = np.linspace(-np.pi, np.pi, DIRECTIONS, endpoint=False)
@@ -42,3 +44,32 @@ def slide(
     best = np.argmax(worth, axis=1)
     chosen = np.arange(barred.size), best
     return barred, ways[chosen] * speed[chosen]
+
+
+def circle(
+    wanted: ComplexArray, rows: IntArray, bearings_rad: Array, speeds_mps: Array
+) -> tuple[IntArray, ComplexArray]:
+    """Which robots are barred, and the velocity to take instead, by a force that turns and does not brake.
+
+    Gyroscopic forces (Chang, Shadden, Marsden and Olfati-Saber, CDC 2003) turn a robot away from what is
+    nearest, at its speed, until it passes: here at once to the tangent of what bars it most, on the side
+    that the wanted direction is nearer to, to the right if head on. Arguments as those of `slide`.
+    """
+    excess = _closing(wanted, rows, bearings_rad) - speeds_mps
+    barred = np.unique(rows[excess > 0])
+    order = np.lexsort((-excess, rows))
+    first = order[np.searchsorted(rows[order], barred)]
+    off = wrap_angle(np.angle(wanted[barred]) - bearings_rad[first])
+    turned = np.where(off > RIGHT_HAND, 1j, -1j)
+    return barred, np.abs(wanted[barred]) * turned * np.exp(1j * bearings_rad[first])
+
+
+def _closing(wanted: ComplexArray, rows: IntArray, bearings_rad: Array) -> Array:
+    """Speeds (P,) at which robots would come nearer to others."""
+    return np.asarray((np.conj(np.exp(1j * bearings_rad)) * wanted[rows]).real)
+
+
+Way = Callable[[ComplexArray, IntArray, Array, Array], tuple[IntArray, ComplexArray]]
+Steering = Literal["around", "gyroscopic", "none"]
+WAYS: Mapping[Steering, Way] = {"around": slide, "gyroscopic": circle}
+"""By the name that a scenario has for it; with `none` robots only stop."""

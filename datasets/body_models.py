@@ -4,6 +4,7 @@ from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
+from skyherd.control.steering import Steering
 from skyherd.datasets.fields import Model, NotNegative, Positive
 
 
@@ -42,7 +43,10 @@ class AvoidanceModel(Model):
     """How robots keep apart; bodies are of `robots.body_radius_sides`."""
 
     on: bool = Field(False, description="units tell robots of bodies near them")
-    steer: bool = Field(True, description="a robot that is barred looks for a way around; else it only stops")
+    steer: Steering = Field(
+        "around",
+        description="a barred robot takes the best of all ways, or circles what bars it, or only stops",
+    )
     margin_sides: NotNegative = Field(0.2, description="bodies are kept apart by this")
     horizon_sides: Positive = Field(8.0, description="robots hear of gaps up to this")
     lifetime_s: Positive = Field(2.0, description="what was heard of a body is forgotten after this")

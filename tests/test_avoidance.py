@@ -9,7 +9,7 @@ from skyherd.control import AvoidanceRule, BodyRule, MarkerGains, Surroundings, 
 from skyherd.control.avoidance import avoiding_law, closing_bounds, slowed
 from skyherd.control.encounters import encounters
 from skyherd.control.robot_law import wheel_law
-from skyherd.control.steering import slide
+from skyherd.control.steering import circle, slide
 from skyherd.datasets.models import DriveModel
 from skyherd.drive import Drive
 from skyherd.geometry import to_complex, to_points, wrap_angle
@@ -224,3 +224,15 @@ def test_the_way_that_is_taken_is_within_all_bounds() -> None:
     assert barred.size and free.size
     head_on = slide(np.array([0.3, 0.3 + 0j]), np.arange(2), np.zeros(2), np.full(2, 0.01))[1]
     assert (head_on.imag < 0).all(), "to the right"
+
+
+def test_a_gyroscopic_force_turns_to_the_tangent_and_does_not_brake() -> None:
+    """Of the body that bars most: to the nearer side, to the right if head on; a free way stays free."""
+    rows = np.array([0, 0, 1, 2, 3])
+    bearings, speeds = np.array([0.3, -1.2, -0.4, 0.0, 3.0]), np.full(5, 0.05)
+    barred, way = circle(np.full(4, 0.3 + 0j), rows, bearings, speeds)
+    assert barred.tolist() == [0, 1, 2]
+    np.testing.assert_allclose(
+        way, 0.3 * np.exp(1j * np.array([0.3 - np.pi / 2, -0.4 + np.pi / 2, -np.pi / 2]))
+    )
+    assert circle(np.ones(1, dtype=complex), rows[:0], bearings[:0], speeds[:0])[0].size == 0

@@ -245,5 +245,5 @@ def make_avoidance(scenario: Scenario) -> AvoidanceRule:
         creep_mps=drive.wheel_step_mps / 2,
         turn_error_radps=2 * wheel_mps / drive.track_m + SLIPS * drive.slip * robots.max_turn_radps,
         lifetime_s=scenario.avoidance.lifetime_s,
-        steers=scenario.avoidance.steer,
+        steering=scenario.avoidance.steer,
     )

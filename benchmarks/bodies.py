@@ -5,6 +5,7 @@
     python benchmarks/bodies.py --network lossy --json lossy.jsonl          # 30 % lost, up to 0.5 s late
     python benchmarks/bodies.py --kill --json killed.jsonl                  # one unit dies, for good
     python benchmarks/bodies.py --without avoidance --json points.jsonl     # or roles, size, steering, search
+    python benchmarks/bodies.py --drive slip=0.05 delay_s=0.2 --json slipping.jsonl   # robots.drive
     python benchmarks/bodies.py --start kind --json kind.jsonl              # starts that need no avoidance
     python benchmarks/bodies.py --perception rendered --missions 20 --json rendered.jsonl
     python benchmarks/bodies.py --compare points.jsonl crowded.jsonl        # times, second over first
@@ -63,6 +64,8 @@ def mission_tree(seed: int, options: argparse.Namespace) -> dict[str, Any]:
     tree |= {"perception": options.perception, "duration_s": LIMIT_S}
     if options.perception == "rendered":
         tree = legible(tree)
+    if options.drive:
+        tree["robots"]["drive"] = dict(options.drive)
     if options.network == "lossy":
         tree["network"] = LOSSY
         tree["robots"]["timeout_s"] = 2.0
@@ -219,6 +222,11 @@ def draw(ours: list[Row], points: list[Row], path: Path) -> None:
         figure.savefig(path, dpi=DPI)
 
 
+def _setting(text: str) -> tuple[str, float]:
+    key, value = text.split("=")
+    return key, float(value)
+
+
 def main() -> None:
     """Run, print rows and a summary."""
     parser = argparse.ArgumentParser(
@@ -233,6 +241,7 @@ def main() -> None:
     parser.add_argument("--network", choices=["perfect", "lossy"], default="perfect")
     parser.add_argument("--kill", action="store_true", help="one unit dies")
     parser.add_argument("--without", nargs="*", choices=list(OFF), default=[])
+    parser.add_argument("--drive", nargs="*", type=_setting, default=[], metavar="KEY=VALUE")
     parser.add_argument("--compare", nargs=2, type=Path, metavar=("FIRST", "SECOND"))
     parser.add_argument("--figure", nargs=3, type=Path, metavar=("PNG", "ROWS", "POINTS"))
     options = parser.parse_args()

@@ -16,25 +16,24 @@ from skyherd.geometry import Array, IntArray
 from skyherd.messages import Detections, FlightCommand, UnitReport, centred, shared_ids
 
 
+@dataclass(frozen=True)
+class Duty:
+    """What a unit is to have in view: robots it controls, and robots sought so far as those stay there."""
+
+    controlled: IntArray
+    sought: IntArray = field(default_factory=lambda: NO_ROBOTS)
+
+
 class Flight(Protocol):
     """A motion law of one aerial unit."""
 
-    def command(
-        self,
-        seen: Detections,
-        controlled: IntArray,
-        reports: Sequence[UnitReport],
-        sought: IntArray = NO_ROBOTS,
-    ) -> FlightCommand:
-        """Velocity to fly now, given the robots seen, those controlled, and the other units' reports.
-
-        Robots `sought` are to come into view as well, so far as those controlled stay there.
-        """
+    def command(self, seen: Detections, duty: Duty, reports: Sequence[UnitReport]) -> FlightCommand:
+        """Velocity to fly now, given the robots seen, those to be seen, and the other units' reports."""
         ...
 
     def search(self, seen: Detections, controlled: IntArray, reports: Sequence[UnitReport]) -> FlightCommand:
-        """What to fly while the tree, not complete, does not grow: keep in view all that is seen as well."""
-        return self.command(seen, controlled, reports, seen.ids)
+        """What to fly while the tree does not grow: keep in view all that is seen as well."""
+        return self.command(seen, Duty(controlled, seen.ids), reports)
 
 
 def _hover(unit_id: int, yaw_rate_radps: float = 0.0) -> FlightCommand:
@@ -47,13 +46,7 @@ class Hover(Flight):
 
     yaw_rate_radps: float = 0.0
 
-    def command(
-        self,
-        seen: Detections,
-        controlled: IntArray,
-        reports: Sequence[UnitReport],
-        sought: IntArray = NO_ROBOTS,
-    ) -> FlightCommand:
+    def command(self, seen: Detections, duty: Duty, reports: Sequence[UnitReport]) -> FlightCommand:
         """No translation."""
         return _hover(seen.unit_id, self.yaw_rate_radps)
 
@@ -86,14 +79,9 @@ class Follow(Flight):
     _charges: IntArray = field(default_factory=lambda: NO_ROBOTS, init=False)
     _start: dict[int, float] | None = field(default=None, init=False)
 
-    def command(
-        self,
-        seen: Detections,
-        controlled: IntArray,
-        reports: Sequence[UnitReport],
-        sought: IntArray = NO_ROBOTS,
-    ) -> FlightCommand:
+    def command(self, seen: Detections, duty: Duty, reports: Sequence[UnitReport]) -> FlightCommand:
         """Velocity towards the centroid of the robots to be kept, and the height that keeps them."""
+        controlled = duty.controlled
         if self._start is None:
             self._start, self._charges = _distances(seen), controlled
         for report in reports:
@@ -103,7 +91,7 @@ class Follow(Flight):
                 self._charges = np.setdiff1d(
                     self._charges, _nearer_there(shared, self._start, seen.unit_id, report)
                 )
-        keep = np.isin(seen.ids, np.union1d(self._robots_to_keep(seen, controlled, reports), sought))
+        keep = np.isin(seen.ids, np.union1d(self._robots_to_keep(seen, controlled, reports), duty.sought))
         if not keep.any():
             return _hover(seen.unit_id)
         points = centred(seen.centers_px, seen.image_size_px)[keep]
@@ -169,15 +157,9 @@ class Perimeter(Flight):
     climb_gain_mps: float = 1.0
     yaw_rate_radps: float = 0.0
 
-    def command(
-        self,
-        seen: Detections,
-        controlled: IntArray,
-        reports: Sequence[UnitReport],
-        sought: IntArray = NO_ROBOTS,
-    ) -> FlightCommand:
+    def command(self, seen: Detections, duty: Duty, reports: Sequence[UnitReport]) -> FlightCommand:
         """Velocity along the hull of the controlled robots."""
-        robots = seen.select(controlled)
+        robots = seen.select(duty.controlled)
         points = centred(robots.centers_px, robots.image_size_px)
         edge = _nearest_hull_edge(points)
         if edge is None:

@@ -28,11 +28,12 @@ from skyherd.control.adoption import Orphans, disown, yield_claims
 from skyherd.control.cohesion import Cohesion
 from skyherd.control.hearsay import Hearsay
 from skyherd.control.joining import Extent, admit, extent_of, is_complete, seek
+from skyherd.control.seeking import robots_sought
 from skyherd.control.selection import NO_ROBOTS
 from skyherd.control.standing import Standing, TreeRule
 from skyherd.control.succession import name_heir, succeed
 from skyherd.control.template import Template
-from skyherd.control.turns import robots_sought, take_turns
+from skyherd.control.turns import take_turns
 from skyherd.geometry import IntArray
 from skyherd.messages import NOBODY, Detections, TreeWord, UnitReport
 

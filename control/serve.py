@@ -5,9 +5,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from skyherd.control.flight import Flight
+from skyherd.control.flight import Duty, Flight
 from skyherd.control.memory import ImageMemory
-from skyherd.control.selection import NO_ROBOTS
 from skyherd.control.template import Template
 from skyherd.geometry import Array, IntArray, to_points
 from skyherd.messages import Detections, FlightCommand, UnitReport, centred
@@ -52,18 +51,12 @@ class Serve(Flight):
     def __post_init__(self) -> None:
         self.memory = ImageMemory(self.template)
 
-    def command(
-        self,
-        seen: Detections,
-        controlled: IntArray,
-        reports: Sequence[UnitReport],
-        sought: IntArray = NO_ROBOTS,
-    ) -> FlightCommand:
+    def command(self, seen: Detections, duty: Duty, reports: Sequence[UnitReport]) -> FlightCommand:
         """Velocity and zoom for the robots in duty, seen or remembered."""
         self.memory.update(seen, reports)
         if len(seen):
             self._side_px = float(np.sort(seen.sides_px)[len(seen) // 2])
-        robots = frozenset(controlled.tolist())
+        controlled, robots = duty.controlled, frozenset(duty.controlled.tolist())
         if robots and any(r.controlled == robots for r in reports if r.unit_id < seen.unit_id):
             return FlightCommand(seen.unit_id, self._part(seen), 0.0, 0.0)
         own = self.memory.centred(controlled if controlled.size else seen.ids, seen.image_size_px)
@@ -71,7 +64,7 @@ class Serve(Flight):
             return FlightCommand(
                 seen.unit_id, self._part(seen), self.climb_gain_mps * min(0.5, self._room), 0.0
             )
-        points = np.concatenate([own, self.memory.centred(sought, seen.image_size_px)])
+        points = np.concatenate([own, self.memory.centred(duty.sought, seen.image_size_px)])
         is_kept = _farthest(own) <= self.desired_radius + self.dead_band
         excess = _farthest(points) - self.desired_radius
         if not controlled.size or not self.memory.known[self.memory.rows(controlled)].all():

@@ -52,7 +52,7 @@ class Standing:
         own: robots that only this unit controls.
         edges: by neighbour.
         tree_id: the tree it belongs to, or NOBODY.
-        asks_id: the unit that it asks to be admitted by, or NOBODY,
+        asks_id: the unit that it asks to admit it, or to found the tree, or NOBODY,
         ask_turn: and the turn at which it expects the edge to begin.
         ready: whether the tree is known to be complete, so that robots may move.
         slot: the dwell time that it is in, counted on the common clock.

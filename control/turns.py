@@ -3,9 +3,8 @@
 import numpy as np
 
 from skyherd.control.edge import NO_ROBOTS, Edge, Robots
-from skyherd.control.pairing import choose_pair, firmer_pair
+from skyherd.control.pairing import choose_pair
 from skyherd.control.standing import Standing
-from skyherd.geometry import IntArray
 from skyherd.messages import NOBODY
 
 
@@ -30,26 +29,6 @@ def take_turns(unit: Standing, time_s: float, at_slot: bool) -> None:
         if not edge.wants:
             lent = unit.lendable(edge.neighbor_id, time_s)
             edge.hand_over(lent, _unwanted(unit, edge, lent))
-
-
-def robots_sought(unit: Standing, time_s: float) -> IntArray:
-    """Robots, ascending, that a unit flies to see: to bind a weak edge firmly, or that its neighbour lost."""
-    robots: set[int] = set()
-    for edge in unit.edges.values():
-        there = unit.heard.newest[edge.neighbor_id]
-        lost = there.tree.missing_ids.tolist()
-        robots.update(robot for robot in lost if unit.unseen_s(robot, time_s) < unit.rule.patience_s)
-        if unit.rule.share == "leverage" and edge.pair and edge.pair <= there.controlled:
-            robots |= firmer_pair(
-                unit.template,
-                edge.pair,
-                candidates=(there.controlled - there.paired) - unit.controlled,
-                theirs=there.controlled,
-                ours=frozenset(unit.controlled - edge.pair),
-                firm=unit.rule.firm,
-                gain=unit.rule.gain,
-            )
-    return np.array(sorted(robots), dtype=np.int64)
 
 
 def _exchange(unit: Standing, edge: Edge, pair: Robots) -> None:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from skyherd.control.encounters import BodyRule, encounters
-from skyherd.control.flight import Flight
+from skyherd.control.flight import Duty, Flight
 from skyherd.control.free import FreeRule, FreeThenTree, cost_share
 from skyherd.control.goals import motion_goals
 from skyherd.control.panorama import panorama
@@ -105,7 +105,7 @@ class AerialController:
     def _fly(self, seen: Detections, controlled: IntArray, reports: Sequence[UnitReport]) -> FlightCommand:
         """Serve the set and what is sought; while robots wait for the tree hold the place, or search."""
         if self.control_set.ready:
-            return self.flight.command(seen, controlled, reports, self.control_set.sought)
+            return self.flight.command(seen, Duty(controlled, self.control_set.sought), reports)
         if self.control_set.searches:
             return self.flight.search(seen, controlled, reports)
         return FlightCommand(seen.unit_id, np.zeros(2), 0.0, 0.0)

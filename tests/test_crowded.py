@@ -12,7 +12,14 @@ def benchmark(load_benchmark):
 
 
 def options(**changed) -> argparse.Namespace:
-    usual = {"start": "crowded", "perception": "noisy", "network": "perfect", "kill": False, "without": []}
+    usual = {
+        "start": "crowded",
+        "perception": "noisy",
+        "network": "perfect",
+        "kill": False,
+        "without": [],
+        "drive": [],
+    }
     return argparse.Namespace(**(usual | changed))
 
 

@@ -220,6 +220,7 @@ class FaithfulCareless(Faithful):
 
 
 def run(machine: type[Machine], examples: int, steps: int, **extra) -> None:
+    """Drive a machine. Draws depend on the modules loaded, too, since hypothesis takes constants from there."""
     run_state_machine_as_test(
         machine,
         settings=settings(
@@ -247,7 +248,7 @@ def test_very_many_interleavings(machine) -> None:
 
 def test_without_turns_the_machine_finds_a_violation() -> None:
     with pytest.raises(AssertionError, match=r"share|turn"):
-        run(FaithfulHasty, 40, 40, phases=[Phase.generate])
+        run(FaithfulHasty, 400, 40, phases=[Phase.generate])
 
 
 @pytest.mark.slow

@@ -128,6 +128,35 @@ def test_what_is_no_recording_is_refused(tmp_path):
         read_recording(tmp_path / "absent.mcap")
 
 
+def older_scenario(topic, record):
+    """Before steering had a name it was switched on."""
+    if topic == "/mission":
+        record["scenario"]["avoidance"]["steer"] = True
+
+
+def older_step(topic, record):
+    """A world that did not yet say how high the units fly."""
+    if topic == "/world":
+        del record["fleet"]
+
+
+@pytest.mark.parametrize(("change", "at"), [(older_scenario, "steer"), (older_step, "fleet")])
+def test_a_recording_of_another_version_is_refused_in_one_line(
+    tmp_path, mission, steps, monkeypatch, change, at
+):
+    put = Recorder._put
+
+    def put_changed(self, topic, time_s, record, *schema):
+        change(topic, record)
+        put(self, topic, time_s, record, *schema)
+
+    monkeypatch.setattr(Recorder, "_put", put_changed)
+    path = record(tmp_path / "run.mcap", mission, steps[:3])
+    with pytest.raises(InputError, match=f"another version of skyherd .*{at}") as refusal:
+        read_recording(path)
+    assert "\n" not in str(refusal.value)
+
+
 def messages_of(path):
     records = StreamReader(io.BytesIO(path.read_bytes())).records
     return [(r.channel_id, r.log_time, r.data) for r in records if isinstance(r, Message)]

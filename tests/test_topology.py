@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from skyherd.control import ControlSet, Follow, Hover, Perimeter, SafetyRadius
+from skyherd.control.flight import Duty
 from skyherd.control.selection import centre_distances
 from skyherd.control.topology import check_conditions, control_matrix, edges
 from skyherd.messages import shared_ids
@@ -246,7 +247,7 @@ def test_the_same_view_gives_the_same_command_whatever_its_pixels(make_detection
     rng = np.random.default_rng(3)
     seen = at_radius(make_detections, dict(enumerate(rng.uniform(0.1, 0.9, 6))), size=(600, 600))
     commands = [
-        FLIGHTS[name]().command(view, np.arange(6), [])
+        FLIGHTS[name]().command(view, Duty(np.arange(6)), [])
         for view in (seen, scaled(seen, 2.0, (1200, 1200)), scaled(seen, 0.37, (222, 222)))
     ]
     for command in commands[1:]:
@@ -261,7 +262,7 @@ def test_the_same_view_gives_the_same_command_whatever_its_pixels(make_detection
 def test_follow_climbs_when_the_farthest_robot_is_too_far_out(make_detections, farthest, climb) -> None:
     """In proportion to the excess over 0.7 beyond a dead band of 0.05, either way."""
     seen = at_radius(make_detections, {1: 0.1, 2: farthest, 3: 0.3})
-    command = Follow(0.7, climb_gain_mps=2.0, dead_band=0.05).command(seen, seen.ids, [])
+    command = Follow(0.7, climb_gain_mps=2.0, dead_band=0.05).command(seen, Duty(seen.ids), [])
     assert command.climb_mps == pytest.approx(2 * climb, abs=1e-12)
 
 
@@ -269,7 +270,7 @@ def test_follow_flies_towards_the_centroid_of_what_it_keeps(make_detections) -> 
     """Robots at +u, +v of the centre, others' robots not counted: speed in proportion to the distance."""
     half, centre = 400, 399.5 + 399.5j
     seen = make_detections([1, 2, 3], centre + half * np.array([0.2 + 0.4j, 0.4 + 0j, -0.9 - 0.9j]))
-    command = Follow(0.7, lateral_gain_mps=0.5).command(seen, np.array([1, 2]), [])
+    command = Follow(0.7, lateral_gain_mps=0.5).command(seen, Duty(np.array([1, 2])), [])
     np.testing.assert_allclose(command.lateral_mps, 0.5 * np.array([0.3, 0.2]), atol=1e-12)
 
 
@@ -279,7 +280,7 @@ def test_follow_keeps_the_two_common_robots_nearest_to_its_centre(make_detection
     centre = complex(399.5, 299.5)
     theirs = make_report(1, [1, 2, 3, 4], [centre] * 4, [1, 2, 3, 4], size=(800, 600))
     flight = Follow(0.7, climb_gain_mps=1.0, dead_band=0.0)
-    command = flight.command(seen, seen.ids, [theirs])
+    command = flight.command(seen, Duty(seen.ids), [theirs])
     assert command.climb_mps == pytest.approx(0.4 - 0.7), "5, the unit's own, is the farthest of {1, 3, 5}"
     kept = seen.select([1, 3, 5]).centers_px
     np.testing.assert_allclose(command.lateral_mps, ((kept - [399.5, 299.5]) / 300).mean(axis=0), atol=1e-12)
@@ -290,8 +291,10 @@ def test_follow_keeps_pairs_for_the_neighbours_of_the_start_alone(make_detection
     centre = complex(399.5, 299.5)
     flight = Follow(0.7, dead_band=0.0)
     seen = at_radius(make_detections, {1: 0.3, 2: 0.6, 3: 0.5})
-    flight.command(seen, seen.ids, [make_report(1, [1], [centre], [1], size=(800, 600))])
-    command = flight.command(seen, seen.ids, [make_report(1, [1, 2], [centre] * 2, [1, 2], size=(800, 600))])
+    flight.command(seen, Duty(seen.ids), [make_report(1, [1], [centre], [1], size=(800, 600))])
+    command = flight.command(
+        seen, Duty(seen.ids), [make_report(1, [1, 2], [centre] * 2, [1, 2], size=(800, 600))]
+    )
     assert command.climb_mps == pytest.approx(0.6 - 0.7), (
         "2 and 3 are charges from the start, 1 is the other's"
     )
@@ -311,7 +314,7 @@ def test_of_two_units_exactly_one_takes_a_shared_robot_in_charge(make_detections
         reports = [make_report(j, [1, 2, 3], points[j], [1, 2, 3], size=(600, 600)) for j in range(2)]
         flights = [Follow(0.7), Follow(0.7)]
         for j, flight in enumerate(flights):
-            flight.command(views[j], np.array([1, 2, 3]), [reports[1 - j]])
+            flight.command(views[j], Duty(np.array([1, 2, 3])), [reports[1 - j]])
         charges = [set(flight._charges.tolist()) for flight in flights]
         assert charges[0] | charges[1] == {1, 2, 3}
         assert not charges[0] & charges[1]
@@ -320,7 +323,7 @@ def test_of_two_units_exactly_one_takes_a_shared_robot_in_charge(make_detections
 @pytest.mark.parametrize("name", ["follow", "perimeter"])
 def test_a_unit_that_sees_nothing_hovers(make_detections, name) -> None:
     seen = make_detections([], [])
-    command = FLIGHTS[name]().command(seen, seen.ids, [])
+    command = FLIGHTS[name]().command(seen, Duty(seen.ids), [])
     assert not command.lateral_mps.any() and command.climb_mps == 0
 
 
@@ -330,7 +333,7 @@ def test_perimeter_flies_along_the_hull_and_towards_it(make_detections) -> None:
     corners = np.array([0.3 - 0.5j, 0.3 + 0.5j, -0.7 + 0.5j, -0.7 - 0.5j])
     seen = make_detections([1, 2, 3, 4, 5], centre + half * np.append(corners, 0.01))
     command = Perimeter(0.7, speed_mps=0.2, lateral_gain_mps=2.0, climb_gain_mps=1.0).command(
-        seen, seen.ids, []
+        seen, Duty(seen.ids), []
     )
     assert command.lateral_mps[0] == pytest.approx(2.0 * 0.3, abs=1e-9)
     assert abs(command.lateral_mps[1]) == pytest.approx(0.2, abs=1e-9)
@@ -344,7 +347,7 @@ def test_perimeter_goes_round_in_one_sense(make_detections) -> None:
     flight = Perimeter(0.9, speed_mps=0.5, lateral_gain_mps=2.0)
     for _ in range(600):
         seen = make_detections(range(4), 399.5 + 399.5j + 100 * (robots - at))
-        at += 0.05 * complex(*flight.command(seen, seen.ids, []).lateral_mps)
+        at += 0.05 * complex(*flight.command(seen, Duty(seen.ids), []).lateral_mps)
         angles.append(np.angle(at))
     turned = np.unwrap(angles[20:])
     assert abs(turned[-1] - turned[0]) > 2 * np.pi, "more than a lap"

@@ -4,6 +4,7 @@ import base64
 import json
 import struct
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,12 +14,13 @@ import numpy as np
 from mcap.exceptions import McapError
 from mcap.records import Channel, Message, Metadata
 from mcap.stream_reader import CRCValidationError, StreamReader
+from pydantic import ValidationError
 from zstandard import ZstdError
 
 from skyherd.control import Decision, GroundMap, Template
 from skyherd.control.topology import Conditions
 from skyherd.datasets import Mission, Scenario
-from skyherd.errors import InputError
+from skyherd.errors import InputError, MessageError
 from skyherd.loop import Step, UnitFrame
 from skyherd.messages import Detections, Encounters, FlightCommand, MotionGoals, UnitReport, VelocityCommand
 from skyherd.observer import Observation, ShapeFit
@@ -87,7 +89,7 @@ def read_recording(path: Path) -> Recording:
     """Read a run back, whole or cut short, without its images: `read_steps` has them, one step at a time.
 
     Raises:
-        InputError: the file holds no mission, or not one whole step.
+        InputError: the file holds no mission, or not one whole step, or is of another version of skyherd.
     """
     mission: Mission | None = None
     wall_s: float | None = None
@@ -104,10 +106,12 @@ def read_recording(path: Path) -> Recording:
         elif mission is None:
             if topic != "/mission":
                 break
-            mission = _read_mission(record)
             versions = {name: str(record.get(name, "?")) for name in ("version", "opencv", "numpy")}
+            with _understood(path):
+                mission = _read_mission(record)
         elif topic == "/observer":
-            steps.append(_read_step(time_s, pending | {topic: record}))
+            with _understood(path):
+                steps.append(_read_step(time_s, pending | {topic: record}))
             pending = {}
         elif not topic.endswith("/image"):
             pending[topic] = record
@@ -130,6 +134,21 @@ def read_steps(path: Path) -> Iterator[Step]:
         if topic == "/observer":
             yield _read_step(time_s, pending)
             pending = {}
+
+
+@contextmanager
+def _understood(path: Path) -> Iterator[None]:
+    """Says in one line that a record of a whole file has another content than this skyherd writes."""
+    try:
+        yield
+    except (ValidationError, MessageError, KeyError, TypeError, ValueError) as error:
+        first = error.errors()[0] if isinstance(error, ValidationError) else None
+        at = ".".join(str(part) for part in first["loc"]) + f": {first['msg']}" if first else str(error)
+        raise InputError(
+            str(path),
+            f"recorded by another version of skyherd ({at})",
+            "`skyherd run` again, or the version that made it",
+        ) from None
 
 
 def _read_mission(record: dict[str, Any]) -> Mission:

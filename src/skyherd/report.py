@@ -1,26 +1,17 @@
-"""The page on a run: one HTML file that needs no other file, no network and no script."""
+"""The page on a run."""
 
-from base64 import b64encode
 from collections.abc import Mapping
 from html import escape
-from importlib.resources import files
 from pathlib import Path
-from string import Template
-
-from PIL import Image
 
 from skyherd.figures import FigureFile
 from skyherd.files import write_text
 from skyherd.history import History
+from skyherd.html_page import data_uri, figure_card, html_page, tile
 from skyherd.report_fields import GROUPS, Field, number_text, value_text
 
 PAGE, VIDEO = "report.html", "video.mp4"
 TILES = ("shape_error", "scale", "min_separation_m", "detection_recall", "simulated_s", "real_time_factor")
-WIDE_PX = 1000
-"""Figures wider than this take the page's full width."""
-
-TALL = 0.85
-"""Figures of a greater height over width take the place of two below each other."""
 
 
 def write_page(
@@ -46,30 +37,27 @@ def write_page(
     """
     scenario = history.mission.scenario
     status_class, status = _status(summary, scenario.duration_s)
-    page = _resource("report.html").substitute(
-        title=escape(f"{scenario.name} - skyherd"),
-        style=page_style(),
+    page = html_page(
+        "skyherd",
+        "report",
+        scenario.name,
         name=escape(scenario.name),
         description=escape(scenario.description),
         status_class=status_class,
         status=escape(status),
         video=_video(folder / VIDEO),
-        tiles="\n".join(_tile(field, summary) for key in TILES for field in _fields() if field.key == key),
+        tiles="\n".join(
+            tile(value_text(field, summary.get(field.key)), field.label)
+            for key in TILES
+            for field in _fields()
+            if field.key == key
+        ),
         figures="\n".join(figure_card(figure) for figure in figures),
         tables=_tables(summary),
         scenario=escape(scenario_text),
         versions=" · ".join(escape(f"{name} {version}") for name, version in versions.items()),
     )
     return write_text(folder / PAGE, page)
-
-
-def page_style() -> str:
-    """The style sheet of all pages."""
-    return _resource("report.css").template
-
-
-def _resource(name: str) -> Template:
-    return Template(files("skyherd").joinpath(name).read_text("utf-8"))
 
 
 def _status(summary: Mapping[str, object], planned_s: float) -> tuple[str, str]:
@@ -83,14 +71,10 @@ def _status(summary: Mapping[str, object], planned_s: float) -> tuple[str, str]:
     return "bad", f"Not converged: {formed} to the end."
 
 
-def _data_uri(path: Path, kind: str) -> str:
-    return f"data:{kind};base64,{b64encode(path.read_bytes()).decode('ascii')}"
-
-
 def _video(path: Path) -> str:
     if not path.exists():
         return ""
-    source = _data_uri(path, "video/mp4")
+    source = data_uri(path, "video/mp4")
     return (
         '<video controls muted playsinline preload="auto" aria-label="Video of the run" '
         f'src="{source}"></video>'
@@ -99,24 +83,6 @@ def _video(path: Path) -> str:
 
 def _fields() -> list[Field]:
     return [field for group in GROUPS.values() for field in group]
-
-
-def _tile(field: Field, summary: Mapping[str, object]) -> str:
-    value = escape(value_text(field, summary.get(field.key)))
-    return f'<div class="tile"><b>{value}</b><span>{escape(field.label)}</span></div>'
-
-
-def figure_card(figure: FigureFile) -> str:
-    """A figure as HTML, its picture inside, that opens in full width."""
-    with Image.open(figure.png) as image:
-        width, height = image.size
-    shape = "wide" if width > WIDE_PX else "tall" if height > TALL * width else "plain"
-    title, caption = escape(figure.title), escape(figure.caption)
-    return f"""<figure class="{shape}" id="{escape(figure.name)}">
-<details><summary><img src="{_data_uri(figure.png, "image/png")}" alt="{title}: {caption}" \
-width="{width}" height="{height}"></summary></details>
-<figcaption><h3>{title}</h3><p>{caption}</p></figcaption>
-</figure>"""
 
 
 def _tables(summary: Mapping[str, object]) -> str:

@@ -16,7 +16,7 @@ class TreeWord:
 
     Attributes:
         tree_id: the tree it belongs to, NOBODY if none; of two trees the one with the lower number stays.
-        asks_id: the unit that it asks to be admitted by, or NOBODY,
+        asks_id: the unit that it asks to admit it, or to found the tree, or NOBODY,
         ask_turn: and the turn, its own, at which it expects the edge: it tells one asking from the next.
         heir_id: the neighbour that takes over its robots and edges should it fall silent, or NOBODY.
         ready: whether it knows the tree to be complete, so that robots may move.

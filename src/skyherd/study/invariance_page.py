@@ -1,17 +1,15 @@
-"""The invariance report: one HTML file that needs no other, and its table in Markdown."""
+"""The invariance report's page, and its table in Markdown."""
 
 from collections.abc import Sequence
 from html import escape
-from importlib.resources import files
 from pathlib import Path
-from string import Template
 
 import numpy as np
 import pyarrow as pa
 
 from skyherd import __version__
 from skyherd.files import write_text
-from skyherd.report import figure_card, page_style
+from skyherd.html_page import figure_card, html_page, tile, wide_table
 from skyherd.study.figures import MARKDOWN, complaints
 from skyherd.study.invariance import IDEAL, RENDERED, Sweep, make_sweeps
 from skyherd.study.invariance_plots import draw_sweeps
@@ -49,10 +47,12 @@ def write_invariance(study: Study, table: pa.Table, folder: Path) -> list[Path]:
     sweeps = make_sweeps(make_plan(study), table)
     cards = {figure.title.lower(): figure_card(figure) for figure in draw_sweeps(sweeps, folder / "figures")}
     failed = table.num_rows - table[ERROR].null_count
-    page = Template(files("skyherd.study").joinpath("invariance.html").read_text("utf-8")).substitute(
-        style=page_style(),
+    page = html_page(
+        "skyherd.study",
+        "invariance",
+        "Invariance",
         description=escape(study.spec.description),
-        tiles="\n".join(_tile(value, label) for value, label in _tiles(sweeps, table.num_rows, failed)),
+        tiles="\n".join(tile(value, label) for value, label in _tiles(sweeps, table.num_rows, failed)),
         inside=_section(sweeps, cards, inside=True),
         outside=_section(sweeps, cards, inside=False),
         version=escape(__version__),
@@ -117,29 +117,13 @@ def _tiles(sweeps: Sequence[Sweep], runs: int, failed: int) -> list[tuple[str, s
     ]
 
 
-def _tile(value: str, label: str) -> str:
-    return f'<div class="tile"><b>{escape(value)}</b><span>{escape(label)}</span></div>'
-
-
 def _section(sweeps: Sequence[Sweep], cards: dict[str, str], *, inside: bool) -> str:
     """The table of some sweeps, and their figures."""
     mine = [sweep for sweep in sweeps if sweep.inside == inside]
     if not mine:
         return '<p class="hint">No sweep of this study.</p>'
-    head = "".join(f'<th scope="col">{escape(word)}</th>' for word in HEAD)
-    body = "\n".join(
-        f'<tr><th scope="row">{escape(row[0])}</th>' + "".join(f"<td>{escape(cell)}</td>" for cell in row[1:])
-        + "</tr>"
-        for row in map(cells, mine)
-    )  # fmt: skip
-    label = "inside the class" if inside else "outside the class"
+    table = wide_table(
+        f"Sweeps {'in' if inside else 'out'}side the class", HEAD, [cells(sweep) for sweep in mine]
+    )
     figures = "\n".join(cards[sweep.name.lower()] for sweep in mine)
-    return f"""<div class="scroll" tabindex="0" role="region" aria-label="Sweeps {label}">
-<table><thead><tr>{head}</tr></thead>
-<tbody>
-{body}
-</tbody></table>
-</div>
-<div class="figures">
-{figures}
-</div>"""
+    return f'{table}\n<div class="figures">\n{figures}\n</div>'

@@ -1,10 +1,8 @@
-"""The page of formation controllers: one HTML file that needs no other, and its tables in Markdown."""
+"""The page of formation controllers, and its tables in Markdown."""
 
 from collections.abc import Sequence
 from html import escape
-from importlib.resources import files
 from pathlib import Path
-from string import Template
 
 import numpy as np
 import pyarrow as pa
@@ -14,7 +12,7 @@ from skyherd.figure_canvas import drawing_style
 from skyherd.figures import save_figure
 from skyherd.files import write_text
 from skyherd.geometry import Array, BoolArray
-from skyherd.report import figure_card, page_style
+from skyherd.html_page import figure_card, html_page, wide_table
 from skyherd.study.figures import MARKDOWN, complaints
 from skyherd.study.methods import Method, make_methods
 from skyherd.study.methods_plot import draw_methods
@@ -42,8 +40,10 @@ def write_methods(study: Study, table: pa.Table, folder: Path) -> list[Path]:
             draw_methods(methods), folder / "figures", "methods", "On the same starts", CAPTION
         )
     starts = list(methods[0].outcomes)
-    page = Template(files("skyherd.study").joinpath("methods.html").read_text("utf-8")).substitute(
-        style=page_style(),
+    page = html_page(
+        "skyherd.study",
+        "methods",
+        "Methods",
         description=escape(study.spec.description),
         figure=figure_card(figure),
         needs="\n".join(_need(method) for method in methods),
@@ -94,19 +94,5 @@ def _need(method: Method) -> str:
 
 
 def _table(start: str, methods: Sequence[Method]) -> str:
-    head = "".join(f'<th scope="col">{escape(word)}</th>' for word in HEAD)
-    body = "\n".join(
-        f'<tr><th scope="row">{escape(row[0])}</th>'
-        + "".join(f"<td>{escape(cell)}</td>" for cell in row[1:])
-        + "</tr>"
-        for row in (cells(method, start) for method in methods)
-    )
-    return f"""<section>
-<h2>Each robot {escape(start)}</h2>
-<div class="scroll" tabindex="0" role="region" aria-label="Robots {escape(start)}">
-<table><thead><tr>{head}</tr></thead>
-<tbody>
-{body}
-</tbody></table>
-</div>
-</section>"""
+    table = wide_table(f"Robots {start}", HEAD, [cells(method, start) for method in methods])
+    return f"<section>\n<h2>Each robot {escape(start)}</h2>\n{table}\n</section>"

@@ -220,7 +220,7 @@ class FaithfulCareless(Faithful):
 
 
 def run(machine: type[Machine], examples: int, steps: int, **extra) -> None:
-    """Drive a machine. Draws depend on the modules loaded, too, since hypothesis takes constants from there."""
+    """Drive a machine. Draws depend on the modules loaded: hypothesis takes constants from them."""
     run_state_machine_as_test(
         machine,
         settings=settings(

@@ -59,18 +59,14 @@ class Evidence:
 
     def loosened(self, variances: Array) -> "Evidence":
         """After the unknowns may each have changed, with variances (n,)."""
-        everything = range(self.vector.size)
-        covariance, values = self.covariance(everything), self.solved(everything)
+        values, covariance = self.all_loose()
         information = inverse(covariance + np.diag(variances))
         return Evidence(information, information @ values)
 
-    def covariance(self, loose: Sequence[int]) -> Array:
-        """Covariance (n, n) of x̂."""
-        covariance = np.zeros_like(self.information)
-        if loose:
-            among = np.ix_(loose, loose)
-            covariance[among] = inverse(self.information[among])
-        return covariance
+    def all_loose(self) -> tuple[Array, Array]:
+        """x̂ (n,) and its covariance (n, n) with every unknown let loose."""
+        covariance = inverse(self.information)
+        return covariance @ self.vector, covariance
 
     def solved(self, loose: Sequence[int]) -> Array:
         """x̂ (n,), with all but the unknowns `loose` held at zero."""

@@ -53,6 +53,9 @@ is left: 1e-7."""
 DIFFERENCE = 1e-6
 """Step of the numerical derivatives: they are right to about as much."""
 
+STEPS: Array = np.concatenate([np.zeros((1, UNKNOWNS)), DIFFERENCE * np.eye(UNKNOWNS)])
+"""No step (10,), and one of each unknown."""
+
 LIMIT = 5.0
 """No camera is farther than so many deviations from the usual."""
 
@@ -112,8 +115,7 @@ class _Lines:
 
     @classmethod
     def of(cls, squares: Squares, unknowns: Array, robust: Array) -> "_Lines":
-        steps = np.concatenate([np.zeros((1, UNKNOWNS)), DIFFERENCE * np.eye(UNKNOWNS)])
-        maps = local_maps(unknowns + steps, squares.points)
+        maps = local_maps(unknowns + STEPS, squares.points)
         weights = robust / squares.variances
         shares = weights / weights.sum()
         # The side on the ground is whatever fits best, so that sides count as they differ from their mean.
@@ -157,7 +159,7 @@ def fit_ground(
         lines = _Lines.of(squares, unknowns, robust)
         parts = lines.evidence()
         everything = before + _joined(parts, excess)
-        full, covariance = everything.solved(range(UNKNOWNS)), everything.covariance(range(UNKNOWNS))
+        full, covariance = everything.all_loose()
         here = _noises(lines, full, [p.times(1 / e) for p, e in zip(parts, excess, strict=True)], covariance)
         excess = noises.and_then(here).excess(told=squares.told)
         image = _joined(parts, excess)
@@ -170,7 +172,7 @@ def fit_ground(
             break
         robust = _robust(lines.left(full), squares.variances, excess)
     # Of a camera that is not ideal, what is held at zero may well be something too.
-    covariance = everything.covariance(range(UNKNOWNS) if unknowns.any() else [])
+    covariance = everything.all_loose()[1] if unknowns.any() else np.zeros((UNKNOWNS, UNKNOWNS))
     return GroundFit(GroundMap(unknowns, covariance), frozenset(earned), image, here)
 
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from skyherd.control.evidence import Evidence
-from skyherd.control.ground_fit import DIFFERENCE, PRIOR, SIDES, Noises, fit_ground
+from skyherd.control.ground_fit import DIFFERENCE, PRIOR, SIDES, STEPS, Noises, fit_ground
 from skyherd.control.ground_map import CAMERA, FOCAL, LENS, UNKNOWNS, GroundMap, LocalMaps, local_maps
 from skyherd.control.squares import Arms, Squares
 from skyherd.geometry import Array, ComplexArray, to_complex, to_points
@@ -84,6 +84,8 @@ class Rectifier:
 
     def _ground_log_sides(self, squares: Squares) -> Array:
         """Logarithms of the sides (N,) as the last map has them."""
+        if self.ground_map.ideal:
+            return squares.log_sides
         return squares.log_sides - local_maps(self.ground_map.unknowns, squares.points).log_scales()
 
     def _loosened(self, squares: Squares, camera: Evidence) -> Evidence:
@@ -126,8 +128,7 @@ def rectified(seen: Detections, ground_map: GroundMap) -> Detections:
     size, half = seen.image_size_px, seen.image_size_px.min() / 2
     corners = ground_map.rectified_px(seen.corners_px.reshape(-1, 2), size).reshape(-1, 4, 2)
     before, after = (Arms.of_corners(to_complex(c)) for c in (seen.corners_px, corners))
-    steps = np.concatenate([np.zeros((1, UNKNOWNS)), DIFFERENCE * np.eye(UNKNOWNS)])
-    maps = local_maps(ground_map.unknowns + steps, to_complex(centred(seen.centers_px, size)))
+    maps = local_maps(ground_map.unknowns + STEPS, to_complex(centred(seen.centers_px, size)))
     by_map = _pose_by_map(maps, half)
     by_pose = _pose_by_pose(maps.slopes[0], maps.crosses[0], seen.headings_rad)
     return replace(

@@ -5,29 +5,33 @@ from dataclasses import fields, is_dataclass
 from typing import Any, TypeVar
 
 import numpy as np
+import orjson
 
 T = TypeVar("T")
 
+# By itself the encoder writes all attributes of a dataclass, those too that are no fields.
+OPTIONS = orjson.OPT_SERIALIZE_NUMPY | orjson.OPT_NON_STR_KEYS | orjson.OPT_PASSTHROUGH_DATACLASS
 _TYPES = {int: "integer", float: "number", bool: "boolean", str: "string"}
 
 
-def to_plain(value: Any) -> Any:
-    """A value as JSON has it; NaN, which JSON lacks, becomes null."""
+def to_json(value: Any) -> bytes:
+    """A value as JSON: dataclasses as objects, arrays as lists; NaN, which JSON lacks, as null."""
+    return orjson.dumps(value, default=_plain, option=OPTIONS)
+
+
+def _plain(value: Any) -> Any:
+    """What is left to us: the fields of dataclasses, arrays not in one piece, mappings that are no dict."""
+    if is_dataclass(value):
+        return {field.name: getattr(value, field.name) for field in fields(value)}
     if isinstance(value, np.ndarray):
-        if value.dtype.kind == "f" and np.isnan(value).any():
-            return [to_plain(item) for item in value]
         return value.tolist()
     if isinstance(value, Mapping):
-        return {str(key): to_plain(item) for key, item in value.items()}
-    if is_dataclass(value):
-        return {field.name: to_plain(getattr(value, field.name)) for field in fields(value)}
-    if isinstance(value, np.generic):
-        value = value.item()
-    return None if isinstance(value, float) and np.isnan(value) else value
+        return dict(value)
+    raise TypeError(f"{type(value).__name__} has no place in a message")
 
 
 def from_plain(kind: type[T], record: Mapping[str, Any], **made: Any) -> T:
-    """A dataclass from what `to_plain` made of it; `made` holds fields to take as they are."""
+    """A dataclass from what is read back of it; `made` holds fields to take as they are."""
     values = {}
     for field in fields(kind):  # type: ignore[arg-type]
         if field.name not in made and field.name not in record:

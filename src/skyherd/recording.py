@@ -10,7 +10,7 @@ keep apart), `/unit/J/report`, `/unit/J/flight`,
 """
 
 import base64
-import json
+from dataclasses import fields
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -24,11 +24,12 @@ from skyherd.control import Template
 from skyherd.datasets import Mission
 from skyherd.loop import Step, UnitFrame
 from skyherd.observer import Observation
-from skyherd.plain import json_schema, to_plain
+from skyherd.plain import json_schema, to_json
 
 CHUNK_BYTES = 1 << 16
 JPEG_QUALITY = 90
 
+OBJECT = {"type": "object"}
 IMAGE_SCHEMA = {
     "type": "object",
     "title": "foxglove.CompressedImage",
@@ -54,7 +55,7 @@ class Recorder:
         self._writer.start(library=f"skyherd {__version__}")
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
-        self._put("/mission", 0.0, _mission_record(mission), "skyherd.Mission", {"type": "object"})
+        self._put("/mission", 0.0, _mission_record(mission), "skyherd.Mission")
 
     def write(self, step: Step) -> None:
         """Append all messages of one step."""
@@ -64,20 +65,20 @@ class Recorder:
         world = {
             "positions_m": step.positions_m,
             "headings_rad": step.headings_rad,
-            "fleet": to_plain(step.fleet),
+            "fleet": step.fleet,
         }
-        self._put("/world", step.time_s, to_plain(world), "skyherd.World", {"type": "object"})
-        record = to_plain(step.observation) | {
-            "control_sets": to_plain(step.control_sets),
-            "commanded_ids": to_plain(step.commanded_ids),
-            "roles": to_plain(step.roles),
+        self._put("/world", step.time_s, world, "skyherd.World")
+        record = {field.name: getattr(step.observation, field.name) for field in fields(Observation)} | {
+            "control_sets": step.control_sets,
+            "commanded_ids": step.commanded_ids,
+            "roles": step.roles,
         }
-        self._put("/observer", step.time_s, record, "skyherd.Observation", json_schema(Observation))
+        self._put("/observer", step.time_s, record, "skyherd.Observation", Observation)
         self._file.flush()  # a killed run keeps all chunks that were whole by then
 
     def finish(self, time_s: float, wall_s: float) -> None:
         """Mark the run as complete; its wall time is metadata, since messages repeat with the seed."""
-        self._put("/end", time_s, {}, "skyherd.End", {"type": "object"})
+        self._put("/end", time_s, {}, "skyherd.End")
         self._writer.add_metadata("wall", {"wall_s": repr(wall_s)})
 
     def _write_frame(self, topic: str, time_s: float, frame: UnitFrame) -> None:
@@ -96,7 +97,7 @@ class Recorder:
             "found_ids": sight.found_ids,
             "false_detections": sight.false_detections,
         }
-        self._put(f"{topic}/truth", time_s, to_plain(truth), "skyherd.SightTruth", {"type": "object"})
+        self._put(f"{topic}/truth", time_s, truth, "skyherd.SightTruth")
         if self.images and sight.image is not None:
             _, data = cv2.imencode(".jpg", sight.image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
             nanoseconds = _nanoseconds(time_s)
@@ -109,16 +110,17 @@ class Recorder:
             self._put(f"{topic}/image", time_s, record, "foxglove.CompressedImage", IMAGE_SCHEMA)
 
     def _put_value(self, topic: str, time_s: float, value: Any) -> None:
-        self._put(topic, time_s, to_plain(value), f"skyherd.{type(value).__name__}", json_schema(type(value)))
+        self._put(topic, time_s, value, f"skyherd.{type(value).__name__}", type(value))
 
-    def _put(self, topic: str, time_s: float, record: Any, schema: str, definition: dict[str, Any]) -> None:
+    def _put(
+        self, topic: str, time_s: float, record: Any, schema: str, kind: type | dict[str, Any] = OBJECT
+    ) -> None:
         if topic not in self._channels:
             if schema not in self._schemas:
-                text = json.dumps(definition).encode()
+                text = to_json(kind if isinstance(kind, dict) else json_schema(kind))
                 self._schemas[schema] = self._writer.register_schema(schema, "jsonschema", text)
             self._channels[topic] = self._writer.register_channel(topic, "json", self._schemas[schema])
-        data = json.dumps(record, separators=(",", ":"), allow_nan=False).encode()
-        at = _nanoseconds(time_s)
+        at, data = _nanoseconds(time_s), to_json(record)
         self._writer.add_message(self._channels[topic], log_time=at, publish_time=at, data=data)
 
     def __enter__(self) -> Self:

@@ -1,7 +1,6 @@
 """Recordings read back: a run's mission and steps, as far as its file goes."""
 
 import base64
-import json
 import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -11,6 +10,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+import orjson
 from mcap.exceptions import McapError
 from mcap.records import Channel, Message, Metadata
 from mcap.stream_reader import CRCValidationError, StreamReader
@@ -66,7 +66,7 @@ def read_messages(path: Path) -> Iterator[tuple[str, float, Any]]:
                 if isinstance(record, Channel):
                     channels[record.id] = record.topic
                 elif isinstance(record, Message):
-                    yield channels[record.channel_id], record.log_time / 1e9, json.loads(record.data)
+                    yield channels[record.channel_id], record.log_time / 1e9, orjson.loads(record.data)
                 elif isinstance(record, Metadata):
                     yield f"#{record.name}", 0.0, record.metadata
     except (CRCValidationError, ZstdError, ValueError, KeyError) as error:

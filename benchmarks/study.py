@@ -4,12 +4,18 @@
     python benchmarks/study.py --workers 8 --rounds 5 --runs 64
 
 Each round makes the same runs with one worker and with all, one after the other, on warm workers; what is
-told is the ratio of each round, and the median of all. A machine that does other work gives less: n processes
-that compete with m others for too few cores get n (1 + m) / (n + m) times what one gets. The CPU time that
-client and scheduler take from the workers is told too.
+told is the ratio of each round, and the median of all. Beside it stands what the machine itself gives: the
+same runs in bare processes, one and as many, with nobody to serve them. Cores that share caches and memory,
+and a machine that does other work, give less than their number: n processes that compete with m others for
+too few cores get n (1 + m) / (n + m) times what one gets. The CPU time that client and scheduler take from
+the workers is told too.
 """
 
 import argparse
+import os
+from collections.abc import Sequence
+from multiprocessing import get_context
+from multiprocessing.pool import Pool
 from statistics import median
 from time import perf_counter, process_time
 
@@ -17,6 +23,7 @@ from distributed import Client
 
 from skyherd.datasets import Mission, load_mission
 from skyherd.study.cluster import open_client, run_missions
+from skyherd.study.measure import measure
 
 
 def make_missions(count: int, perception: str) -> list[Mission]:
@@ -33,6 +40,17 @@ def runs_per_s(client: Client, missions: list[Mission], name: str) -> float:
     return made / (perf_counter() - started_s)
 
 
+def _run(mission: Mission) -> None:
+    measure("", mission, [])
+
+
+def bare_runs_per_s(pool: Pool, missions: Sequence[Mission]) -> float:
+    """The same of bare processes, each of which takes the next run when it has ended one."""
+    started_s = perf_counter()
+    pool.map(_run, missions, chunksize=1)
+    return len(missions) / (perf_counter() - started_s)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--workers", type=int, default=2)
@@ -41,19 +59,31 @@ def main() -> None:
     parser.add_argument("--perception", default="rendered")
     options = parser.parse_args()
     missions = make_missions(options.runs, options.perception)
-    ratios = []
-    with open_client(jobs=1) as one, open_client(jobs=options.workers) as all_workers:
+    ratios, bounds = [], []
+    os.environ["OPENBLAS_NUM_THREADS"] = "1"  # as the cluster's workers have it
+    bare = get_context("spawn")
+    with (
+        open_client(jobs=1) as one,
+        open_client(jobs=options.workers) as all_workers,
+        bare.Pool(1) as one_bare,
+        bare.Pool(options.workers) as all_bare,
+    ):
+        warm = missions[: 2 * options.workers]
         for client in (one, all_workers):
-            runs_per_s(client, missions[: 2 * options.workers], "warm")
+            runs_per_s(client, warm, "warm")
+        for pool in (one_bare, all_bare):
+            bare_runs_per_s(pool, warm)
         for number in range(options.rounds):
             began_s = process_time()
             slow = runs_per_s(one, missions, f"one-{number}")
             fast = runs_per_s(all_workers, missions, f"all-{number}")
             ratios.append(fast / slow)
             own_ms = 1e3 * (process_time() - began_s) / (2 * len(missions))
-            told = f"{slow:.2f} runs/s on 1, {fast:.2f} on all: {fast / slow:.2f} x"
+            bounds.append(bare_runs_per_s(all_bare, missions) / bare_runs_per_s(one_bare, missions))
+            told = f"{slow:.2f} runs/s on 1, {fast:.2f} on all: {ratios[-1]:.2f} x, bare {bounds[-1]:.2f} x"
             print(f"round {number + 1}: {told}; client and scheduler {own_ms:.0f} ms a run", flush=True)
-    print(f"median: {median(ratios):.2f} x on {options.workers} workers")
+    told = f"{median(ratios):.2f} x on {options.workers} workers, {median(bounds):.2f} x in bare processes"
+    print(f"median: {told}")
 
 
 if __name__ == "__main__":

@@ -13,7 +13,8 @@ run resumes. Times count from when the tree is ready: robots hold still before. 
 `k ∫ λ dt`, over the topologies that were, reaches `log(error at the start / 0.01)`: exact for robots that are
 points without limits and an error that is all in the slowest mode. `driving_s` is what the robot that ends
 farthest from its start needs at its greatest speed; no control is faster. Where the slowest mode is fast that
-is the longer of the two, and `predicted_s + driving_s` the bound to hold a time against.
+is the longer of the two, and `predicted_s + driving_s` the bound to hold a time against. `one_unit_s` is what
+would be predicted of a single unit that controls all robots.
 """
 
 import argparse
@@ -157,6 +158,7 @@ def run_mission(seed: int, options: argparse.Namespace) -> dict[str, Any]:
         "time_to_1pct_s": watch.reached_s,
         "predicted_s": watch.predicted_s,
         "driving_s": watch.driving_s,
+        "one_unit_s": max(watch.log_need, 0.0) / watch.gain,
         "ready_s": watch.ready_s,
         "p_violation_s": watch.violated_s["p"],
         "tc1_violation_s": watch.violated_s["tc1"],

@@ -232,3 +232,23 @@ def test_a_killed_run_still_gives_its_figures(tmp_path, capsys):
     assert not summary["complete"]
     assert 0 < summary["simulated_s"] < 100
     assert len(list((out / "figures").glob("*.png"))) >= 9
+
+
+def test_an_interrupt_while_the_program_loads_is_obeyed():
+    # A finder that is asked for skyherd.cli stands for the user's Ctrl-C at that moment.
+    interrupt = """
+import runpy, sys
+class Interrupt:
+    def find_spec(self, name, *rest):
+        if name == "skyherd.cli":
+            raise KeyboardInterrupt
+sys.meta_path.insert(0, Interrupt())
+runpy.run_module("skyherd", run_name="__main__")
+"""
+    ended = subprocess.run([sys.executable, "-c", interrupt], capture_output=True, text=True, check=False)
+    assert (ended.returncode, ended.stdout, ended.stderr) == (130, "", "interrupted\n")
+
+
+def test_the_package_runs_as_a_program():
+    command = [sys.executable, "-m", "skyherd", "--version"]
+    assert subprocess.check_output(command, text=True).startswith("skyherd ")

@@ -13,19 +13,19 @@ def seek(unit: Standing, time_s: float, at_slot: bool) -> None:
 
     Large sets bind the team firmly (docs/topology.md), and the founder's is all that it sees. So that there
     is one founder, however late reports are, the lowest unit chooses: it founds the tree, or asks another
-    to.
+    to and keeps to that while it hears of it, since the other may have done so by then.
     """
     members = unit.heard.members(time_s)
     if members:
         _ask(unit, members, time_s)
         return
-    fresh = unit.heard.fresh(time_s)
-    lowest = min((heard.report.unit_id for heard in fresh), default=unit.unit_id)
+    fresh = {heard.report.unit_id: heard for heard in unit.heard.fresh(time_s)}
+    lowest = min(fresh, default=unit.unit_id)
     if lowest < unit.unit_id:
         if lowest in unit.askers(time_s):
             _found(unit)
-    elif at_slot and time_s - unit.since_s >= unit.rule.dwell_s:
-        inside = {heard.report.unit_id: len(heard.near(unit.rule.radius)) for heard in fresh}
+    elif at_slot and time_s - unit.since_s >= unit.rule.dwell_s and unit.asks_id not in fresh:
+        inside = {other: len(heard.near(unit.rule.radius)) for other, heard in fresh.items()}
         inside[unit.unit_id] = len(unit.visible)
         chosen = max(inside, key=lambda other: (inside[other], -other))
         if chosen == unit.unit_id:

@@ -12,6 +12,7 @@ from skyherd.control import Template
 from skyherd.control.adoption import Orphans, yield_claims
 from skyherd.control.edge import NO_TURN, Edge
 from skyherd.control.hearsay import Hearsay
+from skyherd.control.roster import Roster
 from skyherd.control.standing import Standing, TreeRule
 from skyherd.messages import NOBODY, TreeWord, UnitReport
 
@@ -36,6 +37,11 @@ def _formed(units: int, robots: int) -> ProtocolWorld:
     world.quiet(20.0, STEP_S)
     assert world.in_p()
     return world
+
+
+def no_tree() -> TreeWord:
+    """What a unit says that belongs to no tree and asks nobody."""
+    return Roster(RULE, Template(np.arange(6), np.arange(6.0) + 0j)).word(0.0)
 
 
 def member_report(unit_id: int, time_s: float, controlled, seen: dict[int, float], pair=()) -> UnitReport:
@@ -191,6 +197,29 @@ def test_a_founder_asks_nobody() -> None:
     world.crash(0)
     world.quiet(10.0, STEP_S)
     assert world.rosters[1].unit.asks_id == NOBODY
+
+
+def test_the_choice_of_the_founder_stands_while_its_word_is_on_the_way() -> None:
+    """Unit 0 chose unit 1, which founded the tree and then lost sight of what made it the better one."""
+    world = ProtocolWorld(2, 6, RULE, [{4: 0.1, 5: 0.1}, {3: 0.1, 4: 0.1, 5: 0.1}])
+    world.image(0)
+    world.quiet(RULE.dwell_s - STEP_S, STEP_S)
+    world.time_s = RULE.dwell_s
+    world.image(0)
+    world.deliver_all()
+    assert world.rosters[0].unit.asks_id == 1
+    del world.views[1][4]
+    world.image(1)
+    founded = world.waiting.pop()[1]
+    assert world.sets[1] == {3, 5}
+    # Unit 0 knows by now that unit 1 sees no more than itself, and not yet that it founded the tree.
+    world.inbox[0][1] = replace(founded, controlled_ids=NONE, secure_ids=NONE, tree=no_tree())
+    world.time_s += RULE.dwell_s
+    world.image(0)
+    assert not world.rosters[0].unit.is_member
+    world.inbox[0][1] = founded
+    world.quiet(3 * RULE.dwell_s, STEP_S)
+    assert world.holders().keys() == {3, 5}
 
 
 # --- succession ---

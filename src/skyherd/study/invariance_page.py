@@ -112,8 +112,8 @@ def _tiles(sweeps: Sequence[Sweep], runs: int, failed: int) -> list[tuple[str, s
         (str(runs), f"runs, {failed} failed" if failed else "runs, none failed"),
         (exact, "worst path inside the class, exact images, marker sides"),
         (most(True, False, "shape"), "worst shape error inside the class, rendered"),
-        (most(False, False, "shape"), "worst outside it, as seen"),
-        (most(False, True, "shape"), "worst outside it, rectified"),
+        (most(False, False, "shape"), "worst shape error outside it, as seen"),
+        (most(False, True, "shape"), "worst shape error outside it, rectified"),
     ]
 
 

@@ -120,7 +120,11 @@ class Rectifier:
 def rectified(seen: Detections, ground_map: GroundMap) -> Detections:
     """Detections through a map, with covariances.
 
-    Centres and corners are mapped; headings and sides are those of the squares that fit the mapped corners.
+    Corners are mapped; headings and sides are those of the squares that fit the mapped corners. A detector
+    takes a marker for flat squares that no lens bends. Where one does, the bend moves a point z of the marker
+    by some `B[z, z]`, and what fits all edges best is off by the mean of that over the edges: about half of
+    the mean over the corners, by which the middle of the mapped corners is off the other way. So the centre
+    is put half-way between the mapped centre and that middle, which are one where no lens bends.
     The covariance is the detection's through the map's slope at the marker, and the map's own.
     """
     if ground_map.ideal:
@@ -133,7 +137,7 @@ def rectified(seen: Detections, ground_map: GroundMap) -> Detections:
     by_pose = _pose_by_pose(maps.slopes[0], maps.crosses[0], seen.headings_rad)
     return replace(
         seen,
-        centers_px=to_points(half * maps.values[0]) + (size - 1) / 2,
+        centers_px=(to_points(half * maps.values[0]) + (size - 1) / 2 + corners.mean(axis=1)) / 2,
         headings_rad=after.headings_rad(),
         sides_px=seen.sides_px * np.exp(after.log_sides() - before.log_sides()),
         corners_px=corners,

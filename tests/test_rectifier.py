@@ -11,9 +11,11 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from seen_squares import View, random_robots, random_view, shape_error
-from skyherd.control import Rectifier
-from skyherd.control.ground_map import CENTER, FOCAL, HORIZON, LENS, SQUEEZE, USUAL_FOCAL
+from seen_squares import CORNERS, View, random_robots, random_view, shape_error
+from skyherd.control import Rectifier, rectified
+from skyherd.control.ground_map import CENTER, FOCAL, HORIZON, LENS, SQUEEZE, USUAL_FOCAL, GroundMap
+from skyherd.geometry import to_complex, to_points
+from skyherd.markers import marker_cells
 from skyherd.messages import Detections
 from skyherd.render import Camera, Distortion
 
@@ -156,6 +158,63 @@ def test_the_lenss_centre_is_the_principal_point():
     rectifier = learn(lambda image: View(camera), 20)
     assert np.sqrt(np.diag(rectifier.ground_map.covariance)[CENTER]).max() < 0.02
     assert off(rectifier, CENTER, 0.2 - 0.1j) < 4.5
+
+
+def edges_of(marker_id: int) -> tuple[np.ndarray, np.ndarray]:
+    """Points (P,) along all edges between the cells of a marker on its card, in sides, and their normals."""
+    cells = np.pad(marker_cells("4X4_50", marker_id), 1, constant_values=True)
+    n, along = len(cells) - 2, (np.arange(8) + 0.5) / 8
+    points, normals = [], []
+    for row, column in zip(*np.nonzero(cells[:, 1:] != cells[:, :-1]), strict=True):
+        points.append(column + 1j * (row - 1 + along))
+        normals.append(np.full(8, 1.0 + 0j))
+    for row, column in zip(*np.nonzero(cells[1:] != cells[:-1]), strict=True):
+        points.append(column - 1 + along + 1j * row)
+        normals.append(np.full(8, 1j))
+    return np.concatenate(points) / n - (0.5 + 0.5j), np.concatenate(normals)
+
+
+def fitted_square(z: np.ndarray, across: np.ndarray, images: np.ndarray) -> np.ndarray:
+    """Images (5,) of a marker's centre and corners by the flat map `c + m z + k z̄` that fits its edges best,
+    of which only what is `across` them can be seen."""
+    columns = np.stack([factor * power for power in (np.ones_like(z), z, z.conj()) for factor in (1, 1j)])
+    seen = (columns * across.conj()).real.T
+    found = np.linalg.lstsq(seen, (images * across.conj()).real, rcond=None)[0]
+    c, m, k = found[::2] + 1j * found[1::2]
+    square = np.array([0, *CORNERS])
+    return c + m * square + k * square.conj()
+
+
+@pytest.mark.parametrize("marker_id", range(0, 50, 7))
+@pytest.mark.parametrize("turn_rad", [0.0, 0.5])
+def test_a_bent_markers_centre_is_where_the_marker_is(marker_id, turn_rad):
+    """A detector that fits a flat square to bent edges finds a centre that is off by half of how far the lens
+    moves the mean of the corners, give or take what the marker's bits make of it; rectified it is not."""
+    size_px, ground_map = np.array([800, 800]), GroundMap(unknowns=np.eye(10)[LENS[0]] * 0.3)
+    turn, (z, normals) = np.exp(1j * turn_rad), edges_of(marker_id)
+    true_px = to_points(640 + 470j + 80 * turn * np.array([0, *CORNERS, *z]))
+    images = to_complex(ground_map.image_px(true_px, size_px))
+    seen = detections_of(fitted_square(z, turn * normals, images[5:]), size_px)
+    bend_px = abs(images[1:5].mean() - images[0])
+    mapped_px = ground_map.rectified_px(seen.centers_px, size_px)
+    assert np.linalg.norm(mapped_px - true_px[0]) > 0.3 * bend_px > 0.05
+    assert np.linalg.norm(rectified(seen, ground_map).centers_px - true_px[0]) < 0.2 * bend_px
+
+
+def detections_of(points: np.ndarray, size_px: np.ndarray) -> Detections:
+    """One marker's centre and corners (5,), exactly."""
+    side = abs(points[2] - points[1])
+    return Detections(
+        unit_id=0,
+        time_s=0.0,
+        image_size_px=size_px,
+        ids=np.array([0]),
+        centers_px=to_points(points[:1]),
+        headings_rad=np.angle(points[1:2] - points[4:5]),
+        sides_px=np.array([side]),
+        corners_px=to_points(points[1:])[None],
+        covariances=1e-6 * np.eye(3)[None],
+    )
 
 
 # --- what it leaves alone ---

@@ -11,7 +11,7 @@ from scipy.spatial import KDTree
 
 from skyherd.control import Template, fit_similarities, fit_similarity
 from skyherd.control.topology import Conditions, ControlSets, check_conditions, control_matrix
-from skyherd.geometry import Array, IntArray, to_complex
+from skyherd.geometry import Array, BoolArray, IntArray, to_complex
 
 
 @dataclass(frozen=True)
@@ -68,6 +68,8 @@ class Observer:
     def __init__(self, template: Template, ids: IntArray) -> None:
         self.ids = ids
         self.template_ground = template.points_of(ids).conj()
+        self._topology: BoolArray = np.zeros((0, ids.size), dtype=bool)
+        self._conditions = check_conditions(self._topology)
 
     def observe(
         self,
@@ -93,10 +95,16 @@ class Observer:
             V_units=np.where(partial.exist, costs, np.nan),
             scales=np.where(partial.exist, np.abs(partial.turns), np.nan),
             rotations_rad=np.where(partial.exist, np.angle(partial.turns), np.nan),
-            conditions=check_conditions(np.delete(controlled, list(dead), axis=0)),
+            conditions=self._judged(np.delete(controlled, list(dead), axis=0)),
             shape=fit_shape(template, positions),
             min_separation_m=_least_separation(positions_m),
         )
+
+    def _judged(self, topology: BoolArray) -> Conditions:
+        """TC1-TC5 of a topology; most steps leave it as it was."""
+        if not np.array_equal(topology, self._topology):
+            self._topology, self._conditions = topology, check_conditions(topology)
+        return self._conditions
 
 
 def _least_separation(positions_m: Array) -> float:

@@ -9,6 +9,7 @@ from skyherd.vision.pattern import blur_buckets, make_pattern
 from skyherd.vision.shapes import Shapes
 
 DICTIONARY, SIGMA, HALF_CARD = "4X4_50", 0.03, 0.5 + 1 / 6
+ROUND = np.zeros(1, dtype=complex)
 
 
 def looks(count, *, sees_ground=True, limit=0.55):
@@ -39,13 +40,29 @@ def shapes(centers, arms, squeezes=None, horizons=None):
 def test_ground_is_seen_beyond_the_card_only():
     """As the law has it: entries are 1/64 σ apart, so that nearest ones are off by `φ(0) / 128`: 0.003."""
     x, y = (z.ravel()[None].astype(np.float32) for z in np.mgrid[-0.9:0.9:61j, -0.9:0.9:61j])
-    seen = seen_beyond(x, y, looks(1))
+    seen = seen_beyond(x, y, looks(1), ROUND)
     inside = (ndtr((z + HALF_CARD) / SIGMA) - ndtr((z - HALF_CARD) / SIGMA) for z in (x, y))
     law = 1 - np.prod(list(inside), axis=0)
     np.testing.assert_allclose(seen, law, atol=2 * 0.0032)
     assert seen.min() < 1e-4
     assert seen.max() > 1 - 1e-4
-    assert not seen_beyond(x, y, looks(1, sees_ground=False)).any()
+    assert not seen_beyond(x, y, looks(1, sees_ground=False), ROUND).any()
+
+
+@pytest.mark.parametrize("squeeze", [0.14, -0.14, 0.1 - 0.1j])
+def test_blur_is_not_round_in_a_squeezed_marker(squeeze):
+    """The image's round blur through the inverse of `z + e z̄`: its covariance there, and the law along each
+    axis; entries are 1/64 σ apart."""
+    x, y = (z.ravel()[None].astype(np.float32) for z in np.mgrid[-0.9:0.9:61j, -0.9:0.9:61j])
+    e = complex(squeeze)
+    image_marker = np.array([[1 + e.real, e.imag], [e.imag, 1 - e.real]])
+    deviations = SIGMA * np.sqrt(np.diag(np.linalg.inv(image_marker @ image_marker.T)))
+    inside = [
+        ndtr((z + HALF_CARD) / deviation) - ndtr((z - HALF_CARD) / deviation)
+        for z, deviation in zip((x, y), deviations, strict=True)
+    ]
+    seen = seen_beyond(x, y, looks(1), np.array([e]))
+    np.testing.assert_allclose(seen, 1 - np.prod(inside, axis=0), atol=2 * 0.0032)
 
 
 @pytest.mark.parametrize("horizon", [0.0, 0.002 - 0.001j])

@@ -100,7 +100,7 @@ class Pixels:
         self.x, self.y, self.counts = lines.x, lines.y, lines.counts
         self.columns = np.empty((rows.size, ROWS, self.x.shape[1]), dtype=np.float32)
         self.columns[:, PIXELS + 1 :] = 0.0
-        self._weigh(looks, lines.padded)
+        self._weigh(looks, shapes, lines.padded)
         grey = np.subtract(image.ravel().take(lines.places, mode="wrap"), MIDDLE_GREY, dtype=np.float32)
         np.multiply(grey, self.columns[:, BLACK], out=self.columns[:, PIXELS])
         self._fill(looks, shapes)
@@ -109,13 +109,13 @@ class Pixels:
         """(N, 13, 13) inner products of the columns and the pixels."""
         return (self.columns @ self.columns.transpose(0, 2, 1))[:, : PIXELS + 1, : PIXELS + 1]
 
-    def _weigh(self, looks: Looks, padded: Floats) -> None:
+    def _weigh(self, looks: Looks, shapes: Shapes, padded: Floats) -> None:
         """What of the ground is seen, and the pixels' weights: texture seen there is noise as well."""
         weights, ground = self.columns[:, BLACK], self.columns[:, GROUND]
         if not looks.sees_ground.any():
             weights[...], ground[...] = padded, 0.0
             return
-        ground[...] = seen_beyond(self.x, self.y, looks)
+        ground[...] = seen_beyond(self.x, self.y, looks, shapes.squeezes / shapes.arms)
         np.multiply(ground, ground, out=weights)
         weights *= np.float32(looks.texture**2)
         weights += 1
@@ -257,22 +257,23 @@ def _laid_out(
     return Lines(totals, padded, rows, x, y)
 
 
-def seen_beyond(x: Floats, y: Floats, looks: Looks) -> Floats:
+def seen_beyond(x: Floats, y: Floats, looks: Looks, squeezes: ComplexArray) -> Floats:
     """What of the ground beyond the card is seen at marker coordinates (N, M), `1 - A(x) A(y)`.
 
     With the blur σ and the card's edge at h, `A(x) = Φ((h - |x|) / σ)`: the other edge is too far off to be
-    felt. Zero where a marker sees none within its limits.
+    felt. Zero where a marker sees none within its limits. In the coordinates of a marker that is squeezed by
+    e = `squeezes` (N,), `z + e z̄`, blur that is round in the image has deviations `σ |1 ∓ e| / (1 - |e|²)`.
     """
-    per_side = (PER_SIGMA / looks.sigmas).astype(np.float32)[:, None]
     middle = EDGE_REACH * PER_SIGMA + 0.5
-    edge = np.where(looks.sees_ground, looks.half_card / looks.sigmas * PER_SIGMA + middle, np.inf)
-    edge = edge.astype(np.float32)[:, None]
 
-    def covered(along: Floats) -> Floats:
-        place = edge - per_side * np.abs(along)
+    def covered(along: Floats, wide: Array) -> Floats:
+        per_side = PER_SIGMA / (looks.sigmas * wide)
+        edge = np.where(looks.sees_ground, looks.half_card * per_side + middle, np.inf)
+        place = edge.astype(np.float32)[:, None] - per_side.astype(np.float32)[:, None] * np.abs(along)
         return _EDGE.take(np.clip(place, 0, 2 * middle - 1, out=place).astype(np.intp), mode="wrap")
 
-    return np.asarray(1 - covered(x) * covered(y))
+    x_wide, y_wide = (np.abs(1 + sign * squeezes) / (1 - np.abs(squeezes) ** 2) for sign in (-1, 1))
+    return np.asarray(1 - covered(x, x_wide) * covered(y, y_wide))
 
 
 def _read(patterns: list[Pattern], x: Floats, y: Floats) -> Floats:

@@ -24,6 +24,9 @@ from skyherd.messages import Detections, centred
 LEAST_MARKERS = 3
 """Fewer tell nothing of a camera, and change nothing before one was learned."""
 
+LEAST_SPREAD = 1e-9
+"""Squares of distances, px², that centres in one place are taken to have."""
+
 FRESH_SIDES = 0.02
 """A marker that moved less, in its sides, since the last image repeats errors, and counts in proportion."""
 
@@ -125,7 +128,8 @@ def rectified(seen: Detections, ground_map: GroundMap) -> Detections:
     by some `B[z, z]`, and what fits all edges best is off by the mean of that over the edges: about half of
     the mean over the corners, by which the middle of the mapped corners is off the other way. So the centre
     is put half-way between the mapped centre and that middle, which are one where no lens bends.
-    The covariance is the detection's through the map's slope at the marker, and the map's own.
+    The covariance is the detection's through the map's slope at the marker, and the map's own but for a
+    similarity of all centres: the ground is known up to one, and no goal depends on it.
     """
     if ground_map.ideal:
         return seen
@@ -133,7 +137,7 @@ def rectified(seen: Detections, ground_map: GroundMap) -> Detections:
     corners = ground_map.rectified_px(seen.corners_px.reshape(-1, 2), size).reshape(-1, 4, 2)
     before, after = (Arms.of_corners(to_complex(c)) for c in (seen.corners_px, corners))
     maps = local_maps(ground_map.unknowns + STEPS, to_complex(centred(seen.centers_px, size)))
-    by_map = _pose_by_map(maps, half)
+    by_map = _but_for_similarity(_pose_by_map(maps, half), maps.values[0] * half)
     by_pose = _pose_by_pose(maps.slopes[0], maps.crosses[0], seen.headings_rad)
     return replace(
         seen,
@@ -153,6 +157,19 @@ def _pose_by_map(maps: LocalMaps, half: float) -> Array:
     """
     pose = np.stack([half * maps.values.real, half * maps.values.imag, np.angle(maps.slopes)])
     return np.asarray((pose[:, 1:] - pose[:, :1]).transpose(2, 0, 1) / DIFFERENCE)
+
+
+def _but_for_similarity(by_map: Array, centers: ComplexArray) -> Array:
+    """What is left of derivatives (N, 3, 10) of poses but for the similarities of all `centers` (N,) in them.
+
+    Those are `t + a z` by least squares, z being the centres from their mean; a turns headings by its angle.
+    """
+    z = centers - centers.mean()
+    shifts = by_map[:, 0] + 1j * by_map[:, 1]
+    shifts = shifts - shifts.mean(axis=0)
+    turns = z.conj() @ shifts / max(float(np.sum(np.abs(z) ** 2)), LEAST_SPREAD)
+    shifts = shifts - z[:, None] * turns
+    return np.stack([shifts.real, shifts.imag, by_map[:, 2] - turns.imag], axis=1)
 
 
 def _pose_by_pose(slopes: ComplexArray, crosses: ComplexArray, headings_rad: Array) -> Array:

@@ -13,9 +13,10 @@ CORNERS: ComplexArray = np.array([-0.5 - 0.5j, 0.5 - 0.5j, 0.5 + 0.5j, -0.5 + 0.
 TINY = 1e-24
 """Areas of corners that all lie on one spot are held above this."""
 
-HEADING_SHARE = 1 / 3
-"""Variance of each of a square's three numbers over that of its heading. A marker's outline tells its side
-and squeeze better than its turn; four corners of equal and independent errors would make it 1/2."""
+HEADING_SHARE = 1 / 2
+"""Variance of each of a square's three numbers over that of its heading, as of four corners with equal and
+independent errors. Of markers fitted to their pixels, of 18 to 40 px, squeezes have 0.4 to 0.6 and sides
+0.32 to 0.39."""
 
 UNKNOWN_ERROR_PX = 0.1
 """Error of a corner, per axis, where a detector tells no covariance: a first guess."""

@@ -20,7 +20,7 @@ from zstandard import ZstdError
 from skyherd.control import Decision, GroundMap, Template
 from skyherd.control.topology import Conditions
 from skyherd.datasets import Mission, Scenario
-from skyherd.errors import InputError, MessageError
+from skyherd.errors import InputError
 from skyherd.loop import Step, UnitFrame
 from skyherd.messages import Detections, Encounters, FlightCommand, MotionGoals, UnitReport, VelocityCommand
 from skyherd.observer import Observation, ShapeFit
@@ -141,7 +141,7 @@ def _understood(path: Path) -> Iterator[None]:
     """Says in one line that a record of a whole file has another content than this skyherd writes."""
     try:
         yield
-    except (ValidationError, MessageError, KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError) as error:  # pydantic's and our messages' errors too
         first = error.errors()[0] if isinstance(error, ValidationError) else None
         at = ".".join(str(part) for part in first["loc"]) + f": {first['msg']}" if first else str(error)
         raise InputError(

@@ -28,8 +28,8 @@ import numpy as np
 from rows import Row, gather, read_rows
 
 from skyherd.datasets import Mission, make_mission
-from skyherd.datasets.crowded_missions import BODY_SIDES, SHAPE_SPACING, crowded_mission
-from skyherd.datasets.random_missions import Crowd, legible, random_mission
+from skyherd.datasets.crowded_missions import SHAPE_SPACING, crowded_mission
+from skyherd.datasets.random_missions import BODY_SIDES, Crowd, legible, random_mission
 from skyherd.figure_canvas import DPI, drawing_style, new_figure
 from skyherd.geometry import to_complex
 from skyherd.hindsight import shortest_path

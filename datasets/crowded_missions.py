@@ -5,11 +5,9 @@ from typing import Any
 import numpy as np
 from scipy.spatial.distance import cdist
 
-from skyherd.datasets.random_missions import IN_COMMON, SIDE_M, TRIES, make_tree, random_camera
+from skyherd.datasets.random_missions import BODY_SIDES, IN_COMMON, SIDE_M, TRIES, make_tree, random_camera
 from skyherd.geometry import Array, BoolArray, ComplexArray, to_points
 
-BODY_SIDES = 1.0
-"""Radius of a body: two marker sides across hold a marker with its quiet zone."""
 START_SPACING = 2.5
 SHAPE_SPACING = 3.0
 """Distances between centres, in marker sides: at the start, and at least in the shape."""

@@ -15,6 +15,8 @@ SIDE_M = 0.2
 IN_COMMON = 4
 """Robots that neighbours see together at the start, at least."""
 TRIES = 200
+BODY_SIDES = 1.0
+"""Radius of a body: two marker sides across hold a marker with its quiet zone."""
 LEGIBLE_PX = 20.0
 """Side of a marker in the images of `legible`, at least, at the start."""
 
@@ -124,7 +126,7 @@ def legible(tree: dict[str, Any]) -> dict[str, Any]:
     """The same mission for a detector that reads pixels.
 
     Images have so many that markers are LEGIBLE_PX large at the start, and units keep them from becoming too
-    small.
+    small. Robots have bodies and avoid one another: one that drove over another would hide it from all.
     """
     units = []
     for unit in tree["units"]:
@@ -138,7 +140,8 @@ def legible(tree: dict[str, Any]) -> dict[str, Any]:
         }
         flight = {key: value for key, value in unit["flight"].items() if key != "least_side_px"}
         units.append(unit | {"camera": camera | sharper, "flight": flight})
-    return tree | {"perception": "rendered", "units": units}
+    robots = tree["robots"] | {"body_radius_sides": BODY_SIDES}
+    return tree | {"perception": "rendered", "units": units, "robots": robots, "avoidance": {"on": True}}
 
 
 def _tree(rng: np.random.Generator, crowd: Crowd) -> tuple[ComplexArray, list[int]]:

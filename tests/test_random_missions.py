@@ -64,6 +64,14 @@ def test_a_legible_mission_is_the_same_with_finer_images() -> None:
         assert LEGIBLE_PX <= side_px < LEGIBLE_PX * finer / max(finer - 1, 0.5)
 
 
+def test_no_marker_of_a_legible_mission_covers_another() -> None:
+    """Bodies hold a card of a side and a sixth all around, whichever way it is turned, and stay apart."""
+    scenario = make_mission(legible(random_mission(1))).scenario
+    card = 1 + 2 / 6
+    assert scenario.avoidance.on
+    assert scenario.robots.body_radius_sides >= card / np.sqrt(2)
+
+
 def test_the_same_seed_is_the_same_mission() -> None:
     assert random_mission(4) == random_mission(4) != random_mission(5)
     assert star_mission(4) == star_mission(4) != star_mission(5)

@@ -3,7 +3,7 @@
 import json
 import sys
 from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 from typing import Any
 
@@ -45,4 +45,5 @@ def _run(run: Callable[[int], Row], seeds: list[int], jobs: int) -> Iterator[Row
         yield from map(run, seeds)
         return
     with ProcessPoolExecutor(jobs) as pool:
-        yield from pool.map(run, seeds)
+        for future in as_completed([pool.submit(run, seed) for seed in seeds]):
+            yield future.result()

@@ -29,6 +29,7 @@ def options(**changed) -> argparse.Namespace:
         "perception": "noisy",
         "network": "perfect",
         "kill": False,
+        "rival": None,
     }
     return argparse.Namespace(**(usual | changed))
 
@@ -101,6 +102,20 @@ def test_the_benchmark_notices_a_topology_that_leaves_p(load_benchmark) -> None:
         patch.setattr(module.Watch, "see", _count_from_the_start(module.Watch.see))
         row = module.run_mission(0, options())
     assert row["p_violation_s"] > 1.0
+
+
+def test_a_mission_is_given_up_when_it_takes_many_times_as_long_as_its_rival(
+    load_benchmark, tmp_path
+) -> None:
+    """And is then counted at the time it had, which is a lower bound."""
+    rival = tmp_path / "rival.jsonl"
+    rival.write_text('{"seed": 0, "time_to_1pct_s": 0.5, "ready_s": 4.0, "simulated_s": 9.0}\n')
+    module = load_benchmark("topology")
+    row = module.run_mission(0, options(rival=rival))
+    assert row["time_to_1pct_s"] is None and not row["converged"]
+    assert row["simulated_s"] - row["ready_s"] == pytest.approx(0.5 * module.GIVE_UP, abs=0.2 + 1e-9)
+    compared = module.compare(module.read_rows(rival), [row])
+    assert compared["ratio_quantiles_0_5_25_50_75_95_100"][0] == pytest.approx(module.GIVE_UP, abs=0.41)
 
 
 def _count_from_the_start(see):

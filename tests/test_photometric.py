@@ -2,13 +2,16 @@
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 
 from skyherd.markers import card_side, pose_of_corners
 from skyherd.optics import total_sigma_px
 from skyherd.render import Camera, CameraPose, Ground, Renderer, Sensor, project_markers
 from skyherd.vision import PhotometricDetector
+from skyherd.vision.decode import decode_quads
 from skyherd.vision.fit import fit_markers
 from skyherd.vision.plane import Plane
+from skyherd.vision.quads import find_quads
 from skyherd.vision.shapes import Shapes
 from skyherd.vision.verify import verified
 
@@ -144,6 +147,38 @@ def test_the_plane_of_a_tilted_camera_is_found():
     # Each squeeze is known to 2 / 200 / 30 or so over 16 markers: 1e-4; the horizon to that over 200 px.
     assert abs(abs(plane.horizon) - np.tan(tilt) / focal) < 5e-6
     assert abs(abs(plane.squeeze) - (1 - np.cos(tilt)) / (1 + np.cos(tilt))) < 5e-4
+
+
+def test_ground_taken_for_markers_has_no_say():
+    """Smooth blobs that quadrilaterals were found in, each fitted well as a pale marker squeezed in its own
+    way: what is told of the real markers beside them is as without them. It would differ by a deviation and
+    more, if the blobs were heard on the plane that all share."""
+    rng = np.random.default_rng(3)
+    ground = np.clip(gaussian_filter(rng.standard_normal((640, 640)), 4.0) * 300 + 128, 0, 255)
+    renderer = Renderer(DICTIONARY, 1.0, Ground(0, contrast=0.0), Sensor(0.0, rng))
+    camera, pose, side_px = Camera((640, 640), focal_px=400.0), CameraPose((0.0, 0.0), 10.0), 40.0
+    places = 5.0 * np.stack(np.meshgrid(np.arange(3) - 1, np.arange(3) - 1), axis=-1).reshape(-1, 2)
+    headings, ids = rng.uniform(-np.pi, np.pi, 9), np.arange(9)
+    image = renderer.render(camera, pose, ids, places, headings).astype(float)
+    truth = project_markers(camera, pose, places, headings, 1.0, card_side(DICTIONARY))
+    blank = np.ones(image.shape, dtype=bool)
+    for u, v in truth.centers_px.astype(int):
+        blank[v - 45 : v + 46, u - 45 : u + 46] = False
+    image[blank] = ground[blank]
+    image = np.clip(np.rint(image + 2.0 * rng.standard_normal(image.shape)), 0, 255).astype(np.uint8)
+
+    real = Shapes.of_corners(truth.corners_px)
+    decoded = decode_quads(image, find_quads(image), DICTIONARY, total_sigma_px(0.8))
+    found = Shapes.of_corners(decoded.corners_px)
+    beside = np.abs(found.centers[:, None] - real.centers).min(axis=1) > side_px
+    assert np.count_nonzero(beside) >= 3
+    both = real.joined(found.take(beside))
+    both_ids = np.concatenate([ids, decoded.ids[beside]])
+    alone, _ = fit_markers(image, DICTIONARY, ids, real, total_sigma_px(0.8), Plane(), 2.0)
+    fits, plane = fit_markers(image, DICTIONARY, both_ids, both, total_sigma_px(0.8), Plane(), 2.0)
+    assert plane == Plane(), "the camera looks straight down"
+    off = np.abs(fits.shapes.headings_rad()[:9] - alone.shapes.headings_rad())
+    assert (off < 0.05 * np.sqrt(alone.covariances[:, 2, 2])).all()
 
 
 @pytest.mark.parametrize("aspect", [0.75, 4 / 3])

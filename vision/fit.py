@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from skyherd.geometry import Array, IntArray
+from skyherd.geometry import Array, BoolArray, IntArray
 from skyherd.markers import card_side, cells_per_side
 from skyherd.vision import columns
 from skyherd.vision.columns import BLACK, BLUR, CONTRAST, LIGHT, MIDDLE_GREY, PIXELS, SQUEEZE, Looks, Pixels
@@ -54,6 +54,12 @@ LARGEST_STEP = 0.15
 
 LEAST_PIXELS = 2 * PIXELS
 """A marker that is seen by fewer has no say on the plane: its noise is not known."""
+
+WRONG_CELL = 0.25
+"""A cell is not of the colour it should have if it leaves more than this share of the contrast."""
+
+PALE = 0.6
+"""Less than this share of the greatest print contrast (`Fits.print_contrasts`) is hardly a print."""
 
 UNEVEN = 8.0
 """Light is taken as uneven once the markers' mean chi-squared exceeds its mean by so many deviations."""
@@ -132,30 +138,29 @@ def fit_markers(
     middle = complex(image.shape[1] - 1, image.shape[0] - 1) / 2
     sides_px = shapes.sides_px()
     looks = _looks(dictionary, ids, sigma_px / sides_px, plane, noise)
-    grams, counts = np.empty((ids.size, PIXELS + 1, PIXELS + 1)), np.empty(ids.size)
-    taken: list[Pixels] = []
+    taken, n_cells = _Taken(ids.size), cells_per_side(dictionary)
     start = shapes = replace(shapes, horizons=plane.horizons(shapes.centers - middle))
-    rows = np.arange(ids.size)
-    for _ in range(rounds):
+    rows, right = np.arange(ids.size), np.ones(ids.size, dtype=bool)
+    for number in range(1, rounds + 1):
         start = shapes if rows.size == ids.size else start.replaced(rows, shapes)
-        for pixels in columns.take_pixels(image, rows, start, looks):
-            grams[pixels.rows] = pixels.grams()
-            counts[pixels.rows] = pixels.counts
-            taken.append(pixels)
-        solved = Solved.of(grams, counts)
+        taken.take(image, rows, start, looks)
+        solved = taken.solved()
+        if number > 1:  # before, a start that is a pixel off may leave as much as a wrong cell
+            right[rows] = _cells_are_right(taken.cell_means(rows, solved, n_cells), solved.contrasts()[rows])
+        heard = _heard(solved, right)
         even = solved.holding(LIGHT, np.zeros((ids.size, 2)))
-        solved = solved if _is_uneven(solved, even) else even
-        plane, squeezes = _common_plane(solved, start, middle)
+        solved = solved if _is_uneven(solved, even, heard) else even
+        plane, squeezes = _common_plane(solved, start, middle, heard)
         solved = solved.holding(SQUEEZE, squeezes)
         looks = replace(looks, ratios=(solved.values[:, BLACK] + MIDDLE_GREY) / solved.contrasts())
         looks = replace(looks, bends=_bends(dictionary, ids, sigma_px / sides_px, plane))
         shapes, moved_px = _step(solved, start)
         shapes = replace(shapes, horizons=plane.horizons(shapes.centers - middle))
         bent_px = np.abs(shapes.horizons - start.horizons) * sides_px**2 / 2
-        rows = np.flatnonzero((moved_px > SETTLED_PX * np.cbrt(noise)) | (bent_px > STRAIGHT_PX))
+        unsettled = (moved_px > SETTLED_PX * np.cbrt(noise)) | (bent_px > STRAIGHT_PX)
+        rows = np.flatnonzero(unsettled & (right | (number < rounds / 2)))
         if not rows.size:
             break
-    n_cells = cells_per_side(dictionary)
     return Fits(
         ids=ids,
         shapes=shapes,
@@ -166,7 +171,7 @@ def fit_markers(
         log_blurs=solved.values[:, BLUR] / solved.contrasts(),
         blurs_cells=sigma_px / shapes.sides_px() * n_cells,
         pixels=solved.pixels,
-        cell_means=_cell_means(taken, solved, n_cells),
+        cell_means=taken.cell_means(np.arange(ids.size), solved, n_cells),
         moved_px=moved_px,
     ), plane
 
@@ -201,26 +206,62 @@ def _looks(dictionary: str, ids: IntArray, relative_sigmas: Array, plane: Plane,
     )
 
 
-def _cell_means(taken: list[Pixels], solved: Solved, n_cells: int) -> Array:
-    """(N, n, n) what is left over each cell, in the pixels last taken of each marker."""
-    means = np.empty((solved.pixels.size, n_cells, n_cells))
-    for pixels in taken:
-        means[pixels.rows] = pixels.cell_means(solved.values[pixels.rows], n_cells)
-    return means
+class _Taken:
+    """The pixels last taken of each of N markers."""
+
+    def __init__(self, count: int) -> None:
+        self._grams, self._counts = np.empty((count, PIXELS + 1, PIXELS + 1)), np.empty(count)
+        self._parts: list[Pixels] = []
+        self._part_of = np.empty(count, dtype=np.int64)
+
+    def take(self, image: Image, rows: IntArray, start: Shapes, looks: Looks) -> None:
+        """Take those of the markers `rows` anew."""
+        for pixels in columns.take_pixels(image, rows, start, looks):
+            self._grams[pixels.rows], self._counts[pixels.rows] = pixels.grams(), pixels.counts
+            self._part_of[pixels.rows] = len(self._parts)
+            self._parts.append(pixels)
+
+    def solved(self) -> Solved:
+        """Solutions for all markers, every unknown free."""
+        return Solved.of(self._grams, self._counts)
+
+    def cell_means(self, rows: IntArray, solved: Solved, n_cells: int) -> Array:
+        """(R, n, n) what a solution leaves over each cell of the markers `rows` (R,), grey levels."""
+        means = np.empty((self._counts.size, n_cells, n_cells))
+        for part in np.unique(self._part_of[rows]):  # in the order in which they were taken
+            pixels = self._parts[part]
+            means[pixels.rows] = pixels.cell_means(solved.values[pixels.rows], n_cells)
+        return means[rows]
 
 
-def _is_uneven(solved: Solved, even: Solved) -> bool:
+def _cells_are_right(cell_means: Array, contrasts: Array) -> BoolArray:
+    """Which of N fits leave every cell the colour it should have."""
+    return np.asarray(np.abs(cell_means).max(axis=(1, 2)) < WRONG_CELL * contrasts)
+
+
+def _heard(solved: Solved, right: BoolArray) -> BoolArray:
+    """Which of N fits have a say on what all markers of an image share; all, if none is `right`.
+
+    Not heard is what is not fitted yet, or may be ground that was taken for a marker: much of it is paler.
+    """
+    contrasts = solved.contrasts()
+    prints = contrasts / np.maximum(solved.values[:, BLACK] + MIDDLE_GREY + contrasts, contrasts)
+    heard = right & (prints > PALE * prints.max(where=right, initial=0.0))
+    return heard if heard.any() else np.ones_like(right)
+
+
+def _is_uneven(solved: Solved, even: Solved, heard: BoolArray) -> bool:
     """Whether light changes over the markers, by the mean of their chi-squared of two degrees of freedom."""
-    chi_squared = (even.squares - solved.squares) / solved.noises() ** 2 / 2
+    chi_squared = ((even.squares - solved.squares) / solved.noises() ** 2 / 2)[heard]
     return bool(chi_squared.mean() > 1 + UNEVEN / np.sqrt(chi_squared.size))
 
 
-def _common_plane(solved: Solved, shapes: Shapes, middle: complex) -> tuple[Plane, Array]:
-    """The plane, and the unknowns for squeeze and shear (N, 2) that put the markers on it."""
+def _common_plane(solved: Solved, shapes: Shapes, middle: complex, heard: BoolArray) -> tuple[Plane, Array]:
+    """The plane, by the markers heard, and the unknowns for squeeze and shear (N, 2) that put all on it."""
     contrasts = solved.contrasts()
     found = solved.values[:, SQUEEZE] @ np.array([1, 1j]) / contrasts
     spread = solved.inverses[:, SQUEEZE, SQUEEZE].mean(axis=1)
-    spread = np.where((spread > 0) & (solved.pixels > LEAST_PIXELS), spread, np.inf)
+    spread = np.where((spread > 0) & (solved.pixels > LEAST_PIXELS) & heard, spread, np.inf)
     points = shapes.centers - middle
     squeezes = (shapes.squeezes + shapes.arms * found) / shapes.arms.conj()
     plane = fit_plane(points, squeezes, spread * (solved.noises() / contrasts) ** 2)

@@ -100,7 +100,7 @@ def test_means_over_cells_are_those_of_the_pixels_in_them():
     image = np.random.default_rng(2).integers(0, 255, (80, 160)).astype(np.uint8)
     where = shapes([40.2 + 39.6j, 120.7 + 40.1j], [30.0, 29.0 * np.exp(0.7j)])
     (pixels,) = take_pixels(image, np.arange(2), where, looks(2, sees_ground=False))
-    means = pixels.cell_means(np.zeros((2, 12)), 6)
+    means, _ = pixels.leavings(np.zeros((2, 12)), 6)
     v, u = np.mgrid[:80, :160]
     for row, (across, down) in enumerate(zip(*where.axes(), strict=True)):
         p = u + 1j * v - where.centers[row]

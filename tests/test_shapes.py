@@ -112,7 +112,7 @@ def test_shrunk_shapes_lie_where_the_shrunk_pixels_are_and_come_back(factor):
 def test_replacing_some_leaves_the_others():
     shapes, others = random_shapes(8), random_shapes(9)
     rows = np.array([0, 5, 39])
-    mixed = shapes.replaced(rows, others)
+    mixed = shapes.put(rows, others.take(rows))
     kept = np.setdiff1d(np.arange(COUNT), rows)
     np.testing.assert_array_equal(mixed.centers[rows], others.centers[rows])
     np.testing.assert_array_equal(mixed.horizons[kept], shapes.horizons[kept])

@@ -11,9 +11,11 @@ the pattern, so that the noise stays white.
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 from scipy.special import ndtr
 
 from skyherd.geometry import Array, BoolArray, ComplexArray, IntArray
@@ -24,6 +26,7 @@ from skyherd.vision.shapes import Shapes
 
 BLACK, CONTRAST, RIGHT, DOWN, TURN, GROW, BLUR, GROUND = range(8)
 SQUEEZE, LIGHT, PIXELS = [8, 9], [10, 11], 12
+POSE = [RIGHT, DOWN, TURN, GROW, *SQUEEZE]
 """Rows of the model's columns, two for what has two components, and of the pixels below them."""
 
 ROWS = 16
@@ -92,7 +95,7 @@ class Pixels:
     def __init__(self, image: Image, rows: IntArray, shapes: Shapes, looks: Looks) -> None:
         self.rows = rows
         lines = lines_within(shapes, looks.limits, image.shape)
-        self.x, self.y, self.counts = lines.x, lines.y, lines.counts
+        self.x, self.y, self.counts, self._padded = lines.x, lines.y, lines.counts, lines.padded
         self.columns = np.empty((rows.size, ROWS, self.x.shape[1]), dtype=np.float32)
         self.columns[:, PIXELS + 1 :] = 0.0
         self._weigh(looks, shapes, lines.padded)
@@ -103,6 +106,17 @@ class Pixels:
     def grams(self) -> Floats:
         """(N, 13, 13) inner products of the columns and the pixels."""
         return (self.columns @ self.columns.transpose(0, 2, 1))[:, : PIXELS + 1, : PIXELS + 1]
+
+    def keep(self, wanted: BoolArray) -> None:
+        """Leave out all pixels but those wanted (N, M)."""
+        self.columns *= wanted[:, None]
+        self.counts = np.count_nonzero(self.columns[:, BLACK], axis=1)
+
+    def left(self, solutions: Array) -> Floats:
+        """(N, M): what the model at `solutions` (N, 12) leaves of the pixels, times their weights."""
+        model = np.zeros((self.rows.size, ROWS), dtype=np.float32)
+        model[:, :PIXELS], model[:, PIXELS] = -solutions, 1.0
+        return (model[:, None] @ self.columns)[:, 0]
 
     def _weigh(self, looks: Looks, shapes: Shapes, padded: Floats) -> None:
         """What of the ground is seen, and the pixels' weights: texture seen there is noise as well."""
@@ -153,25 +167,42 @@ class Pixels:
         drawn[..., 0] -= bent[..., 0] * squeeze_x + bent[..., 1] * squeeze_y
         drawn[..., 0] += 3 * (leans.real * x + leans.imag * y) * drawn[..., 3]
 
-    def cell_means(self, solutions: Array, n_cells: int) -> Array:
-        """(N, n, n): mean over each cell of what the model at `solutions` (N, 12) leaves, grey levels."""
-        count = self.rows.size
-        model = np.zeros((count, ROWS), dtype=np.float32)
-        model[:, :PIXELS], model[:, PIXELS] = -solutions, 1.0
-        left = (model[:, None] @ self.columns)[:, 0]
-        grid = n_cells + 2  # with a ring around for pixels outside
-        down = self._cells(self.y, n_cells)
-        down += np.arange(0, count * grid, grid)[:, None]
+    def leavings(self, solutions: Array, n_cells: int) -> tuple[Array, Array]:
+        """What the model at `solutions` (N, 12) leaves, grey levels.
+
+        Returns:
+            Mean over each cell (N, n, n), and most of a pixel (N,).
+        """
+        left, cells = self.left(solutions), self._cells(n_cells)
+        sizes = self._over_cells(cells, self.columns[:, BLACK] > 0, n_cells)
+        means = self._over_cells(cells, left, n_cells) / np.maximum(sizes, 1)
+        return means, np.maximum(left.max(axis=1), -left.min(axis=1)).astype(np.float64)
+
+    def cells_seen(self, n_cells: int) -> Array:
+        """(N, n, n): which share of each cell's pixels was kept."""
+        cells = self._cells(n_cells)
+        kept, read = (
+            self._over_cells(cells, which, n_cells) for which in (self.columns[:, BLACK] > 0, self._padded)
+        )
+        return np.asarray(kept / np.maximum(read, 1))
+
+    def _over_cells(self, cells: IntArray, values: npt.NDArray[Any], n_cells: int) -> Array:
+        """(N, n, n) sums of values (N, M) over each cell."""
+        grid = n_cells + 2
+        sums = np.bincount(cells, values.ravel(), minlength=self.rows.size * grid**2)
+        return np.asarray(sums.reshape(self.rows.size, grid, grid)[:, 1:-1, 1:-1], dtype=np.float64)
+
+    def _cells(self, n_cells: int) -> IntArray:
+        """(N M,) in which cell of all markers' each pixel lies, with a ring around for those outside."""
+        grid = n_cells + 2
+        down = self._cells_along(self.y, n_cells)
+        down += np.arange(0, self.rows.size * grid, grid)[:, None]
         down *= grid
-        cell = (down + self._cells(self.x, n_cells)).ravel()
-        sums = np.bincount(cell, left.ravel(), minlength=count * grid**2).reshape(count, grid, grid)
-        sizes = np.bincount(cell, minlength=count * grid**2).reshape(count, grid, grid)
-        middle = int(n_cells / 2 + 1)  # where the padding is
-        sizes[:, middle, middle] -= self.x.shape[1] - self.counts
-        return np.asarray((sums / np.maximum(sizes, 1))[:, 1:-1, 1:-1])
+        down += self._cells_along(self.x, n_cells)
+        return np.asarray(down.ravel())
 
     @staticmethod
-    def _cells(along: Floats, n_cells: int) -> IntArray:
+    def _cells_along(along: Floats, n_cells: int) -> IntArray:
         """Cells, counted from 1, that marker coordinates (N, M) along one axis lie in."""
         cells = along * np.float32(n_cells)
         cells += np.float32(n_cells / 2 + 1)

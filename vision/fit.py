@@ -6,20 +6,21 @@ covariance is `σ_n² (JᵀJ)⁻¹`, with the noise σ_n from what the fit leave
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from skyherd.geometry import Array, BoolArray, IntArray
 from skyherd.markers import card_side, cells_per_side
 from skyherd.vision import columns
-from skyherd.vision.columns import BLACK, BLUR, CONTRAST, LIGHT, MIDDLE_GREY, PIXELS, SQUEEZE, Looks, Pixels
+from skyherd.vision.columns import BLACK, LIGHT, MIDDLE_GREY, PIXELS, SQUEEZE, Looks
+from skyherd.vision.fits import Fits, fits_of
 from skyherd.vision.grey import Image
 from skyherd.vision.pattern import Pattern, blur_buckets, make_bend, make_pattern
 from skyherd.vision.plane import Plane, fit_plane
 from skyherd.vision.regression import Solved
-from skyherd.vision.rows import Rows
 from skyherd.vision.shapes import Shapes
+from skyherd.vision.taken import Taken
 
 INSIDE_SIGMAS, OUTSIDE_SIGMAS = 1.2, 2.5
 """Pixels are read to the latter beyond the black square, and to the former within the card's edge."""
@@ -58,56 +59,15 @@ LEAST_PIXELS = 2 * PIXELS
 WRONG_CELL = 0.25
 """A cell is not of the colour it should have if it leaves more than this share of the contrast."""
 
+COVERING, COVERING_SIGMAS = 0.25, 6.0
+"""A pixel that leaves more than this share of the contrast, and so many deviations of the noise, shows
+something else than the marker: wrong poses and blurs leave less once a fit is near."""
+
 PALE = 0.6
 """Less than this share of the greatest print contrast (`Fits.print_contrasts`) is hardly a print."""
 
 UNEVEN = 8.0
 """Light is taken as uneven once the markers' mean chi-squared exceeds its mean by so many deviations."""
-
-
-@dataclass(frozen=True)
-class Fits(Rows):
-    """How N markers were fitted.
-
-    Attributes:
-        ids: (N,).
-        shapes: where they lie.
-        covariances: (N, 3, 3) of (u, v, heading).
-        blacks: (N,) grey level of black.
-        contrasts: (N,) grey levels from black to white.
-        noises: (N,) standard deviation of what is left of the pixels, grey levels.
-        log_blurs: (N,) by how much the blur differs from what it was taken for.
-        blurs_cells: (N,) what it was taken for, in cells.
-        pixels: (N,) pixels read.
-        cell_means: (N, n, n) mean of what is left over each cell, grey levels.
-        moved_px: (N,) by how much the last step moved the sides.
-    """
-
-    ids: IntArray
-    shapes: Shapes
-    covariances: Array
-    blacks: Array
-    contrasts: Array
-    noises: Array
-    log_blurs: Array
-    blurs_cells: Array
-    pixels: Array
-    cell_means: Array
-    moved_px: Array
-
-    def print_contrasts(self) -> Array:
-        """(N,) print contrast `(white - black) / white`: of the print alone, whatever light falls on it."""
-        return np.asarray(self.contrasts / np.maximum(self.blacks + self.contrasts, 1.0))
-
-
-def no_fits(dictionary: str) -> Fits:
-    """None at all."""
-    n, none, points = cells_per_side(dictionary), np.zeros(0), np.zeros(0, dtype=complex)
-    shapes = Shapes(points, points, points, points)
-    covariances, cells = np.zeros((0, 3, 3)), np.zeros((0, n, n))
-    return Fits(
-        np.zeros(0, dtype=np.int64), shapes, covariances, none, none, none, none, none, none, cells, none
-    )
 
 
 def fit_markers(
@@ -137,43 +97,35 @@ def fit_markers(
     """
     middle = complex(image.shape[1] - 1, image.shape[0] - 1) / 2
     sides_px = shapes.sides_px()
-    looks = _looks(dictionary, ids, sigma_px / sides_px, plane, noise)
-    taken, n_cells = _Taken(ids.size), cells_per_side(dictionary)
+    looks = looks_of(dictionary, ids, sigma_px / sides_px, plane, noise)
+    taken, n_cells = Taken(ids.size), cells_per_side(dictionary)
     start = shapes = replace(shapes, horizons=plane.horizons(shapes.centers - middle))
     rows, right = np.arange(ids.size), np.ones(ids.size, dtype=bool)
     for number in range(1, rounds + 1):
-        start = shapes if rows.size == ids.size else start.replaced(rows, shapes)
+        start = shapes if rows.size == ids.size else start.put(rows, shapes.take(rows))
         taken.take(image, rows, start, looks)
         solved = taken.solved()
         if number > 1:  # before, a start that is a pixel off may leave as much as a wrong cell
-            right[rows] = _cells_are_right(taken.cell_means(rows, solved, n_cells), solved.contrasts()[rows])
+            contrasts, noises = solved.contrasts()[rows], solved.noises()[rows]
+            means, peaks = taken.leavings(rows, solved, n_cells)
+            right[rows] = _cells_are_right(means, contrasts) & ~jut(peaks, contrasts, noises)
         heard = _heard(solved, right)
         even = solved.holding(LIGHT, np.zeros((ids.size, 2)))
         solved = solved if _is_uneven(solved, even, heard) else even
-        plane, squeezes = _common_plane(solved, start, middle, heard)
+        plane, squeezes = common_plane(solved, start, middle, heard)
         solved = solved.holding(SQUEEZE, squeezes)
         looks = replace(looks, ratios=(solved.values[:, BLACK] + MIDDLE_GREY) / solved.contrasts())
         looks = replace(looks, bends=_bends(dictionary, ids, sigma_px / sides_px, plane))
-        shapes, moved_px = _step(solved, start)
+        shapes, moved_px = stepped(solved, start)
         shapes = replace(shapes, horizons=plane.horizons(shapes.centers - middle))
         bent_px = np.abs(shapes.horizons - start.horizons) * sides_px**2 / 2
         unsettled = (moved_px > SETTLED_PX * np.cbrt(noise)) | (bent_px > STRAIGHT_PX)
         rows = np.flatnonzero(unsettled & (right | (number < rounds / 2)))
         if not rows.size:
             break
-    return Fits(
-        ids=ids,
-        shapes=shapes,
-        covariances=_covariances(solved, shapes, plane.variances(shapes.centers - middle)),
-        blacks=solved.values[:, BLACK] + MIDDLE_GREY,
-        contrasts=solved.values[:, CONTRAST],
-        noises=solved.noises(),
-        log_blurs=solved.values[:, BLUR] / solved.contrasts(),
-        blurs_cells=sigma_px / shapes.sides_px() * n_cells,
-        pixels=solved.pixels,
-        cell_means=taken.cell_means(np.arange(ids.size), solved, n_cells),
-        moved_px=moved_px,
-    ), plane
+    leavings = taken.leavings(np.arange(ids.size), solved, n_cells)
+    variances = plane.variances(shapes.centers - middle)
+    return fits_of(ids, solved, shapes, leavings, moved_px, sigma_px, variances), plane
 
 
 def _bends(dictionary: str, ids: IntArray, relative_sigmas: Array, plane: Plane) -> list[Pattern]:
@@ -190,7 +142,7 @@ def _patterns(
     return [make(dictionary, marker, bucket) for marker, bucket in zip(ids.tolist(), buckets, strict=True)]
 
 
-def _looks(dictionary: str, ids: IntArray, relative_sigmas: Array, plane: Plane, noise: float) -> Looks:
+def looks_of(dictionary: str, ids: IntArray, relative_sigmas: Array, plane: Plane, noise: float) -> Looks:
     """What markers of `ids` (N,) look like under blurs (N,), in marker sides."""
     quiet = (card_side(dictionary) - 1) / 2
     beyond = np.clip(quiet - INSIDE_SIGMAS * relative_sigmas, 0, OUTSIDE_SIGMAS * relative_sigmas)
@@ -206,43 +158,21 @@ def _looks(dictionary: str, ids: IntArray, relative_sigmas: Array, plane: Plane,
     )
 
 
-class _Taken:
-    """The pixels last taken of each of N markers."""
-
-    def __init__(self, count: int) -> None:
-        self._grams, self._counts = np.empty((count, PIXELS + 1, PIXELS + 1)), np.empty(count)
-        self._parts: list[Pixels] = []
-        self._part_of = np.empty(count, dtype=np.int64)
-
-    def take(self, image: Image, rows: IntArray, start: Shapes, looks: Looks) -> None:
-        """Take those of the markers `rows` anew."""
-        for pixels in columns.take_pixels(image, rows, start, looks):
-            self._grams[pixels.rows], self._counts[pixels.rows] = pixels.grams(), pixels.counts
-            self._part_of[pixels.rows] = len(self._parts)
-            self._parts.append(pixels)
-
-    def solved(self) -> Solved:
-        """Solutions for all markers, every unknown free."""
-        return Solved.of(self._grams, self._counts)
-
-    def cell_means(self, rows: IntArray, solved: Solved, n_cells: int) -> Array:
-        """(R, n, n) what a solution leaves over each cell of the markers `rows` (R,), grey levels."""
-        means = np.empty((self._counts.size, n_cells, n_cells))
-        for part in np.unique(self._part_of[rows]):  # in the order in which they were taken
-            pixels = self._parts[part]
-            means[pixels.rows] = pixels.cell_means(solved.values[pixels.rows], n_cells)
-        return means[rows]
-
-
 def _cells_are_right(cell_means: Array, contrasts: Array) -> BoolArray:
     """Which of N fits leave every cell the colour it should have."""
     return np.asarray(np.abs(cell_means).max(axis=(1, 2)) < WRONG_CELL * contrasts)
 
 
+def jut(peaks: Array, contrasts: Array, noises: Array) -> BoolArray:
+    """Which of N fits leave much more of some pixel than noise does: something may lie over the marker."""
+    return np.asarray(peaks > np.maximum(COVERING * contrasts, COVERING_SIGMAS * noises))
+
+
 def _heard(solved: Solved, right: BoolArray) -> BoolArray:
     """Which of N fits have a say on what all markers of an image share; all, if none is `right`.
 
-    Not heard is what is not fitted yet, or may be ground that was taken for a marker: much of it is paler.
+    Not heard is what is not fitted yet, is covered in part, or may be ground that was taken for a marker:
+    much of it is paler.
     """
     contrasts = solved.contrasts()
     prints = contrasts / np.maximum(solved.values[:, BLACK] + MIDDLE_GREY + contrasts, contrasts)
@@ -256,7 +186,7 @@ def _is_uneven(solved: Solved, even: Solved, heard: BoolArray) -> bool:
     return bool(chi_squared.mean() > 1 + UNEVEN / np.sqrt(chi_squared.size))
 
 
-def _common_plane(solved: Solved, shapes: Shapes, middle: complex, heard: BoolArray) -> tuple[Plane, Array]:
+def common_plane(solved: Solved, shapes: Shapes, middle: complex, heard: BoolArray) -> tuple[Plane, Array]:
     """The plane, by the markers heard, and the unknowns for squeeze and shear (N, 2) that put all on it."""
     contrasts = solved.contrasts()
     found = solved.values[:, SQUEEZE] @ np.array([1, 1j]) / contrasts
@@ -270,7 +200,7 @@ def _common_plane(solved: Solved, shapes: Shapes, middle: complex, heard: BoolAr
     return plane, np.stack([found.real, found.imag], axis=1) * contrasts[:, None]
 
 
-def _step(solved: Solved, shapes: Shapes) -> tuple[Shapes, Array]:
+def stepped(solved: Solved, shapes: Shapes) -> tuple[Shapes, Array]:
     """The shapes moved as solved, cut to `LARGEST_STEP`, and by how much (N,) their sides' middles, px."""
     steps = solved.values / solved.contrasts()[:, None]
     shift = steps[:, columns.RIGHT] + 1j * steps[:, columns.DOWN]
@@ -279,21 +209,3 @@ def _step(solved: Solved, shapes: Shapes) -> tuple[Shapes, Array]:
     size = np.sqrt(np.abs(shift) ** 2 + (np.abs(grow) ** 2 + np.abs(squeeze) ** 2) / 4)
     cut = np.minimum(1.0, LARGEST_STEP / np.maximum(size, 1e-12))
     return shapes.moved(cut * shift, cut * grow, cut * squeeze), size * shapes.sides_px()
-
-
-def _covariances(solved: Solved, shapes: Shapes, squeeze_variances: Array) -> Array:
-    """(N, 3, 3) of (u, v, heading): the unknowns' covariance through the marker's shape.
-
-    A step moves the centre by `m d + k d̄` and turns forward by `Re((m + k) / (m - k)) (θ - e_shear)`; shear
-    that is held as the plane has it varies as the plane does.
-    """
-    right, down = shapes.arms + shapes.squeezes, 1j * (shapes.arms - shapes.squeezes)
-    turn = (right / (shapes.arms - shapes.squeezes)).real
-    to_pose = np.zeros((len(shapes), 3, PIXELS))
-    for column, axis in ((columns.RIGHT, right), (columns.DOWN, down)):
-        to_pose[:, 0, column], to_pose[:, 1, column] = axis.real, axis.imag
-    to_pose[:, 2, columns.TURN], to_pose[:, 2, SQUEEZE[1]] = turn, -turn
-    scale = (solved.noises() / solved.contrasts()) ** 2
-    covariances = to_pose @ solved.inverses @ to_pose.transpose(0, 2, 1) * scale[:, None, None]
-    covariances[:, 2, 2] += turn**2 * squeeze_variances
-    return np.asarray(covariances)

@@ -16,7 +16,8 @@ from skyherd.geometry import Array, BoolArray, IntArray, to_complex, to_points
 from skyherd.messages import Detections
 from skyherd.optics import total_sigma_px
 from skyherd.vision.decode import Candidates, decode_quads
-from skyherd.vision.fit import FOLLOWED_ROUNDS, ROUNDS, USUAL_NOISE, Fits, no_fits
+from skyherd.vision.fit import FOLLOWED_ROUNDS, ROUNDS, USUAL_NOISE
+from skyherd.vision.fits import Fits, no_fits
 from skyherd.vision.grey import Image, check_grey
 from skyherd.vision.plane import Plane
 from skyherd.vision.pyramid import fit_all_sizes
@@ -27,10 +28,11 @@ from skyherd.vision.verify import (
     FIRST_SHARE,
     are_alike,
     bits_are_right,
-    border_is_covered,
     image_noise,
+    may_be_covered,
     verified,
 )
+from skyherd.vision.visible import fit_visible
 
 START_SIGMA_PX = total_sigma_px(0.8)
 SIGMA_LIMITS_PX = (0.35, 4.0)
@@ -49,8 +51,8 @@ LEAST_NOISE = 0.3
 WITNESSES = 3
 """So many markers tell an image's noise better than it does itself; fewer would judge in their own case."""
 
-NEAR_SIDES, COVERED_NOISE = 0.1, 1.5
-"""A marker whose border is covered counts if it is so near to where it should be; it tells no noise."""
+COVERED_NOISE = 1.5
+"""A marker that leaves so many times the camera's noise tells none."""
 
 SEARCH_INTERVAL = 10
 """While all markers are followed, the whole image is searched in every tenth."""
@@ -137,10 +139,7 @@ class PhotometricDetector:
             return self._none, False
         near = shapes.take(here)
         fits = self._fit(image, camera, camera.tracks.ids[here], near, FOLLOWED_ROUNDS)
-        good = _verified(fits, camera, image)
-        if not good.all():
-            stayed = np.abs(fits.shapes.centers - near.centers[_rows(fits.ids, camera.tracks.ids[here])])
-            good |= border_is_covered(fits) & (stayed < NEAR_SIDES * fits.shapes.sides_px())
+        fits, good = self._shown(image, camera, fits)
         return fits.take(good), not (here.all() and good.all())
 
     def _search(self, image: Image, camera: Camera, known: Shapes) -> Fits:
@@ -153,8 +152,21 @@ class PhotometricDetector:
 
     def _identify(self, image: Image, camera: Camera, quads_px: Array) -> Fits:
         """The markers that quadrilaterals (N, 4, 2) show."""
-        fits = self._candidates(image, camera, quads_px)
-        return fits.take(_verified(fits, camera, image))
+        fits, good = self._shown(image, camera, self._candidates(image, camera, quads_px))
+        return fits.take(good)
+
+    def _shown(self, image: Image, camera: Camera, fits: Fits) -> tuple[Fits, BoolArray]:
+        """The fits, by what is seen of their markers where these are covered, and which (N,) show theirs."""
+        noise = camera.noise or _noise_of(fits, image)
+        good = _verified(fits, camera, noise, image)
+        doubtful = np.flatnonzero(may_be_covered(fits, noise))
+        if doubtful.size:
+            sigma_px = camera.sigma_px or START_SIGMA_PX
+            visible = fit_visible(image, self.dictionary, fits.take(doubtful), sigma_px, camera.plane, noise)
+            shown = _verified(visible, camera, noise, image)
+            fits, good = fits.put(doubtful[shown], visible.take(shown)), good.copy()
+            good[doubtful[shown]] = True
+        return fits, good
 
     def _candidates(self, image: Image, camera: Camera, quads_px: Array) -> Fits:
         """What quadrilaterals (N, 4, 2) most resemble, fitted."""
@@ -202,12 +214,6 @@ class PhotometricDetector:
             camera.tracks = camera.tracks.seen(time_s, found.ids, found.shapes)
 
 
-def _rows(ids: IntArray, among: IntArray) -> IntArray:
-    """Where each of the ids (N,) stands among (N,) the same ids in another order."""
-    order = np.argsort(among)
-    return np.asarray(order[np.searchsorted(among, ids, sorter=order)])
-
-
 def _on_plane(shapes: Shapes, plane: Plane, image_shape: tuple[int, ...]) -> Shapes:
     """Shapes with the squeezes that the plane gives them, where their own are as near as corners can tell."""
     middle = complex(image_shape[1] - 1, image_shape[0] - 1) / 2
@@ -221,14 +227,17 @@ def _seem_right(fits: Fits, image: Image) -> BoolArray:
     return verified(fits, max(image_noise(image), LEAST_NOISE), FIRST_SHARE)
 
 
-def _verified(fits: Fits, camera: Camera, image: Image) -> BoolArray:
-    """Which fits (N,) show their marker, by the camera's noise: the image tells it until markers have."""
+def _verified(fits: Fits, camera: Camera, noise: float, image: Image) -> BoolArray:
+    """Which fits (N,) show their marker."""
     if camera.noise is not None:
-        return verified(fits, camera.noise) & are_alike(fits, 0.0, camera.print_contrast)
-    first = _seem_right(fits, image)
-    several = np.count_nonzero(first) >= WITNESSES
-    noise = float(np.median(fits.noises[first])) if several else max(image_noise(image), LEAST_NOISE)
-    return first & verified(fits, noise)
+        return verified(fits, noise) & are_alike(fits, 0.0, camera.print_contrast)
+    return _seem_right(fits, image) & verified(fits, noise)
+
+
+def _noise_of(fits: Fits, image: Image) -> float:
+    """Noise of a camera of which nothing is known, grey levels: the image tells it, but where markers do."""
+    first = fits.noises[_seem_right(fits, image)]
+    return float(np.median(first)) if first.size >= WITNESSES else max(image_noise(image), LEAST_NOISE)
 
 
 def _elsewhere(quads_px: Array, known: Shapes) -> BoolArray:

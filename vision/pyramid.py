@@ -13,7 +13,8 @@ import numpy as np
 
 from skyherd.geometry import IntArray
 from skyherd.optics import PIXEL_VARIANCE
-from skyherd.vision.fit import ROUNDS, Fits, fit_markers
+from skyherd.vision.fit import ROUNDS, fit_markers
+from skyherd.vision.fits import Fits
 from skyherd.vision.grey import Image
 from skyherd.vision.plane import Plane
 from skyherd.vision.shapes import Shapes

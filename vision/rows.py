@@ -17,6 +17,12 @@ class Rows:
             return self
         return type(self)(*(_taken(value, rows) for value in _values(self)))
 
+    def put(self, rows: IntArray, others: Self) -> Self:
+        """With those at `rows` as in `others`, which has as many."""
+        return type(self)(
+            *(_put(mine, rows, new) for mine, new in zip(_values(self), _values(others), strict=True))
+        )
+
     def joined(self, others: Self) -> Self:
         """These, then those."""
         return type(self)(*map(_joined, _values(self), _values(others)))
@@ -28,6 +34,14 @@ def _values(record: Any) -> list[Any]:
 
 def _taken(value: Any, rows: IntArray | BoolArray) -> Any:
     return value.take(rows) if isinstance(value, Rows) else value[rows]
+
+
+def _put(value: Any, rows: IntArray, others: Any) -> Any:
+    if isinstance(value, Rows):
+        return value.put(rows, others)
+    changed = value.copy()
+    changed[rows] = others
+    return changed
 
 
 def _joined(one: Any, other: Any) -> Any:

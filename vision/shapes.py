@@ -14,7 +14,7 @@ from functools import cached_property
 
 import numpy as np
 
-from skyherd.geometry import Array, ComplexArray, IntArray, to_complex
+from skyherd.geometry import Array, ComplexArray, to_complex
 from skyherd.vision.rows import Rows
 
 CORNERS: ComplexArray = np.array([-0.5 - 0.5j, 0.5 - 0.5j, 0.5 + 0.5j, -0.5 + 0.5j])
@@ -51,17 +51,6 @@ class Shapes(Rows):
             squeezes=corners @ CORNERS / power,
             horizons=np.zeros(len(corners), dtype=complex),
         )
-
-    def replaced(self, rows: IntArray, others: "Shapes") -> "Shapes":
-        """With those at `rows` as in `others`, which has as many."""
-        swap = np.zeros(len(self), dtype=bool)
-        swap[rows] = True
-        pairs = zip(
-            (self.centers, self.arms, self.squeezes, self.horizons),
-            (others.centers, others.arms, others.squeezes, others.horizons),
-            strict=True,
-        )
-        return Shapes(*(np.where(swap, new, old) for old, new in pairs))
 
     def moved(self, shift: ComplexArray, grow: ComplexArray, squeeze: ComplexArray) -> "Shapes":
         """After `z ↦ shift + (1 + grow) z + squeeze z̄` in marker coordinates, to first order in each."""

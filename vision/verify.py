@@ -15,7 +15,8 @@ import numpy as np
 from scipy.special import ndtr
 
 from skyherd.geometry import Array, BoolArray
-from skyherd.vision.fit import Fits
+from skyherd.vision.fit import jut
+from skyherd.vision.fits import Fits
 from skyherd.vision.grey import Image
 
 WRONG_CELL, WRONG_CELL_SIGMAS, WRONG_CELL_LIMIT = 0.2, 4.0, 0.4
@@ -57,9 +58,8 @@ measured to 0.05; what passes for a marker between others mostly asks for half a
 SATURATED, LEAST_TOLD = 5, 50
 """Pixels so near to black or white are clipped and tell no noise; so many others are needed to tell it."""
 
-MOST_COVERED, MOST_LEFT = 8, 2.0
-"""Of a marker that is being followed so many cells of the border may be covered, as by a neighbour's card,
-while the bits within are all seen; it may then leave this many times what one wrong bit would."""
+MOST_COVERED = 0.25
+"""Share of a marker's cells that may look wrong if it is worth another look without what covers it."""
 
 READINGS, SPAN = 8, 5
 """Points of a cell along each side in the integrals, and cells that they go over."""
@@ -77,14 +77,13 @@ def _bits_are_right(fits: Fits, wrong: "WrongCells") -> BoolArray:
     return np.asarray(_are_plain(fits, cell_noises) & (worst < allowed))
 
 
-def border_is_covered(fits: Fits) -> BoolArray:
-    """Which fits (N,) show all the bits of their marker, and enough of its border."""
+def may_be_covered(fits: Fits, noise: float) -> BoolArray:
+    """Which fits (N,) leave much more of some pixel than noise does, and yet show most of their marker."""
     wrong = WrongCells.of(fits)
     is_wrong = np.abs(fits.cell_means) > WRONG_CELL_LIMIT * wrong.means[:, None, None]
-    bits_wrong = is_wrong[:, 1:-1, 1:-1].sum(axis=(1, 2))
-    few = (bits_wrong == 0) & (is_wrong.sum(axis=(1, 2)) <= MOST_COVERED)
-    plain = _are_plain(fits, np.zeros(fits.ids.size))
-    return np.asarray(few & plain & (fits.noises <= MOST_LEFT * wrong.pixels))
+    most = is_wrong.sum(axis=(1, 2)) <= MOST_COVERED * fits.cell_means.shape[1] ** 2
+    plain = fits.contrasts >= LEAST_CONTRAST
+    return np.asarray(most & plain & jut(fits.peaks, fits.contrasts, np.full(fits.ids.size, noise)))
 
 
 def _are_plain(fits: Fits, cell_noises: Array) -> BoolArray:

@@ -29,6 +29,7 @@ from skyherd.vision.verify import (
     are_alike,
     bits_are_right,
     image_noise,
+    leave_noise_only,
     may_be_covered,
     verified,
 )
@@ -163,7 +164,7 @@ class PhotometricDetector:
         if doubtful.size:
             sigma_px = camera.sigma_px or START_SIGMA_PX
             visible = fit_visible(image, self.dictionary, fits.take(doubtful), sigma_px, camera.plane, noise)
-            shown = _verified(visible, camera, noise, image)
+            shown = _verified(visible, camera, noise, image) & leave_noise_only(visible, noise)
             fits, good = fits.put(doubtful[shown], visible.take(shown)), good.copy()
             good[doubtful[shown]] = True
         return fits, good

@@ -58,6 +58,9 @@ measured to 0.05; what passes for a marker between others mostly asks for half a
 SATURATED, LEAST_TOLD = 5, 50
 """Pixels so near to black or white are clipped and tell no noise; so many others are needed to tell it."""
 
+VISIBLE_NOISE, VISIBLE_STEP_PX = 1.15, 0.1
+"""What a fit to chosen pixels may leave, as a multiple of the noise, and its last step at most."""
+
 MOST_COVERED = 0.25
 """Share of a marker's cells that may look wrong if it is worth another look without what covers it."""
 
@@ -106,6 +109,14 @@ def verified(fits: Fits, noise: float, share: float = WRONG_BIT_SHARE) -> BoolAr
         _common(values, fits.pixels * right) for values in (fits.log_blurs, fits.print_contrasts())
     )
     return right & are_alike(fits, blur, contrast)
+
+
+def leave_noise_only(fits: Fits, noise: float) -> BoolArray:
+    """Which fits (N,) by what is seen of their markers have settled and leave no more than the noise.
+
+    They may choose their pixels, so that nothing is excused by what the model lacks.
+    """
+    return np.asarray((fits.noises <= VISIBLE_NOISE * noise) & (fits.moved_px <= VISIBLE_STEP_PX))
 
 
 def are_alike(fits: Fits, log_blur: float, print_contrast: float) -> BoolArray:

@@ -20,7 +20,7 @@ from skyherd.vision.fit import FOLLOWED_ROUNDS, ROUNDS, USUAL_NOISE
 from skyherd.vision.fits import Fits, no_fits
 from skyherd.vision.grey import Image, check_grey
 from skyherd.vision.plane import Plane
-from skyherd.vision.pyramid import fit_all_sizes
+from skyherd.vision.pyramid import fit_all_sizes, visible_all_sizes
 from skyherd.vision.quads import find_quads
 from skyherd.vision.shapes import CORNERS, Shapes
 from skyherd.vision.tracks import Tracks, in_view, no_tracks
@@ -33,7 +33,6 @@ from skyherd.vision.verify import (
     may_be_covered,
     verified,
 )
-from skyherd.vision.visible import fit_visible
 
 START_SIGMA_PX = total_sigma_px(0.8)
 SIGMA_LIMITS_PX = (0.35, 4.0)
@@ -163,7 +162,9 @@ class PhotometricDetector:
         doubtful = np.flatnonzero(may_be_covered(fits, noise))
         if doubtful.size:
             sigma_px = camera.sigma_px or START_SIGMA_PX
-            visible = fit_visible(image, self.dictionary, fits.take(doubtful), sigma_px, camera.plane, noise)
+            visible = visible_all_sizes(
+                image, self.dictionary, fits.take(doubtful), sigma_px, camera.plane, noise
+            )
             shown = _verified(visible, camera, noise, image) & leave_noise_only(visible, noise)
             fits, good = fits.put(doubtful[shown], visible.take(shown)), good.copy()
             good[doubtful[shown]] = True

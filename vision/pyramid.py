@@ -5,6 +5,7 @@ means over k x k pixels, an image has the blur `σ'² = (σ² - 1/12) / k² + 1/
 pixel's does not.
 """
 
+import math
 from dataclasses import replace
 from functools import reduce
 
@@ -18,9 +19,13 @@ from skyherd.vision.fits import Fits
 from skyherd.vision.grey import Image
 from skyherd.vision.plane import Plane
 from skyherd.vision.shapes import Shapes
+from skyherd.vision.visible import fit_visible
 
 LARGEST_SIDE_PX = 144.0
 """Larger markers are fitted in a shrunk image."""
+
+ROUNDING = 12**-0.5
+"""Deviation of what rounding to whole grey levels does."""
 
 
 def fit_all_sizes(
@@ -35,33 +40,83 @@ def fit_all_sizes(
 ) -> tuple[Fits, Plane]:
     """As `fit_markers`, each marker at a resolution that suits it; the smallest tell the plane."""
     told = plane
-    octaves = np.maximum(np.ceil(np.log2(shapes.sides_px() / LARGEST_SIDE_PX)), 0).astype(int)
+    octaves = _octaves(shapes)
     if not octaves.any():
         return fit_markers(image, dictionary, ids, shapes, sigma_px, plane, noise, rounds)
     parts: list[Fits] = []
     for octave in np.unique(octaves):
-        rows, shrink = np.flatnonzero(octaves == octave), 2 ** int(octave)
-        variance = max((sigma_px**2 - PIXEL_VARIANCE) / shrink**2, 0.0) + PIXEL_VARIANCE
-        near = shapes.take(rows).scaled(shrink)
-        here = replace(plane, horizon=plane.horizon * shrink)
-        small = _shrunk(image, shrink)
+        rows, level = octaves == octave, Level(image, 2 ** int(octave))
         fits, here = fit_markers(
-            small, dictionary, ids[rows], near, variance**0.5, here, noise / shrink, rounds
+            level.image,
+            dictionary,
+            ids[rows],
+            shapes.take(rows).scaled(level.shrink),
+            level.sigma_px(sigma_px),
+            level.plane(plane),
+            level.noise(noise),
+            rounds,
         )
-        scale = np.diag([shrink, shrink, 1.0])
-        full_size = fits.shapes.scaled(1 / shrink)
-        parts.append(
-            replace(
-                fits,
-                shapes=full_size,
-                covariances=scale @ fits.covariances @ scale,
-                pixels=fits.pixels * shrink**2,
-                moved_px=fits.moved_px * shrink,
-            )
-        )
+        parts.append(level.full_size(fits))
         if len(parts) == 1:
-            told = replace(here, horizon=here.horizon / shrink)
+            told = replace(here, horizon=here.horizon / level.shrink)
     return reduce(Fits.joined, parts), told
+
+
+def visible_all_sizes(
+    image: Image, dictionary: str, fits: Fits, sigma_px: float, plane: Plane, noise: float
+) -> Fits:
+    """As `fit_visible`, each marker at a resolution that suits it, in the order of `fits`."""
+    octaves, visible = _octaves(fits.shapes), fits
+    for octave in np.unique(octaves):
+        rows, level = np.flatnonzero(octaves == octave), Level(image, 2 ** int(octave))
+        covered = fits.take(rows)
+        seen = fit_visible(
+            level.image,
+            dictionary,
+            replace(covered, shapes=covered.shapes.scaled(level.shrink)),
+            level.sigma_px(sigma_px),
+            level.plane(plane),
+            level.noise(noise),
+        )
+        visible = visible.put(rows, level.full_size(seen))
+    return visible
+
+
+def _octaves(shapes: Shapes) -> IntArray:
+    """(N,) how often the image is to be halved for each marker."""
+    octaves = np.maximum(np.ceil(np.log2(shapes.sides_px() / LARGEST_SIDE_PX)), 0)
+    return np.asarray(octaves, dtype=np.int64)
+
+
+class Level:
+    """An image shrunk by means over `shrink` x `shrink` pixels, and what is known of it at that size."""
+
+    def __init__(self, image: Image, shrink: int) -> None:
+        self.shrink = shrink
+        self.image = image if shrink == 1 else _shrunk(image, shrink)
+
+    def sigma_px(self, sigma_px: float) -> float:
+        """Blur of lens and pixel, small pixels."""
+        return math.sqrt(max((sigma_px**2 - PIXEL_VARIANCE) / self.shrink**2, 0.0) + PIXEL_VARIANCE)
+
+    def noise(self, noise: float) -> float:
+        """Standard deviation of a small pixel, grey levels: a mean's, rounded once more."""
+        return noise if self.shrink == 1 else math.hypot(noise / self.shrink, ROUNDING)
+
+    def plane(self, plane: Plane) -> Plane:
+        """The plane in small pixels."""
+        return replace(plane, horizon=plane.horizon * self.shrink)
+
+    def full_size(self, fits: Fits) -> Fits:
+        """Fits in this image as of the full-size one."""
+        scale = np.diag([self.shrink, self.shrink, 1.0])
+        return replace(
+            fits,
+            shapes=fits.shapes.scaled(1 / self.shrink),
+            covariances=scale @ fits.covariances @ scale,
+            pixels=fits.pixels * self.shrink**2,
+            moved_px=fits.moved_px * self.shrink,
+        )
 
 
 def _shrunk(image: Image, shrink: int) -> Image:

@@ -18,7 +18,7 @@ from skyherd.vision.fits import Fits, fits_of
 from skyherd.vision.grey import Image
 from skyherd.vision.pattern import Pattern, blur_buckets, make_bend, make_pattern
 from skyherd.vision.plane import Plane, fit_plane
-from skyherd.vision.regression import Solved
+from skyherd.vision.regression import Solved, weighted_median
 from skyherd.vision.shapes import Shapes
 from skyherd.vision.taken import Taken
 
@@ -64,7 +64,7 @@ COVERING, COVERING_SIGMAS = 0.25, 6.0
 something else than the marker: wrong poses and blurs leave less once a fit is near."""
 
 PALE = 0.6
-"""Less than this share of the greatest print contrast (`Fits.print_contrasts`) is hardly a print."""
+"""Less than this share of the print contrast (`Fits.print_contrasts`) that most pixels tell is no print."""
 
 UNEVEN = 8.0
 """Light is taken as uneven once the markers' mean chi-squared exceeds its mean by so many deviations."""
@@ -174,10 +174,12 @@ def _heard(solved: Solved, right: BoolArray) -> BoolArray:
     Not heard is what is not fitted yet, is covered in part, or may be ground that was taken for a marker:
     much of it is paler.
     """
+    if not right.any():
+        return np.ones_like(right)
     contrasts = solved.contrasts()
     prints = contrasts / np.maximum(solved.values[:, BLACK] + MIDDLE_GREY + contrasts, contrasts)
-    heard = right & (prints > PALE * prints.max(where=right, initial=0.0))
-    return heard if heard.any() else np.ones_like(right)
+    told = right * solved.pixels * (contrasts / solved.noises()) ** 2
+    return right & (prints > PALE * weighted_median(prints, told))
 
 
 def _is_uneven(solved: Solved, even: Solved, heard: BoolArray) -> bool:

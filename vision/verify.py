@@ -18,6 +18,7 @@ from skyherd.geometry import Array, BoolArray
 from skyherd.vision.fit import jut
 from skyherd.vision.fits import Fits
 from skyherd.vision.grey import Image
+from skyherd.vision.regression import weighted_median
 
 WRONG_CELL, WRONG_CELL_SIGMAS, WRONG_CELL_LIMIT = 0.2, 4.0, 0.4
 """A cell is wrong if it leaves more than the first share of what a wrong colour would leave and so many
@@ -106,7 +107,7 @@ def verified(fits: Fits, noise: float, share: float = WRONG_BIT_SHARE) -> BoolAr
     if not right.any():
         return right
     blur, contrast = (
-        _common(values, fits.pixels * right) for values in (fits.log_blurs, fits.print_contrasts())
+        weighted_median(values, fits.pixels * right) for values in (fits.log_blurs, fits.print_contrasts())
     )
     return right & are_alike(fits, blur, contrast)
 
@@ -134,13 +135,6 @@ def _leave_noise(fits: Fits, wrong: "WrongCells", noise: float, share: float) ->
     quiet = fits.noises <= np.hypot(NOISE_FACTOR * noise, share * wrong.pixels)
     quiet &= over_cells <= np.hypot(NOISE_FACTOR * noise / wrong.cells_px, share * wrong.cells)
     return np.asarray(quiet)
-
-
-def _common(values: Array, weights: Array) -> float:
-    """The median over all pixels, of which each marker has `weights` (N,): large ones tell blur best."""
-    order = np.argsort(values)
-    told = np.cumsum(weights[order])
-    return float(values[order][np.searchsorted(told, told[-1] / 2)])
 
 
 def image_noise(image: Image) -> float:

@@ -58,25 +58,30 @@ def test_bearing_is_the_papers_angle(make_detections) -> None:
             assert np.exp(1j * difference) == pytest.approx(1, abs=1e-9)
 
 
-def test_a_goal_to_the_left_on_the_ground_is_a_positive_bearing_and_a_turn_to_the_left(
-    make_detections,
+@pytest.mark.parametrize(
+    ("error_px", "drives_forwards"), [(-40 + 30j, True), (40 + 30j, False)], ids=["ahead", "behind"]
+)
+def test_a_goal_to_the_left_on_the_ground_is_a_positive_bearing_and_turns_the_axis_towards_it(
+    make_detections, error_px, drives_forwards
 ) -> None:
-    """The one flip of sense. Seen from above, robot 0 faces image right (+u); its left is image up (-v)."""
+    """The one flip of sense. Seen from above, robot 0 faces image right (+u); its left is image up (-v).
+
+    Robot 0 stands 30 px below its place, and 40 px behind it or beyond it: the goal is well off the bearing of
+    pi/2 at which the law changes from driving forwards to backwards, so that no rounding decides the case.
+    """
     template = Template(np.arange(3), np.array([-1 - 1j, 1 + 0j, -1 + 1j]))
-    shape = 400 + 400j + 100 * template.points_px
-    points = shape + np.array(
-        [30j, 0, 0]
-    )  # robot 0 stands 30 px below its place: its goal is up, to the left
+    points = 400 + 400j + 100 * template.points_px + np.array([error_px, 0, 0])
     seen = make_detections(range(3), points, headings=[0, 0, 0])
     goals = motion_goals(seen, seen.ids, template, shared_ids=np.array([], dtype=int), nearest=1)
-    assert 0 < goals.bearings_rad[0] < np.pi
+    bearing = goals.bearings_rad[0]
+    assert 0 < bearing < np.pi
+    assert abs(bearing - np.pi / 2) > 0.1
     inboxes = Inboxes(np.arange(3), np.array([0]), 1.0)
     inboxes.receive(goals, 0.0)
     for gains in (PixelGains(0.01, 1.0, 0.0), MarkerGains(0.1, 1.0, 0.0, 0.5)):
-        ahead = robot_commands(inboxes, gains, 0.0)
-        bearing = goals.bearings_rad[0]
-        expected = bearing if bearing < np.pi / 2 else bearing - np.pi
-        assert ahead.omega_radps[0] == pytest.approx(expected)
+        command = robot_commands(inboxes, gains, 0.0)
+        assert (command.v_mps[0] > 0) == drives_forwards
+        assert command.omega_radps[0] == pytest.approx(bearing if drives_forwards else bearing - np.pi)
 
 
 @pytest.mark.parametrize(

@@ -88,7 +88,7 @@ class Pixels:
 
     Attributes:
         rows: (N,) which of the image's markers they are.
-        counts: (N,) pixels of each.
+        counts: (N,) pixels of each, as many as are kept.
         columns: (N, 16, M) the model's columns and the pixels, all times the pixels' weights, 0 in padding.
     """
 

@@ -14,11 +14,11 @@ from skyherd.geometry import Array, BoolArray, IntArray
 from skyherd.markers import card_side, cells_per_side
 from skyherd.vision import columns
 from skyherd.vision.columns import BLACK, LIGHT, MIDDLE_GREY, PIXELS, SQUEEZE, Looks
-from skyherd.vision.fits import Fits, fits_of
+from skyherd.vision.fits import Fits, fits_of, print_contrasts, weighted_median
 from skyherd.vision.grey import Image
 from skyherd.vision.pattern import Pattern, blur_buckets, make_bend, make_pattern
 from skyherd.vision.plane import Plane, fit_plane
-from skyherd.vision.regression import Solved, weighted_median
+from skyherd.vision.regression import Solved
 from skyherd.vision.shapes import Shapes
 from skyherd.vision.taken import Taken
 
@@ -56,7 +56,7 @@ LARGEST_STEP = 0.15
 LEAST_PIXELS = 2 * PIXELS
 """A marker that is seen by fewer has no say on the plane: its noise is not known."""
 
-WRONG_CELL = 0.25
+OFF_CELL = 0.25
 """A cell is not of the colour it should have if it leaves more than this share of the contrast."""
 
 COVERING, COVERING_SIGMAS = 0.25, 6.0
@@ -64,7 +64,7 @@ COVERING, COVERING_SIGMAS = 0.25, 6.0
 something else than the marker: wrong poses and blurs leave less once a fit is near."""
 
 PALE = 0.6
-"""Less than this share of the print contrast (`Fits.print_contrasts`) that most pixels tell is no print."""
+"""Less than this share of the print contrast (`skyherd.vision.fits`) that most pixels tell is no print."""
 
 UNEVEN = 8.0
 """Light is taken as uneven once the markers' mean chi-squared exceeds its mean by so many deviations."""
@@ -160,7 +160,7 @@ def looks_of(dictionary: str, ids: IntArray, relative_sigmas: Array, plane: Plan
 
 def _cells_are_right(cell_means: Array, contrasts: Array) -> BoolArray:
     """Which of N fits leave every cell the colour it should have."""
-    return np.asarray(np.abs(cell_means).max(axis=(1, 2)) < WRONG_CELL * contrasts)
+    return np.asarray(np.abs(cell_means).max(axis=(1, 2)) < OFF_CELL * contrasts)
 
 
 def jut(peaks: Array, contrasts: Array, noises: Array) -> BoolArray:
@@ -177,7 +177,7 @@ def _heard(solved: Solved, right: BoolArray) -> BoolArray:
     if not right.any():
         return np.ones_like(right)
     contrasts = solved.contrasts()
-    prints = contrasts / np.maximum(solved.values[:, BLACK] + MIDDLE_GREY + contrasts, contrasts)
+    prints = print_contrasts(solved.values[:, BLACK] + MIDDLE_GREY, contrasts)
     told = right * solved.pixels * (contrasts / solved.noises()) ** 2
     return right & (prints > PALE * weighted_median(prints, told))
 

@@ -46,8 +46,20 @@ class Fits(Rows):
     moved_px: Array
 
     def print_contrasts(self) -> Array:
-        """(N,) print contrast `(white - black) / white`: of the print alone, whatever light falls on it."""
-        return np.asarray(self.contrasts / np.maximum(self.blacks + self.contrasts, 1.0))
+        """(N,) print contrast of each."""
+        return print_contrasts(self.blacks, self.contrasts)
+
+
+def print_contrasts(blacks: Array, contrasts: Array) -> Array:
+    """(N,) `(white - black) / white`: of the print alone, whatever light falls on it."""
+    return np.asarray(contrasts / np.maximum(blacks + contrasts, 1.0))
+
+
+def weighted_median(values: Array, weights: Array) -> float:
+    """Of values (N,), where half of the weights (N,) is reached."""
+    order = np.argsort(values)
+    told = np.cumsum(weights[order])
+    return float(values[order][np.searchsorted(told, told[-1] / 2)])
 
 
 def no_fits(dictionary: str) -> Fits:

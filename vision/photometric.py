@@ -148,11 +148,7 @@ class PhotometricDetector:
         quads = quads[_elsewhere(quads, known)]
         if camera.sigma_px is None:
             self._find_blur(image, camera, quads)
-        return self._identify(image, camera, quads)
-
-    def _identify(self, image: Image, camera: Camera, quads_px: Array) -> Fits:
-        """The markers that quadrilaterals (N, 4, 2) show."""
-        fits, good = self._shown(image, camera, self._candidates(image, camera, quads_px))
+        fits, good = self._shown(image, camera, self._candidates(image, camera, quads))
         return fits.take(good)
 
     def _shown(self, image: Image, camera: Camera, fits: Fits) -> tuple[Fits, BoolArray]:
@@ -161,11 +157,11 @@ class PhotometricDetector:
         good = _verified(fits, camera, noise, image)
         doubtful = np.flatnonzero(may_be_covered(fits, noise))
         if doubtful.size:
-            sigma_px = camera.sigma_px or START_SIGMA_PX
+            sigma_px, floor = camera.sigma_px or START_SIGMA_PX, max(noise, LEAST_NOISE)
             visible = visible_all_sizes(
-                image, self.dictionary, fits.take(doubtful), sigma_px, camera.plane, noise
+                image, self.dictionary, fits.take(doubtful), sigma_px, camera.plane, floor
             )
-            shown = _verified(visible, camera, noise, image) & leave_noise_only(visible, noise)
+            shown = _verified(visible, camera, noise, image) & leave_noise_only(visible, floor)
             fits, good = fits.put(doubtful[shown], visible.take(shown)), good.copy()
             good[doubtful[shown]] = True
         return fits, good

@@ -80,10 +80,3 @@ class Solved:
     def contrasts(self) -> Array:
         """(N,) grey levels, not below `LEAST_CONTRAST`."""
         return np.maximum(self.values[:, CONTRAST], LEAST_CONTRAST)
-
-
-def weighted_median(values: Array, weights: Array) -> float:
-    """Of values (N,), where half of the weights (N,) are reached."""
-    order = np.argsort(values)
-    told = np.cumsum(weights[order])
-    return float(values[order][np.searchsorted(told, told[-1] / 2)])

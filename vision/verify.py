@@ -16,9 +16,8 @@ from scipy.special import ndtr
 
 from skyherd.geometry import Array, BoolArray
 from skyherd.vision.fit import jut
-from skyherd.vision.fits import Fits
+from skyherd.vision.fits import Fits, weighted_median
 from skyherd.vision.grey import Image
-from skyherd.vision.regression import weighted_median
 
 WRONG_CELL, WRONG_CELL_SIGMAS, WRONG_CELL_LIMIT = 0.2, 4.0, 0.4
 """A cell is wrong if it leaves more than the first share of what a wrong colour would leave and so many

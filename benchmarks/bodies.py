@@ -27,14 +27,14 @@ from typing import Any
 import numpy as np
 from rows import Row, gather, read_rows
 
+from skyherd.analysis.shortest_paths import shortest_path
 from skyherd.datasets import Mission, make_mission
-from skyherd.datasets.crowded_missions import SHAPE_SPACING, crowded_mission
-from skyherd.datasets.random_missions import BODY_SIDES, Crowd, legible, random_mission
-from skyherd.figure_canvas import DPI, drawing_style, new_figure
+from skyherd.datasets.generated.crowded_missions import SHAPE_SPACING, crowded_mission
+from skyherd.datasets.generated.random_missions import BODY_SIDES, Crowd, legible, random_mission
+from skyherd.drawing.palette import INK, unit_color
 from skyherd.geometry import to_complex
-from skyherd.hindsight import shortest_path
 from skyherd.loop import Step, run_steps
-from skyherd.palette import INK, unit_color
+from skyherd.plots.style import DPI, drawing_style, new_figure
 
 GOAL = 0.01
 HOLD_S = 3.0

@@ -10,11 +10,11 @@ from time import perf_counter
 
 import numpy as np
 
-from skyherd.crew import make_mind, make_team
 from skyherd.datasets import make_mission
-from skyherd.datasets.crowded_missions import crowded_mission
-from skyherd.perception import make_perception
-from skyherd.world import World
+from skyherd.datasets.generated.crowded_missions import crowded_mission
+from skyherd.sim.agents import make_mind, make_team
+from skyherd.sim.perception import make_perception
+from skyherd.sim.world import World
 
 ROBOTS, IMAGES, ROUNDS = 50, 40, 7
 

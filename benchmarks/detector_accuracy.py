@@ -16,7 +16,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from skyherd.markers import card_side, pose_of_corners
+from skyherd.markers.dictionary import card_side, pose_of_corners
 from skyherd.render import Camera, CameraPose, Ground, Renderer, Sensor, project_markers
 from skyherd.vision import ArucoDetector, Detector, PhotometricDetector, create_detector
 
@@ -28,7 +28,7 @@ UNCORRECTED: dict[str, Callable[[], Detector]] = {
     "aruco": lambda: ArucoDetector(DICTIONARY, corrected=False),
     "photometric": lambda: PhotometricDetector(DICTIONARY, following=False),
 }
-TABLES = Path(__file__).parent.parent / "vision"
+TABLES = Path(__file__).parent.parent / "vision" / "detectors"
 
 
 @dataclass(frozen=True)

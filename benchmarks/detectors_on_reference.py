@@ -3,8 +3,8 @@
     python benchmarks/detectors_on_reference.py                     # about six minutes on two cores
     python benchmarks/detectors_on_reference.py --out runs/reference --detectors photometric,opencv
 
-The reference (`tests/reference.py`) shares nothing with `skyherd.render`: what a detector reaches on our
-frames it must reach on these. Its levels are fixed and it knows no motion, occlusion or uneven light.
+The reference (`tests/helpers/reference.py`) shares nothing with `skyherd.render`: what a detector reaches on
+our frames it must reach on these. Its levels are fixed and it knows no motion, occlusion or uneven light.
 """
 
 import argparse
@@ -17,17 +17,18 @@ from pathlib import Path
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
+sys.path.insert(0, str(Path(__file__).parent.parent / "tests" / "helpers"))
 
 from reference import reference_light
+
 from skyherd.bench.design import GRID, Cell
 from skyherd.bench.entrants import DEFAULT_DICTIONARY, REFERENCE
+from skyherd.bench.execution import Plan, measure_cells
 from skyherd.bench.frames import Frame, make_frame, marker_bounds
 from skyherd.bench.page import write_outputs
 from skyherd.bench.result import Result, environment
-from skyherd.bench.runner import Plan, measure_cells
 from skyherd.bench.scene import camera_shots
-from skyherd.markers import card_side
+from skyherd.markers.dictionary import card_side
 from skyherd.render import project_markers
 
 SIDES_PX = (14.0, 16.0, 20.0, 30.0, 60.0, 100.0)
@@ -96,7 +97,7 @@ def main() -> None:
         )
     if options.out is not None:
         options.out.mkdir(parents=True, exist_ok=True)
-        asked = environment(source="tests/reference.py", seed=options.seed)
+        asked = environment(source="tests/helpers/reference.py", seed=options.seed)
         result = Result(asked, rows, [])
         result.write(options.out)
         print(f"see {write_outputs(result, options.out)}")

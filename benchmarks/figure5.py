@@ -19,8 +19,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from skyherd.datasets import load_mission
+from skyherd.drawing.palette import UNIT_COLORS
 from skyherd.loop import Step, run_steps
-from skyherd.palette import UNIT_COLORS
 
 PUBLISHED_V = 197.0
 PUBLISHED_HEIGHT_M = 11.0

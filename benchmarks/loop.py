@@ -26,9 +26,9 @@ import numpy as np
 from skyherd.control import AerialController, Team
 from skyherd.datasets import load_mission
 from skyherd.loop import run_steps
-from skyherd.markers import load_dictionary
-from skyherd.perception import Rendered
-from skyherd.recording import Recorder
+from skyherd.markers.dictionary import load_dictionary
+from skyherd.recording.writer import Recorder
+from skyherd.sim.perception import Rendered
 
 KEEP_EVERY = 10
 

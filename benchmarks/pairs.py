@@ -18,13 +18,13 @@ from itertools import combinations
 import numpy as np
 from scipy.optimize import brentq
 
-from skyherd.control.rate import laplacian, slowest_rate
+from skyherd.control.topology.convergence_rate import laplacian, slowest_rate
 from skyherd.datasets import Mission, make_mission
-from skyherd.datasets.random_missions import star_mission
+from skyherd.datasets.generated.random_missions import star_mission
 from skyherd.geometry import Array, BoolArray, ComplexArray, IntArray, to_complex
-from skyherd.observer import fit_shape
 from skyherd.render import project
-from skyherd.world import World
+from skyherd.sim.truth_metrics import fit_shape
+from skyherd.sim.world import World
 
 GAIN, GOAL, LONGEST_S = 0.5, 0.01, 1e5
 Pair = tuple[int, int]

@@ -30,18 +30,18 @@ import numpy as np
 
 from skyherd.control import Rectifier, rectified
 from skyherd.datasets import Mission, load_mission, make_mission
-from skyherd.datasets.cameras import CAMERAS
-from skyherd.datasets.scene_models import CameraModel
+from skyherd.datasets.configuration.cameras import CAMERAS
+from skyherd.datasets.configuration.scene_models import CameraModel
 from skyherd.errors import InputError
 from skyherd.geometry import Array, ComplexArray, apply_homography, inverse, to_complex, to_points
 from skyherd.loop import Step, run_steps
-from skyherd.markers import card_side
+from skyherd.markers.dictionary import card_side
 from skyherd.messages import Detections
-from skyherd.perception import Projected, Rendered
 from skyherd.render import Camera, CameraPose, homography_image_ground, project_markers
-from skyherd.render.camera import undistort
+from skyherd.render.camera.camera import undistort
+from skyherd.sim.perception import Projected, Rendered
+from skyherd.sim.world import World
 from skyherd.study.plan import mission_key
-from skyherd.world import World
 
 SIZE_PX = 800
 HEIGHT_M = 12.0
@@ -236,7 +236,7 @@ def nees(error: Array, seen: Detections) -> float:
 def true_centers(step: Step, seen: Detections, camera: Camera, pose: CameraPose) -> ComplexArray:
     """Where an ideal camera would see the robots (N,), by the true camera's map alone.
 
-    The ground from the image's centre, turned and scaled as `skyherd.control.ground_map` says.
+    The ground from the image's centre, turned and scaled as `skyherd.control.rectification.ground_map` says.
     """
     ground_image, size = inverse(homography_image_ground(camera, pose)), np.array(camera.size_px)
 

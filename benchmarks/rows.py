@@ -7,7 +7,7 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 from typing import Any
 
-from skyherd.files import write_text
+from skyherd.files.atomic import write_text
 
 Row = dict[str, Any]
 

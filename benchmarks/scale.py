@@ -28,10 +28,10 @@ import numpy as np
 
 from skyherd.control import AerialController, Serve, Template, TreeRule, fit_similarity
 from skyherd.datasets import make_mission
-from skyherd.figure_canvas import drawing_style, new_figure
+from skyherd.drawing.palette import INK, MUTED, UNIT_COLORS
 from skyherd.loop import Step, run_steps
 from skyherd.messages import Detections, UnitReport
-from skyherd.palette import INK, MUTED, UNIT_COLORS
+from skyherd.plots.style import drawing_style, new_figure
 
 FIGURE = Path(__file__).parent.parent / "docs" / "scale.png"
 UNITS = (6, 12, 25, 50, 100)

@@ -1,4 +1,4 @@
-"""Search linear codes for `skyherd.marker_codes`: `python benchmarks/search_dictionaries.py CELLS DIMENSION`.
+"""Search linear codes for `skyherd.markers.codes`: `search_dictionaries.py CELLS DIMENSION`.
 
 Codes that the symmetries of the square map onto themselves are put together from random words, made more
 symmetric in a few random steps, and all their images; the code of the largest least weight is kept. The
@@ -11,7 +11,7 @@ import time
 
 import numpy as np
 
-from skyherd.marker_codes import span, symmetries, word_bits
+from skyherd.markers.codes import span, symmetries, word_bits
 
 CHECKED = 12
 """So many basis vectors are spanned before the code is complete, to give up early."""

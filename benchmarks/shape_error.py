@@ -28,12 +28,12 @@ from matplotlib.axes import Axes
 
 from skyherd.bench.entrants import default_entrants, dictionary_for, is_ours
 from skyherd.datasets import Mission, load_mission, make_mission
-from skyherd.figure_canvas import drawing_style, new_figure
+from skyherd.drawing.palette import INK, PAPER, UNIT_COLORS
 from skyherd.loop import run_steps
 from skyherd.messages import Detections
-from skyherd.palette import INK, PAPER, UNIT_COLORS
-from skyherd.perception import Perception, Projected, Rendered, Sight
-from skyherd.world import World
+from skyherd.plots.style import drawing_style, new_figure
+from skyherd.sim.perception import Perception, Projected, Rendered, Sight
+from skyherd.sim.world import World
 
 FIGURE = Path(__file__).parent.parent / "docs" / "shape_error.png"
 SCENARIO = "star"

@@ -1,26 +1,26 @@
 """Detections to motion goals to robot commands; nothing here sees truth or calibration."""
 
-from skyherd.control.avoidance import AvoidanceRule
-from skyherd.control.encounters import BodyRule
-from skyherd.control.flight import Follow, Hover, Perimeter
-from skyherd.control.free import FreeRule, FreeThenTree
-from skyherd.control.fusion import Inboxes
+from skyherd.control.aerial_controller import AerialController, Decision, Selection
+from skyherd.control.avoidance.neighbor_memory import Surroundings
+from skyherd.control.avoidance.proximity import BodyRule
+from skyherd.control.avoidance.speed_bound import AvoidanceRule
+from skyherd.control.flight.keep_in_view import Serve
+from skyherd.control.flight.laws import Follow, Hover, Perimeter
+from skyherd.control.formation.roles import RoleRule, newest_roles
+from skyherd.control.formation.schedule import Program
+from skyherd.control.formation.similarity import Similarity, desired_points, fit_similarities, fit_similarity
+from skyherd.control.formation.size import SizeRule
+from skyherd.control.formation.template import Template
 from skyherd.control.goals import motion_goals
-from skyherd.control.ground_map import GroundMap
-from skyherd.control.program import Program
-from skyherd.control.rectifier import Rectifier, rectified
-from skyherd.control.robot_law import MarkerGains, PixelGains, Wheels, robot_commands
-from skyherd.control.roles import RoleRule, newest_roles
-from skyherd.control.roster import Roster
-from skyherd.control.selection import ControlSet, SafetyRadius
-from skyherd.control.serve import Serve
-from skyherd.control.similarity import Similarity, desired_points, fit_similarities, fit_similarity
-from skyherd.control.size import SizeRule
-from skyherd.control.standing import TreeRule
-from skyherd.control.surroundings import Surroundings
-from skyherd.control.team import Team
-from skyherd.control.template import Template
-from skyherd.control.unit import AerialController, Decision, Selection
+from skyherd.control.hybrid_selection import FreeRule, FreeThenTree
+from skyherd.control.rectification.ground_map import GroundMap
+from skyherd.control.rectification.rectifier import Rectifier, rectified
+from skyherd.control.robot_team import Team
+from skyherd.control.robots.goal_fusion import Inboxes
+from skyherd.control.robots.unicycle import MarkerGains, PixelGains, Wheels, robot_commands
+from skyherd.control.topology.safety_radius import ControlSet, SafetyRadius
+from skyherd.control.tree.node_state import TreeRule
+from skyherd.control.tree.protocol import Roster
 
 __all__ = [
     "AerialController",

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from skyherd.control.similarity import fit_similarity
-from skyherd.control.template import Template
+from skyherd.control.formation.similarity import fit_similarity
+from skyherd.control.formation.template import Template
 from skyherd.geometry import Array, BoolArray, IntArray, to_complex, wrap_angle
 from skyherd.messages import Detections, MotionGoals, among
 
@@ -30,7 +30,7 @@ def motion_goals(
         template: the whole shape.
         shared_ids: robots that other units control as well; their distances are always sent.
         nearest: distances are also sent to this many nearest robots in the image.
-        scales: bounds of the similarity's scale, image pixels a template pixel (control/size.py).
+        scales: bounds of the similarity's scale, image pixels a template pixel (control/formation/size.py).
 
     Raises:
         DegenerateSetError: the controlled robots seen define no similarity.

@@ -9,8 +9,8 @@ import numpy.typing as npt
 
 from skyherd.errors import InputError
 from skyherd.geometry import Array, apply_homography, inverse
-from skyherd.render.clutter import Clutter
-from skyherd.render.textures import PERIOD, SLABS, concrete, picture, tiles
+from skyherd.render.scene.clutter import Clutter
+from skyherd.render.scene.textures import PERIOD, SLABS, concrete, picture, tiles
 from skyherd.render.view import ShapeImages
 
 Image = npt.NDArray[np.uint8]

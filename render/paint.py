@@ -7,10 +7,10 @@ import numpy as np
 import numpy.typing as npt
 
 from skyherd.geometry import Array, IntArray
-from skyherd.render.edge import PER_SIGMA, REACH, EdgeSpread
-from skyherd.render.lattice import Lattices, gather_light
-from skyherd.render.pixels import Float, Pixels, locate
-from skyherd.render.spans import cover
+from skyherd.render.raster.edge import PER_SIGMA, REACH, EdgeSpread
+from skyherd.render.raster.lattice import Lattices, gather_light
+from skyherd.render.raster.pixels import Float, Pixels, locate
+from skyherd.render.raster.spans import cover
 from skyherd.render.view import ShapeImages
 
 Canvas = npt.NDArray[np.uint8] | Float

@@ -5,16 +5,16 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from skyherd.bound import pose_covariances
 from skyherd.geometry import Array, IntArray, apply_homography, inverse
-from skyherd.markers import card_side, cells_per_side, marker_cells
-from skyherd.render.camera import Camera, CameraPose
-from skyherd.render.edge import edge_spread
+from skyherd.markers.cramer_rao import pose_covariances
+from skyherd.markers.dictionary import card_side, cells_per_side, marker_cells
+from skyherd.render.camera.camera import Camera, CameraPose
+from skyherd.render.camera.motion import INSTANT, STILL, Motion, Shutter
 from skyherd.render.ground import Ground
-from skyherd.render.lattice import Lattices
-from skyherd.render.motion import INSTANT, STILL, Motion, Shutter
-from skyherd.render.occluders import Disc, Occluder, Quad, quads_square
 from skyherd.render.paint import Canvas, paint_discs, paint_lattices
+from skyherd.render.raster.edge import edge_spread
+from skyherd.render.raster.lattice import Lattices
+from skyherd.render.scene.occluders import Disc, Occluder, Quad, quads_square
 from skyherd.render.sensor import Sensor
 from skyherd.render.truth import FrameTruth, moving_markers, project_markers
 from skyherd.render.view import View

@@ -8,10 +8,10 @@ import numpy as np
 import numpy.typing as npt
 
 from skyherd.geometry import Array, BoolArray, IntArray, to_points
-from skyherd.markers import CORNERS
-from skyherd.render.camera import Camera, CameraPose
-from skyherd.render.motion import INSTANT, STILL, Motion, Shutter
-from skyherd.render.occluders import Occluder
+from skyherd.markers.dictionary import CORNERS
+from skyherd.render.camera.camera import Camera, CameraPose
+from skyherd.render.camera.motion import INSTANT, STILL, Motion, Shutter
+from skyherd.render.scene.occluders import Occluder
 from skyherd.render.view import ShapeImages, View
 
 SQUARE: Array = to_points(CORNERS.conj())

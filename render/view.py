@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from skyherd.geometry import Array, BoolArray, IntArray, apply_homography, inverse
-from skyherd.render.camera import (
+from skyherd.render.camera.camera import (
     Camera,
     CameraPose,
     distort,
@@ -15,9 +15,9 @@ from skyherd.render.camera import (
     lens_slopes,
     undistort,
 )
-from skyherd.render.motion import INSTANT, STILL, Motion, Shutter
-from skyherd.render.pixels import LensField
-from skyherd.render.spans import Spans
+from skyherd.render.camera.lens_displacement import LensField
+from skyherd.render.camera.motion import INSTANT, STILL, Motion, Shutter
+from skyherd.render.raster.spans import Spans
 
 ROLLING_STEPS = 5
 """Fixed-point steps for the row that a moving point is seen in: each gains a factor of a hundred or more."""

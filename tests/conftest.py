@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from skyherd.datasets import scenario_text
-from skyherd.markers import QUIET_ZONE_CELLS, cells_per_side, corners_of_pose, marker_cells
+from skyherd.markers.dictionary import QUIET_ZONE_CELLS, cells_per_side, corners_of_pose, marker_cells
 from skyherd.messages import Detections, MotionGoals, UnitReport
 
 BENCHMARKS = Path(__file__).parents[1] / "benchmarks"

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from skyherd.datasets import load_mission
+from skyherd.files.video_writer import VideoSink
 from skyherd.loop import run_steps
-from skyherd.video import VideoSink
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
 

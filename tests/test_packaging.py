@@ -45,9 +45,11 @@ def test_the_wheel_holds_all_files_under_skyherd_and_nothing_beside(wheel):
     tops = {name.split("/")[0] for name in wheel}
     assert {top for top in tops if not top.endswith(".dist-info")} == {"skyherd"}
     for package, folder in folders_with_code():
-        for file in (ROOT / folder).iterdir():
+        files = [*(ROOT / folder).iterdir(), *(ROOT / folder / "templates").glob("*")]
+        for file in files:
             if file.suffix in {".py", ".toml", ".typed", ".html", ".css"}:
-                assert f"{package.replace('.', '/')}/{file.name}" in wheel
+                inside = file.relative_to(ROOT / folder).as_posix()
+                assert f"{package.replace('.', '/')}/{inside}" in wheel
 
 
 def imported_modules(path):
@@ -62,7 +64,7 @@ def imported_modules(path):
 def test_control_imports_neither_pixels_nor_world():
     """Independent of the import contracts, which the gate checks with a planted leak as well."""
     allowed = ("skyherd.control", "skyherd.errors", "skyherd.geometry", "skyherd.messages")
-    for path in (ROOT / "control").glob("*.py"):
+    for path in (ROOT / "control").rglob("*.py"):
         ours = [name for name in imported_modules(path) if name.startswith("skyherd")]
         assert all(name.startswith(allowed) for name in ours), (path.name, ours)
         assert not any(name.startswith("cv2") for name in imported_modules(path)), path.name

@@ -1,8 +1,8 @@
 """Pixels to detections."""
 
-from skyherd.vision.aruco import ArucoDetector
-from skyherd.vision.detector import Detector, create_detector, detector_names, explain_mirrored
-from skyherd.vision.photometric import PhotometricDetector
+from skyherd.vision.detectors.opencv_tuned import ArucoDetector
+from skyherd.vision.detectors.registry import Detector, create_detector, detector_names, explain_mirrored
+from skyherd.vision.photometric.detector import PhotometricDetector
 
 __all__ = [
     "ArucoDetector",

@@ -7,15 +7,15 @@ from math import floor
 import numpy as np
 
 from skyherd.control import GroundMap
-from skyherd.control.unit import Decision
-from skyherd.crew import Crew, make_team
+from skyherd.control.aerial_controller import Decision
 from skyherd.datasets import Mission, Scenario
 from skyherd.geometry import IntArray
 from skyherd.messages import FlightCommand, VelocityCommand
-from skyherd.network import Network
-from skyherd.observer import Observation, Observer
-from skyherd.perception import Perception, Sight, make_perception
-from skyherd.world import Fleet, World
+from skyherd.sim.agents import Crew, make_team
+from skyherd.sim.network import Network
+from skyherd.sim.perception import Perception, Sight, make_perception
+from skyherd.sim.truth_metrics import Observation, Observer
+from skyherd.sim.world import Fleet, World
 
 
 @dataclass(frozen=True)

@@ -12,18 +12,18 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
-from skyherd.composer import Composer
+from skyherd.analysis.history import make_history
+from skyherd.analysis.summary import summarize
 from skyherd.datasets import Mission
 from skyherd.errors import InputError
-from skyherd.figures import PANELS, write_figures
-from skyherd.files import refuse_existing, write_text
-from skyherd.history import make_history
+from skyherd.files.atomic import refuse_existing, write_text
+from skyherd.files.video_writer import VideoSink
 from skyherd.loop import Step, run_steps
-from skyherd.recording import Recorder
-from skyherd.replay import read_recording, read_steps
-from skyherd.report import PAGE, VIDEO, write_page
-from skyherd.summary import summarize
-from skyherd.video import VideoSink
+from skyherd.plots.panels import PANELS, write_figures
+from skyherd.recording.reader import read_recording, read_steps
+from skyherd.recording.writer import Recorder
+from skyherd.report.run_page import PAGE, VIDEO, write_page
+from skyherd.video.composer import Composer
 
 RECORDING, SUMMARY, FIGURES = "run.mcap", "summary.json", "figures"
 FREE_BYTES = 100 * 2**20

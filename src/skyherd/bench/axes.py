@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
-from skyherd.palette import INK, MUTED
+from skyherd.drawing.palette import INK, MUTED
 
 AIM = 1.2
 SIDE_TICKS = (8, 12, 16, 20, 30, 40, 60, 100)

@@ -7,7 +7,7 @@ from typing import cast
 
 from skyherd.errors import InputError, SkyherdError
 from skyherd.vision import Detector, create_detector, detector_names
-from skyherd.vision.peers import FAMILIES, REFINEMENTS
+from skyherd.vision.detectors.peers import FAMILIES, REFINEMENTS
 
 DEFAULT_DICTIONARY = "4X4_50"
 APRILTAG_DICTIONARY = "APRILTAG_36h11"

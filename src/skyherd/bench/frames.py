@@ -13,10 +13,10 @@ import numpy.typing as npt
 
 from skyherd.bench.design import Cell
 from skyherd.bench.scene import Shot, camera_shots
-from skyherd.bound import pose_covariances
 from skyherd.geometry import Array, BoolArray, IntArray
-from skyherd.markers import CORNERS
-from skyherd.optics import total_sigma_px
+from skyherd.markers.blur_model import total_sigma_px
+from skyherd.markers.cramer_rao import pose_covariances
+from skyherd.markers.dictionary import CORNERS
 from skyherd.render import (
     Clutter,
     Disc,

@@ -6,8 +6,8 @@ from pathlib import Path
 from skyherd.bench.plots import write_plots
 from skyherd.bench.result import Result
 from skyherd.bench.tables import Table, make_tables, short
-from skyherd.files import write_text
-from skyherd.html_page import figure_card, html_page, tile, wide_table
+from skyherd.files.atomic import write_text
+from skyherd.report.pages import figure_card, html_page, tile, wide_table
 
 PAGE, MARKDOWN = "bench.html", "bench.md"
 

@@ -15,9 +15,9 @@ from skyherd.bench.axes import AIM, ratio_axes, share_axes, side_axis, span
 from skyherd.bench.design import SWEEPS
 from skyherd.bench.entrants import is_ours
 from skyherd.bench.result import Result, Row
-from skyherd.figure_canvas import drawing_style, legend_above, new_figure
-from skyherd.figures import FigureFile, save_figure
-from skyherd.palette import INK, MUTED, UNIT_COLORS
+from skyherd.drawing.palette import INK, MUTED, UNIT_COLORS
+from skyherd.plots.panels import FigureFile, save_figure
+from skyherd.plots.style import drawing_style, legend_above, new_figure
 
 OUR_COLORS = (UNIT_COLORS[0], UNIT_COLORS[1], INK, UNIT_COLORS[2])
 OTHER_COLORS = (UNIT_COLORS[7], UNIT_COLORS[4], UNIT_COLORS[5], UNIT_COLORS[3], UNIT_COLORS[2], MUTED)

@@ -12,7 +12,7 @@ from typing import Any
 from skyherd.bench.design import EMPTY, GRID, Cell, Sweep
 from skyherd.bench.entrants import is_ours
 from skyherd.errors import InputError
-from skyherd.files import write_text
+from skyherd.files.atomic import write_text
 
 RESULT = "bench.json"
 Row = dict[str, Any]

@@ -7,7 +7,7 @@ import numpy as np
 
 from skyherd.bench.design import Cell
 from skyherd.geometry import Array, IntArray, apply_homography
-from skyherd.markers import card_side, dictionary_size
+from skyherd.markers.dictionary import card_side, dictionary_size
 from skyherd.render import Camera, CameraPose, homography_image_ground
 
 FRAME_RATE_HZ = 30.0

@@ -12,7 +12,7 @@ import numpy as np
 
 from skyherd.bench.design import Cell
 from skyherd.bench.entrants import REFERENCE, dictionary_for
-from skyherd.bench.runner import Entrant, Plan, Row, one_thread, time_row
+from skyherd.bench.execution import Entrant, Plan, Row, one_thread, time_row
 
 WARM_UP = 3
 """First frames that are not counted: there patterns are made, memory is claimed, and trackers acquire."""

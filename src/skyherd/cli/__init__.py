@@ -10,7 +10,6 @@ from typing import Any, cast
 
 import typer
 
-from skyherd import __version__
 from skyherd.cli.bench import bench_app
 from skyherd.cli.console import complain
 from skyherd.cli.dataset import dataset_app
@@ -22,6 +21,7 @@ from skyherd.cli.scenario import scenario_app
 from skyherd.cli.study import study
 from skyherd.cli.topology import topology
 from skyherd.errors import SkyherdError
+from skyherd.version import __version__
 
 UsageError: type[Exception] = typer.BadParameter.__base__ or typer.BadParameter
 """Root of what Typer raises for wrong arguments: click's, or that of its own copy of click."""

@@ -9,13 +9,13 @@ import typer
 
 from skyherd.bench.design import Cell, full_design, quick_design
 from skyherd.bench.entrants import DEFAULT_DICTIONARY, default_entrants
+from skyherd.bench.execution import Plan, measure_cells
 from skyherd.bench.page import write_outputs
 from skyherd.bench.result import Result, environment
-from skyherd.bench.runner import Plan, measure_cells
 from skyherd.bench.timing import measure_times, timing_cells
 from skyherd.cli.console import CountBar, out, warn
 from skyherd.errors import InputError
-from skyherd.files import write_text
+from skyherd.files.atomic import write_text
 
 bench_app = typer.Typer(help="Measure parts of skyherd, and their peers.", rich_markup_mode=None)
 

@@ -8,11 +8,11 @@ from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemaining
 from rich.table import Table
 
 from skyherd.cli.console import complain, err, out, warn
-from skyherd.detection_table import FORMATS
 from skyherd.errors import InputError
-from skyherd.inspection import DETECTIONS, FileResult, Inspector
-from skyherd.vision.detector import detector_names
-from skyherd.vision.reasons import Reason
+from skyherd.inspection.inspector import DETECTIONS, FileResult, Inspector
+from skyherd.inspection.table import FORMATS
+from skyherd.vision.detectors.registry import detector_names
+from skyherd.vision.diagnosis.reasons import Reason
 
 SHOWN_IDS = 16
 SHOWN_REJECTIONS = 20

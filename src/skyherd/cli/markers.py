@@ -7,8 +7,8 @@ import typer
 
 from skyherd.cli.console import out
 from skyherd.errors import InputError
-from skyherd.marker_sheets import PAPERS_MM, parse_ids, parse_length_mm, write_sheets
-from skyherd.markers import load_dictionary
+from skyherd.markers.dictionary import load_dictionary
+from skyherd.markers.sheets import PAPERS_MM, parse_ids, parse_length_mm, write_sheets
 
 
 def markers(

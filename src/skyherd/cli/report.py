@@ -7,7 +7,7 @@ import typer
 
 from skyherd.cli.console import out, warn
 from skyherd.errors import InputError
-from skyherd.report import PAGE
+from skyherd.report.run_page import PAGE
 from skyherd.runner import RECORDING, make_report
 
 

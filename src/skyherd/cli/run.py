@@ -10,7 +10,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from skyherd.cli.console import err, out, warn
 from skyherd.datasets import Mission, load_mission
 from skyherd.loop import Step
-from skyherd.report import PAGE, VIDEO
+from skyherd.report.run_page import PAGE, VIDEO
 from skyherd.runner import run_mission
 
 

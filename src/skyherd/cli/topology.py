@@ -7,20 +7,10 @@ import numpy as np
 import typer
 from rich.table import Table
 
-from skyherd.cli.console import out, warn
-from skyherd.datasets import Mission, load_mission
-from skyherd.errors import InputError
-from skyherd.figure_canvas import DPI, drawing_style
-from skyherd.figure_graph import draw_graph
-from skyherd.files import write_whole
-from skyherd.geometry import IntArray, to_complex
-from skyherd.history import History, make_history
-from skyherd.loop import Step, run_steps
-from skyherd.replay import read_recording
-from skyherd.report_fields import TC_MEANINGS
-from skyherd.runner import RECORDING
-from skyherd.switches import find_switches
-from skyherd.topology_report import (
+from skyherd.analysis.history import History, make_history
+from skyherd.analysis.summary_fields import TC_MEANINGS
+from skyherd.analysis.topology_changes import find_switches
+from skyherd.analysis.topology_report import (
     TopologyReport,
     judge_topology,
     last_stretch,
@@ -28,6 +18,16 @@ from skyherd.topology_report import (
     predicted_time_s,
     resting_error,
 )
+from skyherd.cli.console import out, warn
+from skyherd.datasets import Mission, load_mission
+from skyherd.errors import InputError
+from skyherd.files.atomic import write_whole
+from skyherd.geometry import IntArray, to_complex
+from skyherd.loop import Step, run_steps
+from skyherd.plots.graph import draw_graph
+from skyherd.plots.style import DPI, drawing_style
+from skyherd.recording.reader import read_recording
+from skyherd.runner import RECORDING
 
 PICTURES = (".png", ".svg")
 MOST_SWITCHES = 60

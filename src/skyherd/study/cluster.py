@@ -14,10 +14,10 @@ from dask.system import CPU_COUNT
 from distributed import Client, LocalCluster, as_completed
 from distributed.scheduler import KilledWorker
 
-from skyherd import __version__
 from skyherd.datasets import Mission
 from skyherd.errors import InputError, OutputError
 from skyherd.study.measure import Outcome, failure, measure
+from skyherd.version import __version__
 
 WINDOW = 4
 """Runs under way for each thread of the cluster: none of them waits, and few wait for an interrupt."""

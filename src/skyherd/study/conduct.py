@@ -8,7 +8,6 @@ import json
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
-from skyherd import __version__
 from skyherd.study.cluster import open_client, run_missions
 from skyherd.study.measure import Outcome
 from skyherd.study.pages import write_pages
@@ -16,6 +15,7 @@ from skyherd.study.plan import Plan, Run
 from skyherd.study.spec import CURVE, Study
 from skyherd.study.store import ERROR, Store, open_store, write_parquet
 from skyherd.study.table import TABLE, make_table
+from skyherd.version import __version__
 
 
 class Report(NamedTuple):

@@ -11,9 +11,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter, ScalarFormatter
 
-from skyherd.figure_canvas import DPI, drawing_style, new_figure
-from skyherd.files import write_text, write_whole
-from skyherd.palette import UNIT_COLORS
+from skyherd.drawing.palette import UNIT_COLORS
+from skyherd.files.atomic import write_text, write_whole
+from skyherd.plots.style import DPI, drawing_style, new_figure
 from skyherd.study.spec import SUMMARY_FIELDS, FigureModel, Study, StudySpec
 from skyherd.study.store import ERROR
 from skyherd.study.table import SWEEP, Row, good_rows

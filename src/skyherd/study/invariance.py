@@ -18,19 +18,19 @@ from typing import Any, NamedTuple
 import numpy as np
 import pyarrow as pa
 
+from skyherd.analysis.goal_points import desired_on_ground
 from skyherd.datasets import Mission
 from skyherd.errors import DegenerateSetError, InputError
 from skyherd.geometry import Array, IntArray, apply_homography, inverse, to_complex, to_points
-from skyherd.goal_points import desired_on_ground
 from skyherd.messages import VelocityCommand
-from skyherd.observer import fit_shape
 from skyherd.render import homography_image_ground, project
-from skyherd.render.camera import undistort
+from skyherd.render.camera.camera import undistort
+from skyherd.sim.truth_metrics import fit_shape
+from skyherd.sim.world import World
 from skyherd.study.plan import Plan, Run
 from skyherd.study.spec import CURVE, REFERENCE, RUN_KEYS, SweepModel
 from skyherd.study.store import ERROR
 from skyherd.study.table import SWEEP
-from skyherd.world import World
 
 IDEAL, NOISY, RENDERED = "ideal", "noisy", "rendered"
 INSTANTS = 25

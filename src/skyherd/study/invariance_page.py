@@ -7,15 +7,15 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 
-from skyherd import __version__
-from skyherd.files import write_text
-from skyherd.html_page import figure_card, html_page, tile, wide_table
+from skyherd.files.atomic import write_text
+from skyherd.report.pages import figure_card, html_page, tile, wide_table
 from skyherd.study.figures import MARKDOWN, complaints
 from skyherd.study.invariance import IDEAL, RENDERED, Sweep, make_sweeps
 from skyherd.study.invariance_plots import draw_sweeps
 from skyherd.study.plan import make_plan
 from skyherd.study.spec import Study
 from skyherd.study.store import ERROR
+from skyherd.version import __version__
 
 PAGE = "invariance.html"
 HEAD = (

@@ -10,9 +10,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, NullLocator
 
-from skyherd.figure_canvas import drawing_style, legend_above, new_figure
-from skyherd.figures import FigureFile, save_figure
-from skyherd.palette import INK, MUTED, UNIT_COLORS
+from skyherd.drawing.palette import INK, MUTED, UNIT_COLORS
+from skyherd.plots.panels import FigureFile, save_figure
+from skyherd.plots.style import drawing_style, legend_above, new_figure
 from skyherd.study.invariance import IDEAL, RENDERED, Measures, Point, Sweep
 
 PANELS = (

@@ -6,12 +6,12 @@ from typing import Any
 
 import cv2
 
+from skyherd.analysis.history import make_history
+from skyherd.analysis.summary import summarize
 from skyherd.datasets import Mission
 from skyherd.errors import SkyherdError
-from skyherd.history import make_history
 from skyherd.loop import run_steps
 from skyherd.study.spec import CURVE, SUMMARY_FIELDS
-from skyherd.summary import summarize
 
 Outcome = dict[str, Any]
 

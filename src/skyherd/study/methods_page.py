@@ -7,16 +7,16 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 
-from skyherd import __version__
-from skyherd.figure_canvas import drawing_style
-from skyherd.figures import save_figure
-from skyherd.files import write_text
+from skyherd.files.atomic import write_text
 from skyherd.geometry import Array, BoolArray
-from skyherd.html_page import figure_card, html_page, wide_table
+from skyherd.plots.panels import save_figure
+from skyherd.plots.style import drawing_style
+from skyherd.report.pages import figure_card, html_page, wide_table
 from skyherd.study.figures import MARKDOWN, complaints
 from skyherd.study.methods import Method, make_methods
 from skyherd.study.methods_plot import draw_methods
 from skyherd.study.spec import Study
+from skyherd.version import __version__
 
 PAGE = "methods.html"
 HEAD = ("method", "formed", "collided", "robots wait (s)", "time to 1 % (s)", "way (m)", "least gap (m)")

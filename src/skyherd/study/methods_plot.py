@@ -9,9 +9,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, NullLocator, ScalarFormatter
 
-from skyherd.figure_canvas import legend_above, new_figure
+from skyherd.drawing.palette import INK, MUTED, UNIT_COLORS
 from skyherd.geometry import Array
-from skyherd.palette import INK, MUTED, UNIT_COLORS
+from skyherd.plots.style import legend_above, new_figure
 from skyherd.study.methods import Method, Outcomes
 
 MARKS = "osD^vPX<"

@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from skyherd import __version__
 from skyherd.datasets import Mission, make_mission
-from skyherd.datasets.ranges import draw, draw_whole
-from skyherd.datasets.scenario import ScenarioSource, read_scenario
-from skyherd.datasets.toml_files import get_value, put_value
+from skyherd.datasets.configuration.mission import ScenarioSource, read_scenario
+from skyherd.datasets.configuration.toml_files import get_value, put_value
+from skyherd.datasets.labelled.ranges import draw, draw_whole
 from skyherd.errors import InputError
 from skyherd.study.spec import DrawModel, RandomModel, Study, SweepModel
+from skyherd.version import __version__
 
 Settings = dict[str, Any]
 SHOWN_VALUE = 40

@@ -5,11 +5,17 @@ from typing import Annotated, Any, Literal, NamedTuple, Self
 
 from pydantic import BeforeValidator, Field, FiniteFloat, ValidationError, field_validator, model_validator
 
-from skyherd.datasets.fields import Model
-from skyherd.datasets.toml_files import built_in_names, built_in_text, first_error, parse, read_text
+from skyherd.analysis.history import CURVES
+from skyherd.analysis.summary_fields import GROUPS
+from skyherd.datasets.configuration.fields import Model
+from skyherd.datasets.configuration.toml_files import (
+    built_in_names,
+    built_in_text,
+    first_error,
+    parse,
+    read_text,
+)
 from skyherd.errors import InputError
-from skyherd.history import CURVES
-from skyherd.report_fields import GROUPS
 
 BUILT_IN = "skyherd.study.specs"
 CURVE = "history."

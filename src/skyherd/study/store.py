@@ -15,7 +15,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from skyherd.errors import InputError, OutputError
-from skyherd.files import write_text, write_whole
+from skyherd.files.atomic import write_text, write_whole
 from skyherd.study.measure import Outcome
 
 PARTS, LOCK, MARK = "parts", ".lock", "study.json"

@@ -1,0 +1,1 @@
+"""How robots with bodies keep apart."""

@@ -1,0 +1,1 @@
+"""How a unit flies, from image quantities alone."""

@@ -1,0 +1,90 @@
+"""Where robots lie in a unit's image, also those that it does not see: outside the frame, hidden, or lost."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from skyherd.control.formation.similarity import Similarity, fit_similarities, fit_similarity
+from skyherd.control.formation.template import Template
+from skyherd.errors import DegenerateSetError
+from skyherd.geometry import Array, BoolArray, ComplexArray, IntArray, to_complex, to_points
+from skyherd.messages import Detections, UnitReport, centred
+
+
+@dataclass
+class ImageMemory:
+    """Last known image points of the team, carried along as the unit moves.
+
+    Two robots seen by two units tell the similarity between their images; so the robots that the other sees
+    have a place in one's own image too, outside the frame as well. The same fit between one's last image
+    and the next carries along the points of robots that nobody sees.
+
+    Attributes:
+        template: names the team.
+        points_px: (N,) as `u + iv`, in the order of the template's ids.
+        known: (N,) whether a robot has a place yet.
+        seen_s: (N,) when the unit itself saw it last; -inf if never.
+        centers_px: image centres of the other units in the own image, by unit.
+    """
+
+    template: Template
+    points_px: ComplexArray = field(init=False)
+    known: BoolArray = field(init=False)
+    seen_s: Array = field(init=False)
+    centers_px: dict[int, complex] = field(default_factory=dict, init=False)
+
+    def __post_init__(self) -> None:
+        count = self.template.ids.size
+        self.points_px = np.zeros(count, dtype=np.complex128)
+        self.known = np.zeros(count, dtype=bool)
+        self.seen_s = np.full(count, -np.inf)
+
+    def update(self, seen: Detections, reports: Sequence[UnitReport]) -> None:
+        """Take in an image and what the other units reported last."""
+        rows, points = self.rows(seen.ids), to_complex(seen.centers_px)
+        moved = _fit(self.points_px[rows], points, self.known[rows] & (self.seen_s[rows] > -np.inf))
+        if moved is not None:
+            self.points_px[self.known] = moved(self.points_px[self.known])
+        self.points_px[rows], self.known[rows], self.seen_s[rows] = points, True, seen.time_s
+        in_view = np.zeros(self.known.size, dtype=bool)
+        in_view[rows] = True
+        self.centers_px.clear()
+        if reports:
+            self._learn(reports, in_view)
+
+    def _learn(self, reports: Sequence[UnitReport], in_view: BoolArray) -> None:
+        """Places of what others see and the unit does not; where several do, the last one's word counts."""
+        sender = np.repeat(np.arange(len(reports)), [report.ids.size for report in reports])
+        rows = self.rows(np.concatenate([report.ids for report in reports]))
+        points = to_complex(np.concatenate([report.points_px for report in reports]))
+        common = in_view[rows]
+        images = fit_similarities(points[common], self.points_px[rows[common]], sender[common], len(reports))
+        hidden = ~common & images.exist[sender]
+        self.points_px[rows[hidden]] = images(points[hidden], sender[hidden])
+        self.known[rows[hidden]] = True
+        told = np.flatnonzero(images.exist).tolist()
+        middles = to_complex(np.reshape([(reports[row].image_size_px - 1) / 2 for row in told], (-1, 2)))
+        units = (reports[row].unit_id for row in told)
+        self.centers_px.update(
+            zip(units, images(middles, np.array(told, dtype=np.int64)).tolist(), strict=True)
+        )
+
+    def rows(self, ids: IntArray) -> IntArray:
+        """Rows of robots, all of the team."""
+        return np.asarray(np.searchsorted(self.template.ids, ids), dtype=np.int64)
+
+    def centred(self, ids: IntArray, image_size_px: Array) -> Array:
+        """Points (M, 2) of those of the robots that have a place, from the image centre, in half images."""
+        rows = self.rows(ids)
+        return centred(to_points(self.points_px[rows[self.known[rows]]]), image_size_px)
+
+
+def _fit(source: ComplexArray, target: ComplexArray, use: BoolArray) -> Similarity | None:
+    """The similarity from some of the points to their counterparts, if they tell one."""
+    if np.count_nonzero(use) < 2:
+        return None
+    try:
+        return fit_similarity(source[use], target[use])
+    except DegenerateSetError:
+        return None

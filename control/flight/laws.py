@@ -1,0 +1,188 @@
+"""How a unit flies, from image quantities alone.
+
+Lengths are in halves of the image's shorter side, measured from the image centre, so that gains do not
+depend on the camera; the autopilot that obeys is part of the world.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+from scipy.spatial import ConvexHull, QhullError
+
+from skyherd.control.topology.safety_radius import NO_ROBOTS, centre_distances
+from skyherd.geometry import Array, IntArray
+from skyherd.messages import Detections, FlightCommand, UnitReport, centred, shared_ids
+
+
+@dataclass(frozen=True)
+class Duty:
+    """What a unit is to have in view: robots it controls, and robots sought so far as those stay there."""
+
+    controlled: IntArray
+    sought: IntArray = field(default_factory=lambda: NO_ROBOTS)
+
+
+class Flight(Protocol):
+    """A motion law of one aerial unit."""
+
+    def command(self, seen: Detections, duty: Duty, reports: Sequence[UnitReport]) -> FlightCommand:
+        """Velocity to fly now, given the robots seen, those to be seen, and the other units' reports."""
+        ...
+
+    def search(self, seen: Detections, controlled: IntArray, reports: Sequence[UnitReport]) -> FlightCommand:
+        """What to fly while the tree does not grow: keep in view all that is seen as well."""
+        return self.command(seen, Duty(controlled, seen.ids), reports)
+
+
+def _hover(unit_id: int, yaw_rate_radps: float = 0.0) -> FlightCommand:
+    return FlightCommand(unit_id, np.zeros(2), 0.0, yaw_rate_radps)
+
+
+@dataclass(frozen=True)
+class Hover(Flight):
+    """Stay, turning at a constant rate if asked."""
+
+    yaw_rate_radps: float = 0.0
+
+    def command(self, seen: Detections, duty: Duty, reports: Sequence[UnitReport]) -> FlightCommand:
+        """No translation."""
+        return _hover(seen.unit_id, self.yaw_rate_radps)
+
+
+@dataclass
+class Follow(Flight):
+    """Algorithm 1 of the companion paper (Aranda et al., T-RO 2015): keep in view what duty demands.
+
+    To be kept are, for each neighbour in the initial graph, the two robots in common that are nearest to
+    the image centre, and the unit's own charges. The unit flies towards their centroid in proportion to its
+    distance, and climbs or sinks as the farthest of them is farther out or nearer than `desired_radius`.
+
+    The companion paper's charges are the robots that only this unit sees. Two units that see one robot may
+    then each leave it to the other, and one that sinks hands all its robots to one that climbs. Here a
+    robot that several units control at the start is the charge of the one that sees it nearest to its
+    image centre, for good; and a robot that no other unit holds is a charge at all times.
+
+    Attributes:
+        desired_radius: image distance of the farthest robot to be kept.
+        lateral_gain_mps: speed for a centroid half an image off.
+        climb_gain_mps: climb for a farthest robot half an image too far out.
+        dead_band: climb only for an error above this, so that noise does not move the unit.
+    """
+
+    desired_radius: float
+    lateral_gain_mps: float = 1.0
+    climb_gain_mps: float = 1.0
+    dead_band: float = 0.02
+    _neighbors: dict[int, bool] = field(default_factory=dict, init=False)
+    _charges: IntArray = field(default_factory=lambda: NO_ROBOTS, init=False)
+    _start: dict[int, float] | None = field(default=None, init=False)
+
+    def command(self, seen: Detections, duty: Duty, reports: Sequence[UnitReport]) -> FlightCommand:
+        """Velocity towards the centroid of the robots to be kept, and the height that keeps them."""
+        controlled = duty.controlled
+        if self._start is None:
+            self._start, self._charges = _distances(seen), controlled
+        for report in reports:
+            if report.unit_id not in self._neighbors:
+                shared = np.intersect1d(controlled, report.controlled_ids)
+                self._neighbors[report.unit_id] = shared.size >= 2
+                self._charges = np.setdiff1d(
+                    self._charges, _nearer_there(shared, self._start, seen.unit_id, report)
+                )
+        keep = np.isin(seen.ids, np.union1d(self._robots_to_keep(seen, controlled, reports), duty.sought))
+        if not keep.any():
+            return _hover(seen.unit_id)
+        points = centred(seen.centers_px, seen.image_size_px)[keep]
+        excess = float(np.linalg.norm(points, axis=1).max()) - self.desired_radius
+        climb = excess - np.clip(excess, -self.dead_band, self.dead_band)
+        return FlightCommand(
+            seen.unit_id, self.lateral_gain_mps * points.mean(axis=0), float(self.climb_gain_mps * climb), 0.0
+        )
+
+    def _robots_to_keep(
+        self, seen: Detections, controlled: IntArray, reports: Sequence[UnitReport]
+    ) -> IntArray:
+        """The charges, the robots nobody else holds, and two in common with each neighbour."""
+        alone = np.setdiff1d(controlled, shared_ids(controlled, reports))
+        keep = [self._charges, alone]
+        distances = centre_distances(seen)
+        for report in reports:
+            if self._neighbors.get(report.unit_id, False):
+                common = np.intersect1d(controlled, report.controlled_ids)
+                if common.size < 2:
+                    common = report.ids
+                rows = np.flatnonzero(np.isin(seen.ids, common))
+                keep.append(seen.ids[rows[np.argsort(distances[rows])[:2]]])
+        return np.unique(np.concatenate(keep))
+
+
+def _distances(seen: Detections | UnitReport) -> dict[int, float]:
+    """Distance from the image centre of each robot seen."""
+    return dict(zip(seen.ids.tolist(), centre_distances(seen).tolist(), strict=True))
+
+
+def _nearer_there(shared: IntArray, start: dict[int, float], unit_id: int, report: UnitReport) -> IntArray:
+    """Those of `shared` that the reporting unit saw nearer to its image centre; of equals, the first unit's.
+
+    Both look at their own first image, so that each robot stays the charge of exactly one of the two.
+    """
+    there = _distances(report)
+    theirs = [
+        robot
+        for robot in shared.tolist()
+        if (there.get(robot, np.inf), report.unit_id) < (start.get(robot, np.inf), unit_id)
+    ]
+    return np.array(theirs, dtype=np.int64)
+
+
+@dataclass(frozen=True)
+class Perimeter(Flight):
+    """Fly along the perimeter of the robots' convex hull, turning slowly (the paper's one-camera case).
+
+    The velocity is along the hull's edge nearest to the image centre, plus a pull towards that edge.
+
+    Attributes:
+        desired_radius: image distance at which the farthest robot is kept by height.
+        speed_mps: along the perimeter.
+        lateral_gain_mps: pull for a perimeter half an image off.
+        climb_gain_mps: climb for a farthest robot half an image too far out.
+        yaw_rate_radps: counter-clockwise seen from above.
+    """
+
+    desired_radius: float
+    speed_mps: float = 0.1
+    lateral_gain_mps: float = 0.5
+    climb_gain_mps: float = 1.0
+    yaw_rate_radps: float = 0.0
+
+    def command(self, seen: Detections, duty: Duty, reports: Sequence[UnitReport]) -> FlightCommand:
+        """Velocity along the hull of the controlled robots."""
+        robots = seen.select(duty.controlled)
+        points = centred(robots.centers_px, robots.image_size_px)
+        edge = _nearest_hull_edge(points)
+        if edge is None:
+            return _hover(seen.unit_id, self.yaw_rate_radps)
+        foot, along = edge
+        excess = float(np.linalg.norm(points, axis=1).max()) - self.desired_radius
+        return FlightCommand(
+            seen.unit_id,
+            self.speed_mps * along + self.lateral_gain_mps * foot,
+            self.climb_gain_mps * excess,
+            self.yaw_rate_radps,
+        )
+
+
+def _nearest_hull_edge(points: Array) -> tuple[Array, Array] | None:
+    """Point of the hull's boundary nearest to the origin, and the unit vector along its edge, or None."""
+    try:
+        corners = points[ConvexHull(points).vertices]
+    except (QhullError, ValueError):
+        return None
+    along = np.roll(corners, -1, axis=0) - corners
+    length = np.linalg.norm(along, axis=1)
+    at = np.clip(-np.einsum("nd,nd->n", corners, along) / length**2, 0.0, 1.0)
+    feet = corners + at[:, None] * along
+    nearest = int(np.argmin(np.linalg.norm(feet, axis=1)))
+    return feet[nearest], along[nearest] / length[nearest]

@@ -1,0 +1,1 @@
+"""The shape: template, fitted similarity, size, who takes which place, one shape after another."""

@@ -1,0 +1,1 @@
+"""What a robot does with the goals it was sent."""

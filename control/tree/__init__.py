@@ -1,0 +1,1 @@
+"""The protocol by which units share robots along a tree."""

@@ -1,0 +1,106 @@
+"""Which two robots two neighbours share: those nearest to the unit, or those that bind the two best."""
+
+from itertools import combinations
+
+import numpy as np
+
+from skyherd.control.formation.template import Template
+from skyherd.control.topology.convergence_rate import pair_rates
+from skyherd.control.tree.edge import NO_ROBOTS, Robots
+from skyherd.control.tree.node_state import Share
+from skyherd.geometry import Array, IntArray
+
+
+def choose_pair(
+    share: Share,
+    template: Template,
+    *,
+    candidates: Robots,
+    distances: dict[int, float],
+    present: Robots,
+    theirs: IntArray,
+    ours: IntArray,
+    wanted: Robots,
+    unwanted: Robots,
+    gain: float,
+) -> Robots | None:
+    """The pair to change to, or None where the present one is good enough.
+
+    Of all pairs of candidates the one that moves most robots to where they are wanted; of those, with
+    `leverage`, the one whose two units agree fastest (`pair_rates`), with `nearest` the two nearest to the
+    unit's image centre (the paper's rule). A pair that moves nobody must be better than the present one by
+    the factor `gain`, so that noise changes nothing.
+
+    Args:
+        share: the rule.
+        template: the whole shape.
+        candidates: robots that both units see and that may be shared.
+        distances: of the candidates from the unit's image centre.
+        present: the pair shared now; empty, or with a member that is no candidate, it must be changed.
+        theirs: the neighbour's set, ascending.
+        ours: the unit's set without the present pair, ascending.
+        wanted: robots that the neighbour would rather lose.
+        unwanted: robots of the present pair that the unit would rather lose.
+        gain: factor by which a new pair must be better.
+    """
+    robots = sorted(candidates)
+    if len(robots) < 2:
+        return None
+    pairs = np.array(list(combinations(robots, 2)), dtype=np.int64)
+    merit = _leverage(template, pairs, theirs, ours) if share == "leverage" else _nearness(pairs, distances)
+    moved = np.isin(pairs, list(wanted)).sum(axis=1)
+    moved += _left(pairs, unwanted)
+    best = int(np.lexsort((-merit, -moved))[0])
+    if not merit[best] > 0:
+        return None
+    chosen = frozenset(pairs[best].tolist())
+    if present <= candidates and len(present) == 2:
+        now = int(np.flatnonzero((pairs == sorted(present)).all(axis=1))[0])
+        if moved[best] <= moved[now] and merit[best] < gain * merit[now]:
+            return None
+    return None if chosen == present else chosen
+
+
+def firmer_pair(
+    template: Template,
+    present: Robots,
+    candidates: Robots,
+    theirs: Robots,
+    ours: Robots,
+    firm: float,
+    gain: float,
+) -> Robots:
+    """The pair to get into view where the present one binds two units less than firmly; none if it is firm.
+
+    Of all pairs of candidates that bind at the rate `firm`, or as firmly as any does, and better than the
+    present one by the factor `gain`, the one that lies nearest to the unit's own robots in the shape.
+    """
+    robots = sorted(candidates | present)
+    pairs = np.array(list(combinations(robots, 2)), dtype=np.int64)
+    rates = _leverage(template, pairs, np.array(sorted(theirs)), np.array(sorted(ours), dtype=np.int64))
+    now = rates[(pairs == sorted(present)).all(axis=1)][0]
+    enough = np.flatnonzero((rates >= min(firm, float(rates.max()))) & (rates >= gain * now) & (rates > 0))
+    if now >= firm or not ours or not enough.size:
+        return NO_ROBOTS
+    points, rows = template.points_px, np.searchsorted(template.ids, pairs[enough])
+    middle = points[np.searchsorted(template.ids, sorted(ours | present))].mean()
+    nearest = int(np.argmin(np.abs(points[rows] - middle).max(axis=1)))
+    return frozenset(pairs[enough[nearest]].tolist())
+
+
+def _leverage(template: Template, pairs: IntArray, theirs: IntArray, ours: IntArray) -> Array:
+    rows = np.searchsorted(template.ids, pairs)
+    fixed, moving = (np.searchsorted(template.ids, ids) for ids in (theirs, ours))
+    return pair_rates(template.points_px, fixed, moving, rows)
+
+
+def _nearness(pairs: IntArray, distances: dict[int, float]) -> Array:
+    """Inverse of the pair's summed distance from the image centre."""
+    total = [distances[a] + distances[b] for a, b in pairs.tolist()]
+    return 1 / np.maximum(total, 1e-9)
+
+
+def _left(pairs: IntArray, unwanted: Robots) -> IntArray:
+    """How many of the unwanted robots each pair leaves to the neighbour."""
+    members = np.isin(pairs, sorted(unwanted)).sum(axis=1)
+    return np.asarray(len(unwanted) - members, dtype=np.int64)

@@ -1,0 +1,1 @@
+"""Scenario files: their keys, checked, and the missions made of them."""

@@ -1,0 +1,273 @@
+"""Scenarios: read from TOML, checked, and turned into a template and a start."""
+
+import tomllib
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import ValidationError
+
+from skyherd.bodies import Bodies
+from skyherd.control import Program, Template
+from skyherd.datasets.configuration.models import RobotsModel, Scenario, ShapeModel
+from skyherd.datasets.configuration.obstacles import check_obstacles, in_order, make_bodies
+from skyherd.datasets.configuration.start import coincident, start_headings, start_positions
+from skyherd.datasets.configuration.template_image import read_template_image
+from skyherd.datasets.configuration.toml_files import (
+    built_in_names,
+    built_in_text,
+    first_error,
+    parse,
+    put_value,
+    read_text,
+)
+from skyherd.datasets.shapes.shapes import shape_points
+from skyherd.errors import DegenerateSetError, InputError
+from skyherd.files.images import Grey, read_grey
+from skyherd.geometry import Array, IntArray
+from skyherd.markers.dictionary import dictionary_size
+from skyherd.vision import detector_names
+
+BUILT_IN = "skyherd.datasets.scenarios"
+
+
+def scenario_names() -> list[str]:
+    """Names of the built-in scenarios."""
+    return built_in_names(BUILT_IN)
+
+
+def scenario_text(name: str) -> str:
+    """TOML text of a built-in scenario."""
+    return built_in_text(BUILT_IN, name, "scenario")
+
+
+@dataclass(frozen=True)
+class Mission:
+    """A checked scenario with what follows from it: the template, and where the team starts.
+
+    Attributes:
+        scenario: as given.
+        template: every robot's point, image sense.
+        ids: (N,) robots, ascending.
+        positions_m: (N, 2) start, in the order of `ids`.
+        headings_rad: (N,) start.
+        ground_image: grey picture (height, width) on the ground, if it has one.
+        later: (time, s, shape) of the shapes that come after the first.
+    """
+
+    scenario: Scenario
+    template: Template
+    ids: IntArray
+    positions_m: Array
+    headings_rad: Array
+    ground_image: Grey | None = None
+    later: tuple[tuple[float, Template], ...] = ()
+
+    @cached_property
+    def program(self) -> Program:
+        """The shapes to form, one after the other."""
+        return Program(self.template, self.later)
+
+    def shape_at(self, time_s: float, roles: IntArray) -> Template:
+        """The shape to form at a time, with the points that robots have by their roles (N,)."""
+        shape = self.program.at(time_s)
+        return Template(shape.ids, shape.points_px[roles])
+
+    @cached_property
+    def bodies(self) -> Bodies:
+        """The room that robots and obstacles take."""
+        return make_bodies(self.scenario)
+
+    @cached_property
+    def obstacle_ids(self) -> IntArray:
+        """(K,) markers of the obstacles, ascending."""
+        return np.array([obstacle.id for obstacle in in_order(self.scenario)], dtype=np.int64)
+
+    @cached_property
+    def obstacle_headings_rad(self) -> Array:
+        """(K,) of the obstacles' markers."""
+        return np.radians([obstacle.heading_deg for obstacle in in_order(self.scenario)])
+
+    @property
+    def obstacle_positions_m(self) -> Array:
+        """(K, 2)."""
+        return self.bodies.obstacles_m
+
+    @property
+    def obstacle_radii_m(self) -> Array:
+        """(K,) of the obstacles' bodies."""
+        return self.bodies.obstacle_radii_m
+
+
+@dataclass(frozen=True)
+class ScenarioSource:
+    """A scenario as written: plain values, what to call it in a complaint, and where its pictures lie."""
+
+    tree: dict[str, Any]
+    where: str
+    folder: Path
+
+
+def read_scenario(name_or_file: str) -> ScenarioSource:
+    """Read a built-in scenario or a TOML file, without checking what it says.
+
+    Raises:
+        InputError: there is none, or it is no TOML.
+    """
+    path = Path(name_or_file)
+    is_file = path.suffix == ".toml" or path.is_file()
+    where = str(path) if is_file else f"scenario {name_or_file}"
+    text = read_text(path, "scenario") if is_file else scenario_text(name_or_file)
+    tree = parse(text, where, "skyherd scenario show star")
+    return ScenarioSource(tree, where, path.parent if is_file else Path())
+
+
+def load_mission(name_or_file: str, settings: Iterable[str] = (), *, seed: int | None = None) -> Mission:
+    """Read and check a built-in scenario or a TOML file, with `key=value` settings put over it.
+
+    Raises:
+        InputError: in one line, the file, the key, the value, and what is allowed.
+    """
+    source = read_scenario(name_or_file)
+    for setting in settings:
+        _apply_setting(source.tree, setting)
+    if seed is not None:
+        source.tree["seed"] = seed
+    return make_mission(source.tree, where=source.where, folder=source.folder)
+
+
+def make_mission(tree: dict[str, Any], *, where: str = "scenario", folder: Path | None = None) -> Mission:
+    """Check a scenario given as a tree of plain values; `folder` is where its pictures lie."""
+    try:
+        scenario = Scenario.model_validate(tree)
+    except ValidationError as error:
+        raise first_error(error, where, "scenario") from None
+    try:
+        return _complete(scenario, folder or Path())
+    except InputError as error:
+        raise InputError(f"{where}: {error.where}", error.what, error.allowed) from None
+    except DegenerateSetError as error:
+        raise InputError(f"{where}: template", str(error), "at least two distinct points") from None
+
+
+def _apply_setting(tree: dict[str, Any], setting: str) -> None:
+    """Put one `a.b.0.c=value` over the tree; the value is TOML, or plain text where that fails."""
+    key, equals, text = setting.partition("=")
+    if not equals or not key.strip():
+        raise InputError(f"--set {setting}", "not of the form key=value", "such as --set control.k=0.2")
+    try:
+        value = tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        value = text
+    put_value(tree, key, value, f"--set {setting}")
+
+
+def _complete(scenario: Scenario, folder: Path) -> Mission:
+    rng = np.random.default_rng([scenario.seed, 0])
+    if scenario.detector not in detector_names():
+        raise InputError(
+            "detector", f"no detector {scenario.detector!r}", f"one of {', '.join(detector_names())}"
+        )
+    limit = dictionary_size(scenario.marker.dictionary)
+    template = _template(scenario.template, scenario.robots, scenario.marker.dictionary, folder)
+    ids = _robot_ids(scenario.robots, template)
+    if ids.max() >= limit:
+        raise InputError(
+            "robots.ids",
+            f"{ids.size} robots, ids up to {ids.max()}, but {scenario.marker.dictionary} has {limit} markers",
+            f"ids from 0 to {limit - 1}, or a larger marker.dictionary",
+        )
+    _check_template(ids, template)
+    later = [
+        (shape.at_s, _template(shape, scenario.robots, scenario.marker.dictionary, folder))
+        for shape in scenario.template.then
+    ]
+    for _, shape in later:
+        _check_template(ids, shape)
+    _check_classes(scenario, ids)
+    check_obstacles(scenario.obstacles, ids, limit, scenario.marker)
+    positions = start_positions(scenario, ids, template, rng)
+    headings = start_headings(scenario.robots, ids.size, rng)
+    order = np.argsort(ids)
+    picture = scenario.ground.image
+    ground_image = None if picture is None else read_grey(folder / picture)
+    return Mission(
+        scenario,
+        template,
+        ids[order],
+        positions[order],
+        headings[order],
+        ground_image,
+        Program(template, tuple(later)).later,
+    )
+
+
+def _template(model: ShapeModel, robots: RobotsModel, dictionary: str, folder: Path) -> Template:
+    if model.image is not None:
+        return read_template_image(folder / model.image, dictionary)
+    count = next(
+        (len(given) for given in (robots.positions_m, robots.ids) if given is not None), robots.count
+    )
+    if model.points is not None:
+        points = np.array(model.points, dtype=float).reshape(-1, 2)
+    elif count is None:
+        raise InputError("robots", "nothing tells how many there are", "positions_m, ids or count")
+    elif not 2 <= count <= dictionary_size(dictionary):
+        allowed = f"from 2 to the {dictionary_size(dictionary)} markers of {dictionary}"
+        raise InputError(
+            "robots", f"{count} robots; {dictionary} has {dictionary_size(dictionary)} markers", allowed
+        )
+    else:
+        points = shape_points(model.shape or "", count)
+    ids = np.arange(len(points)) if robots.ids is None else np.array(robots.ids)
+    if len(ids) != len(points):
+        raise InputError(
+            "template.points", f"{len(points)} points for {len(ids)} robots", "a point for each robot"
+        )
+    return Template.from_ground_points(ids, points)
+
+
+def _robot_ids(robots: RobotsModel, template: Template) -> IntArray:
+    count = len(robots.positions_m) if robots.positions_m is not None else robots.count or template.ids.size
+    named = template.ids if template.ids.size == count else np.arange(count)
+    ids = named if robots.ids is None else np.array(robots.ids, dtype=np.int64)
+    if robots.count not in (None, count):
+        raise InputError(
+            "robots.count", f"{robots.count}, but {count} positions", "the number of positions_m, or none"
+        )
+    if ids.size < 2:
+        raise InputError("robots", f"{ids.size} robot(s)", "at least two, since fewer make no shape")
+    if np.unique(ids).size != ids.size:
+        twice = sorted({int(i) for i in ids if np.sum(ids == i) > 1})
+        raise InputError("robots.ids", f"duplicate ids {twice}", "each robot its own marker")
+    if ids.size != count:
+        raise InputError("robots.ids", f"{ids.size} ids for {count} robots", "an id for each robot")
+    return ids
+
+
+def _check_classes(scenario: Scenario, ids: IntArray) -> None:
+    classes = scenario.roles.classes
+    if classes is not None and len(classes) != ids.size:
+        raise InputError(
+            "roles.classes", f"{len(classes)} classes for {ids.size} robots", "one for each, by ascending id"
+        )
+
+
+def _check_template(ids: IntArray, template: Template) -> None:
+    missing, extra = np.setdiff1d(ids, template.ids), np.setdiff1d(template.ids, ids)
+    if missing.size or extra.size:
+        what = (
+            f"no point for robot(s) {missing.tolist()}"
+            if missing.size
+            else f"points for {extra.tolist()}, who are no robots"
+        )
+        raise InputError("template", what, "one point for each robot")
+    points = np.column_stack([template.points_px.real, template.points_px.imag])
+    if (pair := coincident(points, 1e-9 * float(np.ptp(points)))) is not None:
+        first, second = template.ids[pair[0]], template.ids[pair[1]]
+        raise InputError(
+            "template", f"robots {first} and {second} have one point", "each robot its own place"
+        )

@@ -1,0 +1,95 @@
+"""Where a team starts: as given, or scattered at random, with room for every body."""
+
+import numpy as np
+
+from skyherd.bodies import Bodies
+from skyherd.control import Template
+from skyherd.datasets.configuration.models import RobotsModel, ScatterModel, Scenario
+from skyherd.datasets.configuration.obstacles import in_order, make_bodies
+from skyherd.errors import InputError
+from skyherd.geometry import Array, IntArray
+
+SCATTER_TRIES = 2000
+ROUNDING_M = 1e-9
+"""Bodies that overlap by less only touch."""
+
+
+def start_positions(scenario: Scenario, ids: IntArray, template: Template, rng: np.random.Generator) -> Array:
+    """Start (N, 2) of robots `ids`, in their order.
+
+    Raises:
+        InputError: there is not exactly one start, or two bodies would overlap in it.
+    """
+    robots, bodies = scenario.robots, make_bodies(scenario)
+    if (robots.positions_m is None) == (robots.scatter is None):
+        raise InputError("robots", "needs a start", "exactly one of positions_m and scatter")
+    if robots.scatter is not None:
+        return _scatter(robots.scatter, template.points_of(ids).conj(), bodies, rng)
+    positions = np.array(robots.positions_m, dtype=float)
+    if (pair := coincident(positions, ROUNDING_M)) is not None:
+        raise InputError(
+            "robots.positions_m",
+            f"robots {ids[pair[0]]} and {ids[pair[1]]} are on one spot, {positions[pair[0]].tolist()}",
+            "each robot its own place",
+        )
+    _check_room(scenario, bodies, ids, positions)
+    return positions
+
+
+def start_headings(robots: RobotsModel, count: int, rng: np.random.Generator) -> Array:
+    """Headings (N,) at the start; random where none are given."""
+    if robots.headings_deg is None:
+        return rng.uniform(-np.pi, np.pi, size=count)
+    if len(robots.headings_deg) != count:
+        raise InputError(
+            "robots.headings_deg", f"{len(robots.headings_deg)} headings for {count} robots", "one for each"
+        )
+    return np.radians(robots.headings_deg)
+
+
+def coincident(points: Array, distance: float) -> tuple[int, int] | None:
+    """Indices of two points (N, 2) within a distance of each other, or None."""
+    distances = np.linalg.norm(points[:, None] - points[None], axis=2)
+    first, second = np.nonzero(np.triu(distances <= distance, 1))
+    return (int(first[0]), int(second[0])) if first.size else None
+
+
+def _check_room(scenario: Scenario, bodies: Bodies, ids: IntArray, positions: Array) -> None:
+    pairs = bodies.overlapping(positions, ROUNDING_M)
+    if not pairs.size:
+        return
+    first, second = pairs[0].tolist()
+    if second < ids.size:
+        other, place, reach_m = f"robot {ids[second]}", positions[second], 2 * bodies.radius_m
+    else:
+        row = second - ids.size
+        other, place = f"obstacle {in_order(scenario)[row].id}", bodies.obstacles_m[row]
+        reach_m = bodies.radius_m + float(bodies.obstacle_radii_m[row])
+    apart_m = float(np.linalg.norm(place - positions[first]))
+    raise InputError(
+        "robots.positions_m",
+        f"robot {ids[first]} overlaps {other}, {apart_m:.2g} m away",
+        f"at least {reach_m:.3g} m between their centres, or smaller bodies",
+    )
+
+
+def _scatter(model: ScatterModel, points: np.ndarray, bodies: Bodies, rng: np.random.Generator) -> Array:
+    """Random places, one after the other, each kept if it leaves room to those before and to obstacles."""
+    turned = (points - points.mean()) * model.scale_m * np.exp(1j * np.radians(model.rotation_deg))
+    home = np.column_stack([turned.real, turned.imag]) + model.center_m
+    spacing_m, clear_m = max(model.spacing_m, 2 * bodies.radius_m), bodies.radius_m + bodies.obstacle_radii_m
+    placed = np.zeros((0, 2))
+    for place in home:
+        for _ in range(SCATTER_TRIES):
+            at = place + rng.uniform(-model.jitter_m, model.jitter_m, size=2)
+            near = (np.linalg.norm(placed - at, axis=1) < spacing_m).any()
+            if not near and not (np.linalg.norm(bodies.obstacles_m - at, axis=1) < clear_m).any():
+                break
+        else:
+            raise InputError(
+                "robots.scatter",
+                f"no room for {len(home)} robots",
+                "a smaller spacing_m, a larger scale_m, or smaller bodies",
+            )
+        placed = np.vstack([placed, at])
+    return placed

@@ -1,0 +1,1 @@
+"""Missions at random, for benchmarks and tests."""

@@ -1,0 +1,85 @@
+"""Random crowded missions: bodies close together, every robot with any place of the shape."""
+
+from typing import Any
+
+import numpy as np
+from scipy.spatial.distance import cdist
+
+from skyherd.datasets.generated.random_missions import (
+    BODY_SIDES,
+    IN_COMMON,
+    SIDE_M,
+    TRIES,
+    make_tree,
+    random_camera,
+)
+from skyherd.geometry import Array, BoolArray, ComplexArray, to_points
+
+START_SPACING = 2.5
+SHAPE_SPACING = 3.0
+"""Distances between centres, in marker sides: at the start, and at least in the shape."""
+
+
+def crowded_mission(seed: int, units: int | None = None) -> dict[str, Any]:
+    """A scenario as a tree of plain values, for `make_mission`.
+
+    6 to 40 robots, whose bodies cover 3 to 12 % of the disk that they stand in; 1 to 5 units whose views
+    cover it, each with IN_COMMON robots in common with another; places of a random shape given at random.
+    """
+    rng = np.random.default_rng([seed, 79])
+    for _ in range(TRIES):
+        count = int(rng.integers(6, 40, endpoint=True))
+        crew = units or int(rng.integers(1, min(5, count // 4), endpoint=True))
+        cover = float(rng.uniform(0.03, 0.12))
+        radius_m = np.sqrt(count / cover) * BODY_SIDES * SIDE_M
+        robots = _scatter(rng, count, radius_m, START_SPACING * SIDE_M)
+        views = _views(rng, crew, radius_m, robots)
+        shape = _scatter(rng, count, 1.0, 1.1 / np.sqrt(count))
+        if robots is not None and views is not None and shape is not None:
+            break
+    else:
+        raise RuntimeError(f"seed {seed}: no start in {TRIES} tries")
+    centers, view_m = views
+    cameras = [random_camera(rng) for _ in centers]
+    half = np.tan(np.radians([camera["half_angle_deg"] for camera in cameras]))
+    tree = make_tree(seed, rng, centers, np.maximum(view_m / half, 3.0), cameras, robots, shape)
+    tree["name"] = f"crowded-{seed}"
+    tree["robots"]["body_radius_sides"] = BODY_SIDES
+    tree["roles"] = {"exchange": True}
+    tree["size"] = {"least_spacing_sides": SHAPE_SPACING}
+    tree["avoidance"] = {"on": True}
+    return tree
+
+
+def _scatter(rng: np.random.Generator, count: int, radius: float, spacing: float) -> ComplexArray | None:
+    """Points in a disk, no two nearer than `spacing`; None if there is no room."""
+    placed: list[complex] = []
+    for _ in range(200 * count):
+        at = radius * np.sqrt(rng.random()) * np.exp(2j * np.pi * rng.random())
+        if all(abs(at - other) >= spacing for other in placed):
+            placed.append(at)
+        if len(placed) == count:
+            return np.array(placed)
+    return None
+
+
+def _views(
+    rng: np.random.Generator, units: int, radius_m: float, robots: ComplexArray | None
+) -> tuple[ComplexArray, Array] | None:
+    """Places of the units and half the widths of their views, m: all robots seen, and enough in common."""
+    if robots is None:
+        return None
+    view_m = radius_m * (1.15 if units == 1 else 1.25 / np.sqrt(units) + 0.15)
+    for _ in range(100):
+        spread = 0.0 if units == 1 else 0.75 * radius_m
+        centers = spread * np.sqrt(rng.random(units)) * np.exp(2j * np.pi * rng.random(units))
+        seen = cdist(to_points(centers), to_points(robots)) < 0.85 * view_m
+        if seen.any(axis=0).all() and _connected(seen.astype(int) @ seen.T.astype(int) >= IN_COMMON):
+            return centers, np.full(units, view_m)
+    return None
+
+
+def _connected(neighbors: BoolArray) -> bool:
+    """Whether the graph of this adjacency matrix hangs together."""
+    reached = np.linalg.matrix_power(neighbors.astype(float) + np.eye(len(neighbors)), len(neighbors))
+    return bool((reached > 0).all())

@@ -1,0 +1,235 @@
+"""Random missions for benchmarks and tests: a random tree of units, robots under them, a random shape."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+from scipy.spatial.distance import pdist
+
+from skyherd.control import fit_similarity
+from skyherd.datasets.shapes.shapes import shape_points
+from skyherd.geometry import Array, ComplexArray, to_complex, to_points
+
+SIDE_M = 0.2
+IN_COMMON = 4
+"""Robots that neighbours see together at the start, at least."""
+TRIES = 200
+BODY_SIDES = 1.0
+"""Radius of a body: two marker sides across hold a marker with its quiet zone."""
+LEGIBLE_PX = 20.0
+"""Side of a marker in the images of `legible`, at least, at the start."""
+
+
+@dataclass(frozen=True)
+class Crowd:
+    """How many units, and how many robots for each."""
+
+    units: int
+    robots_a_unit: int
+    is_chain: bool = False
+
+
+def random_crowd(rng: np.random.Generator, units: tuple[int, int] = (2, 8)) -> Crowd:
+    """2-8 units with 4-8 robots each: at most 64 robots."""
+    return Crowd(int(rng.integers(units[0], units[1], endpoint=True)), int(rng.integers(4, 8, endpoint=True)))
+
+
+def random_mission(seed: int, crowd: Crowd | None = None) -> dict[str, Any]:
+    """A scenario as a tree of plain values, for `make_mission`.
+
+    Cameras differ in focal length, image size, yaw and height. Robots lie so that each is in a view, and
+    neighbours in the tree see at least IN_COMMON together. The shape is made of random points; roles are
+    given by the best-fitting similarity, and the shape that fits has spacings of at least two marker sides.
+    """
+    rng = np.random.default_rng([seed, 71])
+    crowd = crowd or random_crowd(rng)
+    for _ in range(TRIES):
+        centers, parents = _tree(rng, crowd)
+        cameras = [random_camera(rng) for _ in centers]
+        heights = rng.uniform(8.0, 12.0, crowd.units)
+        radii = _radii(heights, cameras)
+        robots = _robots(rng, crowd, centers, parents, 0.85 * radii)
+        if robots is None:
+            continue
+        template = _template(rng, robots)
+        if template is not None:
+            break
+    else:
+        raise RuntimeError(f"seed {seed}: no start in {TRIES} tries")
+    return make_tree(seed, rng, centers, heights, cameras, robots, template)
+
+
+def star_mission(seed: int) -> dict[str, Any]:
+    """A star of 16 under three units in a line, from a random start with roles by best fit."""
+    rng = np.random.default_rng([seed, 73])
+    robots = None
+    while robots is None:
+        centers, heights = np.array([-5.0, 0.0, 5.0], dtype=np.complex128), np.full(3, 10.0)
+        cameras = [random_camera(rng) for _ in centers]
+        radii = _radii(heights, cameras)
+        robots = _robots(rng, Crowd(3, 5), centers, [-1, 0, 1], 0.85 * radii, extra=1)
+    spread = 1.3 * np.abs(robots - robots.mean()).std() + np.abs(robots - robots.mean()).mean()
+    shape = to_complex(shape_points("star", 16)) * spread
+    return make_tree(seed, rng, centers, heights, cameras, robots, _assign(shape, robots))
+
+
+def _radii(heights_m: Array, cameras: list[dict[str, Any]]) -> Array:
+    """Half the width, m, that each unit sees on the ground."""
+    return np.asarray(heights_m * np.tan(np.radians([camera["half_angle_deg"] for camera in cameras])))
+
+
+def make_tree(
+    seed: int,
+    rng: np.random.Generator,
+    centers: ComplexArray,
+    heights: Array,
+    cameras: list[dict[str, Any]],
+    robots: ComplexArray,
+    template: ComplexArray,
+) -> dict[str, Any]:
+    """A scenario of units at places and heights, m, robots at theirs, and template points in their order."""
+    units = [
+        {
+            "position_m": to_points(center).tolist(),
+            "height_m": float(height),
+            "yaw_deg": float(rng.uniform(-180, 180)),
+            "camera": camera,
+            "flight": {"kind": "serve", "least_side_px": 0.0},  # the noise assumed holds at any size
+            "frame_rate_hz": 5.0,
+        }
+        for center, height, camera in zip(centers, heights, cameras, strict=True)
+    ]
+    return {
+        "name": f"random-{seed}",
+        "seed": seed,
+        "duration_s": 600.0 if len(units) <= 5 else 1800.0,
+        "step_s": 0.2,
+        "perception": "noisy",
+        "template": {"points": to_points(template).tolist()},
+        "robots": {
+            "positions_m": to_points(robots).tolist(),
+            "headings_deg": rng.uniform(-180, 180, robots.size).tolist(),
+            "max_speed_mps": 0.5,
+            "max_turn_radps": 2.0,
+            "timeout_s": 0.7,
+        },
+        "marker": {"side_m": SIDE_M, "dictionary": "5X5_100"},
+        "control": {"k": 0.5, "k_omega": 2.0, "b_th": 0.0, "rectify": False},  # cameras look straight down
+        "selection": {"kind": "tree"},
+        "autopilot": {"min_height_m": 3.0, "max_height_m": 60.0, "max_speed_mps": 1.0, "max_climb_mps": 1.0},
+        "units": units,
+    }
+
+
+def legible(tree: dict[str, Any]) -> dict[str, Any]:
+    """The same mission for a detector that reads pixels.
+
+    Images have so many that markers are LEGIBLE_PX large at the start, and units keep them from becoming too
+    small. Robots have bodies and avoid one another: one that drove over another would hide it from all.
+    """
+    units = []
+    for unit in tree["units"]:
+        camera = unit["camera"]
+        size, (u0, v0) = min(camera["size_px"]), camera["principal_point_px"]
+        focal_px = size / 2 / np.tan(np.radians(camera["half_angle_deg"]))
+        finer = int(np.ceil(LEGIBLE_PX * unit["height_m"] / (tree["marker"]["side_m"] * focal_px)))
+        sharper = {
+            "size_px": [finer * side for side in camera["size_px"]],
+            "principal_point_px": [finer * (place + 0.5) - 0.5 for place in (u0, v0)],
+        }
+        flight = {key: value for key, value in unit["flight"].items() if key != "least_side_px"}
+        units.append(unit | {"camera": camera | sharper, "flight": flight})
+    robots = tree["robots"] | {"body_radius_sides": BODY_SIDES}
+    return tree | {"perception": "rendered", "units": units, "robots": robots, "avoidance": {"on": True}}
+
+
+def _tree(rng: np.random.Generator, crowd: Crowd) -> tuple[ComplexArray, list[int]]:
+    """Places of the units, m, each about 7 m from its parent and no nearer to any other."""
+    centers, parents = [0j], [-1]
+    while len(centers) < crowd.units:
+        parent = len(centers) - 1 if crowd.is_chain else int(rng.integers(len(centers)))
+        place = centers[parent] + rng.uniform(6.0, 8.0) * np.exp(2j * np.pi * rng.random())
+        if min(abs(place - center) for center in centers) > 5.5:
+            centers.append(place)
+            parents.append(parent)
+    return np.array(centers), parents
+
+
+def random_camera(rng: np.random.Generator) -> dict[str, Any]:
+    """A camera of random size, focal length and principal point."""
+    size = int(rng.choice([640, 800, 1000]))
+    return {
+        "half_angle_deg": float(rng.uniform(28.0, 38.0)),
+        "size_px": [size, size],
+        "principal_point_px": ((size - 1) / 2 + rng.uniform(-15, 15, 2)).tolist(),
+    }
+
+
+def _robots(
+    rng: np.random.Generator,
+    crowd: Crowd,
+    centers: ComplexArray,
+    parents: list[int],
+    radii_m: Array,
+    extra: int = 0,
+) -> ComplexArray | None:
+    """Places of the robots, m, three sides apart: first what neighbours share, then around each unit."""
+    places: list[complex] = []
+
+    def put(count: int, units: list[int]) -> bool:
+        for _ in range(2000):
+            if count == 0:
+                return True
+            at = centers[units[0]] + radii_m[units[0]] * np.sqrt(rng.random()) * np.exp(
+                2j * np.pi * rng.random()
+            )
+            inside = all(abs(at - centers[unit]) < radii_m[unit] for unit in units)
+            if inside and all(abs(at - other) > 3 * SIDE_M for other in places):
+                places.append(at)
+                count -= 1
+        return False
+
+    for unit, parent in enumerate(parents[1:], start=1):
+        both = [abs(np.array(places) - centers[u]) < radii_m[u] for u in (unit, parent)] if places else []
+        have = int(np.count_nonzero(both[0] & both[1])) if places else 0
+        if not put(max(IN_COMMON - have, 0), [unit, parent]):
+            return None
+    total = crowd.units * crowd.robots_a_unit + extra
+    if len(places) > total:
+        return None
+    return (
+        np.array(places)
+        if all(put(1, [int(rng.integers(crowd.units))]) for _ in range(total - len(places)))
+        else None
+    )
+
+
+def _template(rng: np.random.Generator, robots: ComplexArray) -> ComplexArray | None:
+    """A random shape over about the start's extent, its points in the robots' order."""
+    spread = np.abs(robots - robots.mean()).max()
+    shape: list[complex] = []
+    for _ in range(5000):
+        at = spread * (rng.uniform(-1, 1) + 1j * rng.uniform(-1, 1))
+        if all(abs(at - other) > 4 * SIDE_M for other in shape):
+            shape.append(at)
+        if len(shape) == robots.size:
+            break
+    else:
+        return None
+    points = _assign(np.array(shape), robots)
+    fitted = fit_similarity(points, robots)(points)
+    return points if pdist(to_points(fitted)).min() >= 2 * SIDE_M else None
+
+
+def _assign(shape: ComplexArray, robots: ComplexArray) -> ComplexArray:
+    """The shape's points in the robots' order: assignment and similarity in turn, until neither improves."""
+    placed = shape - shape.mean() + robots.mean()
+    order = np.arange(shape.size)
+    for _ in range(50):
+        _, columns = linear_sum_assignment(np.abs(robots[:, None] - placed[None, :]) ** 2)
+        if np.array_equal(columns, order):
+            break
+        order = columns
+        placed = fit_similarity(shape[order], robots)(shape)
+    return shape[order]

@@ -1,0 +1,1 @@
+"""Labelled image sets: specified, drawn, written, read and checked."""

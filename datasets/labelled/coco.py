@@ -1,0 +1,74 @@
+"""The COCO keypoint layout: one JSON file a split, places from the image's upper left corner, pixels.
+
+A pixel's centre is at halves there: u and v are those of the truth table plus 0.5. `bbox`, `segmentation` and
+`area` are of the part of the black square that is in the image, whether or not something covers it; keypoints
+out of the image are `0, 0, 0`.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from skyherd.datasets.labelled.labels import KEYPOINTS, OUTSIDE, Labels
+from skyherd.datasets.labelled.outlines import area, bounding_box, visible_outline
+
+Json = dict[str, Any]
+
+CATEGORY = {
+    "id": 1,
+    "name": "marker",
+    "supercategory": "fiducial",
+    "keypoints": list(KEYPOINTS),
+    "skeleton": [[1, 2], [2, 3], [3, 4], [4, 1], [5, 1], [5, 2]],
+}
+"""One category; which marker it is, is an annotation's `marker_id`."""
+
+DIGITS = 6
+
+
+def coco_document(
+    description: str, size_px: tuple[int, int], images: Sequence[tuple[int, str, Labels]]
+) -> Json:
+    """A split's document, of images (number, file name, labels); annotations are numbered from 1."""
+    annotations: list[Json] = []
+    for number, _, labels in images:
+        for k in range(len(labels)):
+            annotations.append(
+                {"id": len(annotations) + 1, "image_id": number, **_annotation(labels, k, size_px)}
+            )
+    width, height = size_px
+    return {
+        "info": {
+            "description": description,
+            "coordinates": "pixels from the image's upper left corner; pixel centres at halves",
+        },
+        "licenses": [],
+        "images": [
+            {"id": number, "file_name": name, "width": width, "height": height} for number, name, _ in images
+        ],
+        "annotations": annotations,
+        "categories": [CATEGORY],
+    }
+
+
+def _annotation(labels: Labels, k: int, size_px: tuple[int, int]) -> Json:
+    outline = visible_outline(labels.corners_px[k], size_px)
+    flags = labels.visibilities[k]
+    places = np.where(flags[:, None] == OUTSIDE, 0.0, labels.keypoints_px[k] + 0.5).round(DIGITS)
+    return {
+        "category_id": CATEGORY["id"],
+        "iscrowd": 0,
+        "bbox": [round(value, DIGITS) for value in bounding_box(outline)],
+        "area": round(area(outline), DIGITS),
+        "segmentation": [outline.round(DIGITS).ravel().tolist()],
+        "num_keypoints": int((flags != OUTSIDE).sum()),
+        "keypoints": [
+            value
+            for (u, v), flag in zip(places.tolist(), flags.tolist(), strict=True)
+            for value in (u, v, flag)
+        ],
+        "marker_id": int(labels.ids[k]),
+        "heading_deg": float(labels.headings_deg[k]),
+        "visible_fraction": float(labels.visible_fractions[k]),
+    }

@@ -1,0 +1,157 @@
+"""Where what lies in the folder of a labelled image set, and which spec it was made from.
+
+spec.json                        the spec, SHA-256 of its pictures, the version that made it
+images/train, images/val         000000.png …, numbered through
+labels/train, labels/val         000000.txt …, YOLO-pose; with data.yaml
+annotations/train.json, val.json COCO keypoints
+truth.csv, images.csv            exact truth: a row a marker, a row an image
+preview.png
+"""
+
+import json
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from skyherd.datasets.configuration.toml_files import first_error
+from skyherd.datasets.labelled.spec import DatasetSpec, SpecFile
+from skyherd.errors import InputError
+from skyherd.files.atomic import write_text
+
+TRAIN, VAL = "train", "val"
+SPLITS = (TRAIN, VAL)
+
+
+@dataclass(frozen=True)
+class Folder:
+    """The folder of a set, by its spec.
+
+    Attributes:
+        path: of the folder.
+        spec: what it holds.
+    """
+
+    path: Path
+    spec: DatasetSpec
+
+    def split(self, index: int) -> str:
+        """Which split an image is in."""
+        return VAL if self.spec.is_validation(index) else TRAIN
+
+    def splits(self) -> list[str]:
+        """The splits that have an image."""
+        there = {self.split(index) for index in range(self.spec.images)}
+        return [split for split in SPLITS if split in there]
+
+    def indices(self, split: str) -> list[int]:
+        """Numbers of a split's images, ascending."""
+        return [index for index in range(self.spec.images) if self.split(index) == split]
+
+    def image_name(self, index: int) -> str:
+        """An image's file, from the folder: its name in the tables."""
+        return f"images/{self.split(index)}/{index:06d}.png"
+
+    def image(self, index: int) -> Path:
+        """An image's file."""
+        return self.path / self.image_name(index)
+
+    def yolo(self, index: int) -> Path:
+        """An image's YOLO labels."""
+        return self.path / f"labels/{self.split(index)}/{index:06d}.txt"
+
+    def coco(self, split: str) -> Path:
+        """A split's COCO file."""
+        return self.path / f"annotations/{split}.json"
+
+    @property
+    def data_yaml(self) -> Path:
+        """The YOLO set's description."""
+        return self.path / "data.yaml"
+
+    @property
+    def truth(self) -> Path:
+        """The table of markers."""
+        return self.path / "truth.csv"
+
+    @property
+    def images(self) -> Path:
+        """The table of images."""
+        return self.path / "images.csv"
+
+    @property
+    def preview(self) -> Path:
+        """The contact sheet."""
+        return self.path / "preview.png"
+
+
+def open_folder(path: Path) -> Folder:
+    """The folder of a set that was made, or begun.
+
+    Raises:
+        InputError: it is not one.
+    """
+    return Folder(path, _read_record(path)[0])
+
+
+def same_version(path: Path) -> bool:
+    """Whether this version of skyherd made the set."""
+    return bool(_read_record(path)[1].get("skyherd") == version("skyherd"))
+
+
+def claim_folder(path: Path, file: SpecFile) -> Folder:
+    """Make a folder for a set, or go on with one that was begun from the same spec.
+
+    Raises:
+        InputError: it holds something else.
+        OutputError: it cannot be made.
+    """
+    if path.exists() and not path.is_dir():
+        raise InputError(str(path), "is a file", "a folder to make; choose another --out")
+    folder = Folder(path, file.spec)
+    if path.is_dir() and any(path.iterdir()):
+        _check_same(path, file)
+        return folder
+    path.mkdir(parents=True, exist_ok=True)
+    write_text(_record(path), json.dumps(_contents(file), indent=2) + "\n")
+    return folder
+
+
+def _record(path: Path) -> Path:
+    return path / "spec.json"
+
+
+def _contents(file: SpecFile) -> dict[str, Any]:
+    spec = file.spec.model_dump(mode="json")
+    return {"skyherd": version("skyherd"), "spec": spec, "pictures": file.pictures()}
+
+
+def _check_same(path: Path, file: SpecFile) -> None:
+    """Refuse to put a set into the folder of another."""
+    advice = "choose another --out, or remove that folder"
+    if not _record(path).exists():
+        raise InputError(str(path), "holds something else than a data set", advice)
+    spec, record = _read_record(path)
+    asked = _contents(file)
+    if record.get("skyherd") != asked["skyherd"]:
+        raise InputError(str(path), f"was made by skyherd {record.get('skyherd')}", advice)
+    if record.get("pictures") != asked["pictures"]:
+        raise InputError(str(path), "was made with other pictures of the ground", advice)
+    given, made = asked["spec"], spec.model_dump(mode="json")
+    if changed := [key for key in given if given[key] != made[key]]:
+        raise InputError(str(path), f"holds a data set of another spec ({', '.join(changed)} differ)", advice)
+
+
+def _read_record(path: Path) -> tuple[DatasetSpec, dict[str, Any]]:
+    file, made = _record(path), "the folder of a data set that `skyherd dataset make` made"
+    try:
+        record = json.loads(file.read_text("utf-8"))
+        return DatasetSpec.model_validate_json(json.dumps(record["spec"])), record
+    except OSError as error:
+        raise InputError(str(file), error.strerror or "cannot be read", made) from None
+    except ValidationError as error:
+        raise first_error(error, str(file), "dataset") from None
+    except (ValueError, TypeError, KeyError):
+        raise InputError(str(file), "damaged", made) from None

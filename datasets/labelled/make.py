@@ -1,0 +1,130 @@
+"""Making a labelled image set: in parallel, and from where it stopped.
+
+An image and its labels follow from (spec, number) alone. Images that are there are left as they are, labels
+are drawn again; so an interrupted set, made again, is the same to the byte.
+"""
+
+import json
+import signal
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from multiprocessing import get_context
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from skyherd.datasets.labelled.coco import coco_document
+from skyherd.datasets.labelled.folder import Folder, claim_folder
+from skyherd.datasets.labelled.labels import Labels, make_labels
+from skyherd.datasets.labelled.preview import write_preview
+from skyherd.datasets.labelled.read import Dataset, read_dataset
+from skyherd.datasets.labelled.sampling import make_scene, station_number
+from skyherd.datasets.labelled.spec import SpecFile
+from skyherd.datasets.labelled.truth_table import TRUTH_COLUMNS, Row, image_row, table_text, truth_rows
+from skyherd.datasets.labelled.yolo import folder_yaml, yolo_text
+from skyherd.errors import OutputError
+from skyherd.files.atomic import write_text, write_whole
+
+BATCH = 8
+"""Most images that a worker is given at a time, all of one camera, whose ground is dear to make; an
+interrupt waits for no more."""
+
+OnImages = Callable[[int], None]
+"""Told of how many images more are done."""
+
+Made = tuple[Labels, Row]
+
+
+def make_dataset(
+    file: SpecFile, path: Path, *, jobs: int = 1, on_images: OnImages = lambda count: None
+) -> Dataset:
+    """Make the set that a spec describes, with so many processes, or go on with it; then read it back.
+
+    Raises:
+        InputError: the folder holds something else.
+        OutputError: something cannot be written.
+    """
+    folder = claim_folder(path, file)
+    for part in path.rglob(".*.part"):  # of a process that was killed
+        part.unlink(missing_ok=True)
+    for split in folder.splits():
+        for kind in ("images", "labels"):
+            (path / kind / split).mkdir(parents=True, exist_ok=True)
+    made: dict[int, Made] = {}
+    for batch, results in _run(file, folder, jobs):
+        made |= dict(zip(batch, results, strict=True))
+        on_images(len(batch))
+    _write_tables(folder, made)
+    dataset = read_dataset(path)
+    write_preview(dataset, folder.preview)
+    return dataset
+
+
+def make_images(file: SpecFile, folder: Folder, indices: Sequence[int]) -> list[Made]:
+    """Write images, unless they are there, and their YOLO labels."""
+    return [_make_image(file, folder, index) for index in indices]
+
+
+def _make_image(file: SpecFile, folder: Folder, index: int) -> Made:
+    scene = make_scene(file.spec, index)
+    labels, target = make_labels(scene), folder.image(index)
+    write_text(folder.yolo(index), yolo_text(labels, file.spec.size_px))
+    if not target.exists():
+        _, data = cv2.imencode(".png", scene.render(file.folder))
+        write_whole(target, lambda part: part.write_bytes(data.tobytes()))
+    return labels, image_row(folder.image_name(index), folder.split(index), scene)
+
+
+def _run(file: SpecFile, folder: Folder, jobs: int) -> Iterator[tuple[list[int], list[Made]]]:
+    """Batches and what was made of them, in any order."""
+    batches = _batches(file)
+    if jobs == 1:
+        for batch in batches:
+            yield batch, make_images(file, folder, batch)
+        return
+    with ProcessPoolExecutor(
+        min(jobs, len(batches)), mp_context=get_context("spawn"), initializer=_start_worker
+    ) as pool:
+        futures = {pool.submit(make_images, file, folder, batch): batch for batch in batches}
+        try:
+            for future in as_completed(futures):
+                yield futures[future], future.result()
+        except BrokenProcessPool:
+            raise OutputError(
+                f"{folder.path}: a worker was killed, perhaps for want of memory; "
+                "the same command goes on from here, with fewer --jobs if need be"
+            ) from None
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+
+def _start_worker() -> None:
+    """One thread a process; an interrupt is the parent's to handle."""
+    cv2.setNumThreads(1)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _batches(file: SpecFile) -> list[list[int]]:
+    """Numbers of images, those of one camera together."""
+    stations = np.array([station_number(file.spec, index) for index in range(file.spec.images)])
+    batches = []
+    for station in np.unique(stations):
+        indices = np.flatnonzero(stations == station)
+        batches += [indices[first : first + BATCH].tolist() for first in range(0, len(indices), BATCH)]
+    return batches
+
+
+def _write_tables(folder: Folder, made: dict[int, Made]) -> None:
+    """All that is about the whole set."""
+    spec = folder.spec
+    for split in folder.splits():
+        images = [(i, folder.image(i).name, made[i][0]) for i in folder.indices(split)]
+        folder.coco(split).parent.mkdir(exist_ok=True)
+        write_text(folder.coco(split), json.dumps(coco_document(spec.description, spec.size_px, images)))
+    write_text(folder.data_yaml, folder_yaml(folder))
+    ordered = [(folder.image_name(i), made[i]) for i in range(spec.images)]
+    rows = (row for name, (labels, _) in ordered for row in truth_rows(name, labels))
+    write_text(folder.truth, table_text(rows, TRUTH_COLUMNS))
+    write_text(folder.images, table_text([row for _, (_, row) in ordered], ordered[0][1][1]))

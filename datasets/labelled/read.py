@@ -1,0 +1,80 @@
+"""A labelled image set, read back: images and truth."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from skyherd.datasets.labelled.folder import open_folder
+from skyherd.datasets.labelled.labels import Labels
+from skyherd.datasets.labelled.spec import DatasetSpec
+from skyherd.datasets.labelled.truth_table import no_labels, read_labels, read_table
+from skyherd.errors import InputError
+from skyherd.files.images import Grey, read_grey
+
+
+@dataclass(frozen=True)
+class LabelledImage:
+    """One image and the truth about it.
+
+    Attributes:
+        name: of the file, from the set's folder.
+        path: of the file.
+        split: `train` or `val`.
+        labels: exact truth about its markers.
+        taken: how it was taken, by the columns of `images.csv`.
+    """
+
+    name: str
+    path: Path
+    split: str
+    labels: Labels
+    taken: dict[str, str]
+
+    def read(self) -> Grey:
+        """The image, grey, (height, width); InputError if the file is damaged or not there."""
+        return read_grey(self.path)
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """A set: its spec, and its images in the order of their numbers."""
+
+    path: Path
+    spec: DatasetSpec
+    images: tuple[LabelledImage, ...]
+
+    def __len__(self) -> int:
+        return len(self.images)
+
+    def __iter__(self) -> Iterator[LabelledImage]:
+        return iter(self.images)
+
+    def __getitem__(self, index: int) -> LabelledImage:
+        return self.images[index]
+
+    @property
+    def markers(self) -> int:
+        """Labelled markers in all images."""
+        return sum(len(image.labels) for image in self)
+
+
+def read_dataset(path: Path | str) -> Dataset:
+    """Read what `skyherd dataset make` left in a folder; pictures only when they are asked for.
+
+    Raises:
+        InputError: it is no such folder, or a table is damaged or not there.
+    """
+    folder = open_folder(Path(path))
+    labels, taken = read_labels(folder.truth), read_table(folder.images, ("image", "split"))
+    names = [folder.image_name(index) for index in range(folder.spec.images)]
+    if [row["image"] for row in taken] != names:
+        raise InputError(
+            str(folder.images), f"not the {len(names)} images of its spec, in order", "make it again"
+        )
+    if strangers := sorted(labels.keys() - set(names)):
+        raise InputError(str(folder.truth), f"{strangers[0]} is no image of the set", "make it again")
+    images = (
+        LabelledImage(name, folder.path / name, row["split"], labels.get(name, no_labels()), row)
+        for name, row in zip(names, taken, strict=True)
+    )
+    return Dataset(folder.path, folder.spec, tuple(images))

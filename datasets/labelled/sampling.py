@@ -1,0 +1,181 @@
+"""Scenes drawn at random from a spec: each from seed and number alone.
+
+Streams of random numbers are `[seed, use, number]`, so that an image is the same whoever makes it, and when.
+"""
+
+from functools import lru_cache
+
+import numpy as np
+
+from skyherd.datasets.configuration.scene_models import (
+    CameraModel,
+    DistortionModel,
+    GroundModel,
+    OccluderModel,
+    SensorModel,
+)
+from skyherd.datasets.labelled.ranges import draw, draw_whole
+from skyherd.datasets.labelled.scenes import Scene, Station, corners_m
+from skyherd.datasets.labelled.spec import DatasetSpec, OccludersSpec, SensorSpec
+from skyherd.geometry import Array, BoolArray, IntArray, apply_homography, inverse
+from skyherd.markers.dictionary import card_side, dictionary_size
+from skyherd.render import Camera, CameraPose, Motion, homography_image_ground, project
+from skyherd.render.camera.camera import undistort
+
+CAMERA, IMAGE, NOISE = range(3)
+"""Uses of random numbers."""
+
+EXPOSURE_S = 0.01
+CANDIDATES = 60
+"""Places that are tried for each marker."""
+
+
+def station_number(spec: DatasetSpec, index: int) -> int:
+    """Which camera takes an image."""
+    return int(np.random.default_rng([spec.seed, IMAGE, index]).integers(spec.cameras))
+
+
+@lru_cache(maxsize=64)
+def make_station(spec_json: str, number: int) -> Station:
+    """Draw one of the cameras of a set, given as JSON, and its ground."""
+    spec = DatasetSpec.model_validate_json(spec_json)
+    rng = np.random.default_rng([spec.seed, CAMERA, number])
+    lens = {name: draw(rng, span) for name, span in spec.camera.distortion}
+    camera = CameraModel(
+        size_px=spec.size_px,
+        half_angle_deg=draw(rng, spec.camera.half_angle_deg),
+        aspect=draw(rng, spec.camera.aspect),
+        distortion=DistortionModel(**lens),
+    )
+    psf_px, model = draw(rng, spec.camera.psf_px), spec.ground
+    choice = int(rng.integers(len(model.kinds) + len(model.images)))
+    level = {"mean": draw(rng, model.mean), "contrast": draw(rng, model.contrast)}
+    tile_m, width_m = draw(rng, model.tile_sides), draw(rng, model.image_sides)
+    if choice >= len(model.kinds):
+        ground = GroundModel(
+            kind="image", image=model.images[choice - len(model.kinds)], tile_m=width_m, **level
+        )
+    else:
+        kind = model.kinds[choice]
+        ground = GroundModel(kind=kind, tile_m=tile_m if kind == "tiles" else None, **level)
+    return Station(number, camera, psf_px, ground, int(rng.integers(2**31)))
+
+
+def make_scene(spec: DatasetSpec, index: int) -> Scene:
+    """Draw the scene of one image."""
+    rng = np.random.default_rng([spec.seed, IMAGE, index])
+    station = make_station(spec.model_dump_json(), int(rng.integers(spec.cameras)))
+    pose = _draw_pose(spec, station, rng)
+    motion_px, sensor = draw(rng, spec.sensor.motion_px), _draw_sensor(spec.sensor, station.psf_px, rng)
+    toward, speed = rng.uniform(-np.pi, np.pi), motion_px / EXPOSURE_S * pose.height_m
+    speed /= station.camera.focal_length_px
+    black, white = draw(rng, spec.markers.black), draw(rng, spec.markers.white)
+    clutter = draw_whole(rng, spec.ground.clutter)
+    ids, positions_m, headings_rad = _draw_team(spec, station.camera.make(), pose, rng)
+    return Scene(
+        station=station,
+        pose=pose,
+        dictionary=spec.markers.dictionary,
+        black=black,
+        white=white,
+        ids=ids,
+        positions_m=positions_m,
+        headings_rad=headings_rad,
+        sensor=sensor,
+        motion_px=motion_px,
+        motion=Motion(camera_mps=(float(speed * np.cos(toward)), float(speed * np.sin(toward)), 0.0)),
+        clutter=clutter,
+        occluders=_draw_occluders(spec.occluders, positions_m, rng),
+        noise_key=(spec.seed, NOISE, index),
+    )
+
+
+def _draw_pose(spec: DatasetSpec, station: Station, rng: np.random.Generator) -> CameraPose:
+    """A pose at which a marker in the image's middle has the side asked for.
+
+    A tilt t shrinks it there by cos t for the distance and by sqrt(cos t) for the slant.
+    """
+    side_px, tilt = draw(rng, spec.markers.side_px), np.radians(draw(rng, spec.camera.tilt_deg))
+    toward, yaw = rng.uniform(-np.pi, np.pi, 2)
+    camera = station.camera
+    height_m = camera.focal_length_px * camera.aspect**0.5 / side_px * np.cos(tilt) ** 1.5
+    x, y = rng.uniform(-20, 20, 2)
+    about = (float(tilt * np.cos(toward)), float(tilt * np.sin(toward)))
+    return CameraPose((float(x), float(y)), float(height_m), float(yaw), about)
+
+
+def _draw_sensor(model: SensorSpec, psf_px: float, rng: np.random.Generator) -> SensorModel:
+    values = {
+        name: draw(rng, getattr(model, name))
+        for name in ("noise", "shot", "gain", "vignetting", "gradient", "shadow")
+    }
+    quality = draw_whole(rng, model.jpeg_quality or (100, 100))
+    gradient_deg, shadow_deg = rng.uniform(-180, 180, 2)
+    return SensorModel(
+        **values,
+        psf_px=psf_px,
+        exposure_s=EXPOSURE_S if model.motion_px[1] else 0.0,
+        gradient_deg=gradient_deg,
+        shadow_deg=shadow_deg,
+        shadow_offset=rng.uniform(-0.8, 0.8),
+        shadow_edge=rng.uniform(0.01, 0.2),
+        jpeg_quality=None if model.jpeg_quality is None else quality,
+    )
+
+
+def _draw_team(
+    spec: DatasetSpec, camera: Camera, pose: CameraPose, rng: np.random.Generator
+) -> tuple[IntArray, Array, Array]:
+    """Markers at random places of the image, as many of those asked for as fit without touching."""
+    model = spec.markers
+    known = np.arange(dictionary_size(model.dictionary)) if model.ids is None else np.array(model.ids)
+    count = draw_whole(rng, model.count)
+    ids, tries = rng.permutation(known)[:count], CANDIDATES * max(count, 1)
+    width, height = camera.size_px
+    points_px = rng.uniform([-0.5, -0.5], [width - 0.5, height - 0.5], (tries, 2))
+    headings = rng.uniform(-np.pi, np.pi, tries)
+    image_ground = inverse(homography_image_ground(camera, pose))
+    places_m = apply_homography(image_ground, undistort(camera, pose.zoom, points_px))
+    card = card_side(model.dictionary)
+    whole = _inside(camera, project(camera, pose, corners_m(places_m, headings, card)))
+    chosen = _choose_apart(places_m, whole, rng.uniform(size=count) < model.cut, 2**0.5 * card)
+    ids = np.sort(ids[: len(chosen)])
+    return ids, places_m[chosen], headings[chosen]
+
+
+def _inside(camera: Camera, polygons_px: Array) -> BoolArray:
+    """Which polygons (N, K, 2) are wholly in the image (N,)."""
+    limit = np.array(camera.size_px) - 0.5
+    return np.asarray(((polygons_px >= -0.5) & (polygons_px <= limit)).all(axis=(1, 2)))
+
+
+def _choose_apart(places_m: Array, whole: BoolArray, cut: BoolArray, apart_m: float) -> IntArray:
+    """Indices of places that keep a distance, one for each of `cut`: cut by the border, or whole."""
+    free = np.ones(len(places_m), dtype=bool)
+    chosen: list[int] = []
+    for wanted in cut:
+        there = np.flatnonzero(free & (whole != wanted))
+        if there.size:
+            chosen.append(int(there[0]))
+            free &= np.linalg.norm(places_m - places_m[there[0]], axis=1) > apart_m
+    return np.array(chosen, dtype=np.int64)
+
+
+def _draw_occluders(
+    model: OccludersSpec, positions_m: Array, rng: np.random.Generator
+) -> tuple[OccluderModel, ...]:
+    """Something over the rim of some of the markers: discs and squares, one as likely as the other."""
+    made = []
+    for place in positions_m:
+        hit, square, toward, turn = rng.uniform(size=4) * (1.0, 1.0, 2 * np.pi, np.pi / 2)
+        radius, level = draw(rng, model.radius_sides), draw(rng, model.level)
+        center = place + rng.uniform(0.3, 0.6) * np.array([np.cos(toward), np.sin(toward)])
+        if hit >= model.share:
+            continue
+        if square < 0.5:
+            made.append(OccluderModel(center_m=(center[0], center[1]), radius_m=radius, level=level))
+            continue
+        around = turn + np.pi / 4 + np.pi / 2 * np.arange(4)
+        corners = center + radius * 2**0.5 * np.column_stack([np.cos(around), np.sin(around)])
+        made.append(OccluderModel(corners_m=[(float(x), float(y)) for x, y in corners], level=level))
+    return tuple(made)

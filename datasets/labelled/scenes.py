@@ -1,0 +1,183 @@
+"""The scene of one image of a set: rendered, and told the truth about.
+
+The markers' sides are 1 m on the ground: metres are marker sides.
+"""
+
+from collections.abc import Sequence
+from copy import copy
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from skyherd.datasets.configuration.scene_models import CameraModel, GroundModel, OccluderModel, SensorModel
+from skyherd.datasets.labelled.outlines import area
+from skyherd.files.images import read_grey
+from skyherd.geometry import Array, IntArray, to_points
+from skyherd.markers.blur_model import total_sigma_px
+from skyherd.markers.cramer_rao import pose_covariances
+from skyherd.markers.dictionary import CORNERS, card_side
+from skyherd.render import (
+    Camera,
+    CameraPose,
+    Clutter,
+    FrameTruth,
+    Ground,
+    Motion,
+    Renderer,
+    footprint_m,
+    project_markers,
+)
+
+CLUTTER_SIDES = (0.4, 1.2)
+ROUNDING_VARIANCE = 1.0 / 12.0
+"""Variance of rounding to whole grey levels, which the bound counts as noise."""
+
+
+@dataclass(frozen=True)
+class Station:
+    """One of the cameras, and the ground under it.
+
+    Attributes:
+        number: of the camera.
+        camera: its intrinsics.
+        psf_px: standard deviation of its lens's blur.
+        ground: what lies under it.
+        ground_seed: of its texture.
+    """
+
+    number: int
+    camera: CameraModel
+    psf_px: float
+    ground: GroundModel
+    ground_seed: int
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What one image is of, and how it was taken.
+
+    Attributes:
+        station: camera and ground.
+        pose: where the camera is.
+        dictionary: of the markers.
+        black: grey level of their black.
+        white: grey level of their card.
+        ids: (N,) markers, ascending.
+        positions_m: (N, 2) where they lie.
+        headings_rad: (N,) their headings on the ground.
+        sensor: what the image suffers.
+        motion_px: length of the streak of a point.
+        motion: of the camera.
+        clutter: how many dark quadrilaterals are in the image, about.
+        occluders: what lies over markers.
+        noise_key: seed of noise and clutter.
+    """
+
+    station: Station
+    pose: CameraPose
+    dictionary: str
+    black: float
+    white: float
+    ids: IntArray
+    positions_m: Array
+    headings_rad: Array
+    sensor: SensorModel
+    motion_px: float
+    motion: Motion
+    clutter: int
+    occluders: Sequence[OccluderModel]
+    noise_key: tuple[int, int, int]
+
+    @cached_property
+    def camera(self) -> Camera:
+        """The camera's intrinsics."""
+        return self.station.camera.make()
+
+    @cached_property
+    def truth(self) -> FrameTruth:
+        """Exact truth about the markers."""
+        return project_markers(
+            self.camera,
+            self.pose,
+            self.positions_m,
+            self.headings_rad,
+            1.0,
+            card_side(self.dictionary),
+            ids=self.ids,
+            occluders=[occluder.make() for occluder in self.occluders],
+        )
+
+    def render(self, folder: Path) -> npt.NDArray[np.uint8]:
+        """The image (height, width); pictures of the ground lie in `folder`."""
+        sensor, rng = self.sensor, np.random.default_rng(self.noise_key)
+        ground = copy(_floor(self.station, folder))
+        if self.clutter:
+            density = self.clutter / area(footprint_m(self.camera, self.pose))
+            ground.clutter = Clutter(int(rng.integers(2**31)), density, CLUTTER_SIDES)
+        renderer = Renderer(
+            self.dictionary,
+            1.0,
+            ground,
+            sensor.make(rng),
+            psf_px=sensor.psf_px,
+            black=self.black,
+            white=self.white,
+            shutter=sensor.shutter(),
+        )
+        return renderer.render(
+            self.camera,
+            self.pose,
+            self.ids,
+            self.positions_m,
+            self.headings_rad,
+            motion=self.motion,
+            occluders=[occluder.make() for occluder in self.occluders],
+        )
+
+    def bounds(self) -> Array:
+        """Cramér–Rao bound (N, 3, 3) on (u px, v px, heading rad) of each marker, as if wholly seen.
+
+        At the light that falls on its centre, shot noise taken at mid-grey, rounding included; a streak L px
+        long adds L² / 24 to the blur's variance. What a JPEG does is left out.
+        """
+        sensor, truth = self.sensor, self.truth
+        bounds = pose_covariances(
+            self.dictionary,
+            truth.ids,
+            truth.images_marker,
+            psf_px=float(np.hypot(sensor.psf_px, self.motion_px / 24**0.5)),
+            noise=1.0,
+            black=self.black,
+            white=self.white,
+            ground=self.station.ground.mean,
+        )
+        last = np.array(self.camera.size_px) - 1
+        at = np.rint(truth.centers_px).astype(int).clip(0, last)
+        light = sensor.gain * sensor.illumination().of(self.camera.size_px)[at[:, 1], at[:, 0]].astype(float)
+        signal = light * (self.black + self.white) / 2
+        variance = sensor.noise**2 + sensor.shot * signal + ROUNDING_VARIANCE
+        return np.asarray(bounds * (variance / light**2)[:, None, None])
+
+
+@lru_cache(maxsize=2)
+def _floor(station: Station, folder: Path) -> Ground:
+    """The ground of a camera: dear to make, and large."""
+    model = station.ground
+    return Ground(
+        station.ground_seed,
+        kind=model.kind,
+        mean=model.mean,
+        contrast=model.contrast,
+        tile_m=model.period_m,
+        sigma_px=total_sigma_px(station.psf_px),
+        image=None if model.image is None else read_grey(folder / model.image),
+    )
+
+
+def corners_m(positions_m: Array, headings_rad: Array, side_m: float) -> Array:
+    """Corners (N, 4, 2) of squares on the ground, in the order of a marker's."""
+    offsets = side_m * CORNERS.conj() * np.exp(1j * headings_rad)[:, None]
+    return positions_m[:, None] + to_points(offsets)

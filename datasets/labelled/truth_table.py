@@ -1,0 +1,151 @@
+"""The exact truth of a set as two tables (CSV): a row a marker, and a row an image with its camera.
+
+`truth.csv`: image, id, u_px, v_px, heading_deg, side_px, the corners, visible_fraction, the visibility of
+each keypoint, and the Cramér–Rao bound's standard deviations. `images.csv`: image, split, size, and all that
+the image was made with: intrinsics, distortion, pose over the ground (in marker sides), lens, sensor.
+"""
+
+import csv
+import io
+from collections import defaultdict
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from skyherd.datasets.labelled.labels import KEYPOINTS, Labels
+from skyherd.datasets.labelled.scenes import Scene
+from skyherd.errors import InputError
+from skyherd.inspection.table import CORNERS
+
+VISIBILITIES = [f"visibility_{name}" for name in KEYPOINTS]
+BOUNDS = ["crb_std_u_px", "crb_std_v_px", "crb_std_heading_deg"]
+NUMBERS = ["u_px", "v_px", "heading_deg", "side_px", *CORNERS, "visible_fraction", *VISIBILITIES, *BOUNDS]
+TRUTH_COLUMNS = ["image", "id", *NUMBERS]
+
+Row = dict[str, Any]
+
+
+def truth_rows(image: str, labels: Labels) -> list[Row]:
+    """A row a marker."""
+    table = np.column_stack(
+        [
+            labels.centers_px,
+            labels.headings_deg,
+            labels.sides_px,
+            labels.corners_px.reshape(-1, 8),
+            labels.visible_fractions,
+            labels.visibilities,
+            labels.crb_stds,
+        ]
+    )
+    return [
+        {"image": image, "id": marker_id, **dict(zip(NUMBERS, map(_plain, values), strict=True))}
+        for marker_id, values in zip(labels.ids.tolist(), table.tolist(), strict=True)
+    ]
+
+
+def _plain(value: float) -> float | int:
+    """Whole numbers without a point."""
+    return int(value) if value == int(value) else value
+
+
+def image_row(image: str, split: str, scene: Scene) -> Row:
+    """The row of an image."""
+    station, pose, sensor, camera = scene.station, scene.pose, scene.sensor, scene.camera
+    matrix = camera.intrinsic_matrix()
+    row = {
+        "image": image,
+        "split": split,
+        "width_px": camera.size_px[0],
+        "height_px": camera.size_px[1],
+        "markers": len(scene.ids),
+        "camera": station.number,
+        "focal_u_px": matrix[0, 0],
+        "focal_v_px": matrix[1, 1],
+        "principal_u_px": matrix[0, 2],
+        "principal_v_px": matrix[1, 2],
+        **station.camera.distortion.model_dump(),
+        "x_sides": pose.position_m[0],
+        "y_sides": pose.position_m[1],
+        "height_sides": pose.height_m,
+        "yaw_deg": np.degrees(pose.yaw_rad),
+        "tilt_u_deg": np.degrees(pose.tilt_rad[0]),
+        "tilt_v_deg": np.degrees(pose.tilt_rad[1]),
+        "black": scene.black,
+        "white": scene.white,
+        "motion_px": scene.motion_px,
+        **sensor.model_dump(exclude={"row_time_s", "exposure_s"}),
+        "ground": station.ground.image or station.ground.kind,
+        "ground_mean": station.ground.mean,
+        "ground_contrast": station.ground.contrast,
+        "clutter": scene.clutter,
+        "occluders": len(scene.occluders),
+    }
+    return {
+        name: round(float(value), 9) if isinstance(value, float) else value for name, value in row.items()
+    }
+
+
+def table_text(rows: Iterable[Mapping[str, Any]], columns: Iterable[str]) -> str:
+    """Rows as CSV, every digit kept."""
+    stream = io.StringIO()
+    writer = csv.DictWriter(stream, list(columns), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return stream.getvalue()
+
+
+def read_table(path: Path, needed: Iterable[str]) -> list[dict[str, str]]:
+    """Rows of a CSV; InputError if it cannot be read or a column is not there."""
+    try:
+        with path.open(encoding="utf-8", newline="") as stream:
+            reader = csv.DictReader(stream, strict=True)
+            rows, columns = list(reader), reader.fieldnames or []
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        why = error.strerror if isinstance(error, OSError) else error
+        raise InputError(
+            str(path), f"cannot be read: {why}", "a table that `skyherd dataset make` wrote"
+        ) from None
+    if absent := [column for column in needed if column not in columns]:
+        raise InputError(str(path), f"no column {absent[0]}", "a table that `skyherd dataset make` wrote")
+    return rows
+
+
+def read_labels(path: Path) -> dict[str, Labels]:
+    """Labels of each image that has any, from `truth.csv`.
+
+    Raises:
+        InputError: it cannot be read, or a value is no number.
+    """
+    numbers: dict[str, list[list[float]]] = defaultdict(list)
+    for line, row in enumerate(read_table(path, TRUTH_COLUMNS), start=2):
+        try:
+            numbers[row["image"]].append([float(row[column]) for column in ("id", *NUMBERS)])
+        except (TypeError, ValueError):
+            raise InputError(
+                f"{path}: line {line}", "not all of its values are numbers", "a whole row"
+            ) from None
+    return {image: _labels(np.array(values)) for image, values in numbers.items()}
+
+
+def no_labels() -> Labels:
+    """Labels of an image without a marker."""
+    return _labels(np.zeros((0, 1 + len(NUMBERS))))
+
+
+def _labels(table: np.ndarray) -> Labels:
+    ids, centers, heading, side, corners, fraction, visibilities, bounds = np.split(
+        table, np.cumsum([1, 2, 1, 1, 8, 1, len(KEYPOINTS)]), axis=1
+    )
+    return Labels(
+        ids=ids[:, 0].astype(np.int64),
+        centers_px=centers,
+        headings_deg=heading[:, 0],
+        sides_px=side[:, 0],
+        corners_px=corners.reshape(-1, 4, 2),
+        visible_fractions=fraction[:, 0],
+        visibilities=visibilities.astype(np.int64),
+        crb_stds=bounds,
+    )

@@ -1,0 +1,1 @@
+"""Shapes to form, words among them."""

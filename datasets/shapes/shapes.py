@@ -1,0 +1,74 @@
+"""Named formation shapes: N points (N, 2) in map sense, x right and y up, in units of their own."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from skyherd.datasets.shapes.words import PREFIX, word_points
+from skyherd.errors import InputError
+from skyherd.geometry import Array
+
+STAR_INNER_RATIO = 0.515
+"""Inner over outer radius of the star, as in the paper's second simulation (4.12 / 8)."""
+
+
+def circle(count: int) -> Array:
+    """Evenly spaced on a circle of radius 1, from angle 0."""
+    angle = 2 * np.pi * np.arange(count) / count
+    return np.column_stack([np.cos(angle), np.sin(angle)])
+
+
+def star(count: int) -> Array:
+    """Tips at radius 1 and notches at `STAR_INNER_RATIO` in turn; `count` is even and at least 6."""
+    if count % 2 or count < 6:
+        raise InputError(
+            "template.shape", f"a star of {count} robots", "an even number of robots, at least 6"
+        )
+    radius = np.where(np.arange(count) % 2 == 0, 1.0, STAR_INNER_RATIO)
+    points: Array = radius[:, None] * circle(count)
+    return points
+
+
+def grid(count: int) -> Array:
+    """Square grid of spacing 1, filled row by row, as near to a square as `count` divides."""
+    columns = next(c for c in range(int(np.ceil(np.sqrt(count))), count + 1) if count % c == 0)
+    index = np.arange(count)
+    points: Array = np.column_stack([index % columns, index // columns]).astype(float)
+    return np.asarray(points - points.mean(axis=0))
+
+
+def line(count: int) -> Array:
+    """Evenly spaced along x, spacing 1."""
+    return np.column_stack([np.arange(count) - (count - 1) / 2, np.zeros(count)])
+
+
+def triangle(count: int) -> Array:
+    """Evenly spaced along an equilateral triangle of side 2, its corners taken; a multiple of 3."""
+    if count % 3:
+        raise InputError("template.shape", f"a triangle of {count} robots", "a multiple of 3")
+    corners = 2 / np.sqrt(3) * np.exp(1j * np.radians([90, 210, 330]))
+    along = np.arange(count // 3) / (count // 3)
+    points = (corners[:, None] + along * (np.roll(corners, -1) - corners)[:, None]).ravel()
+    return np.column_stack([points.real, points.imag])
+
+
+SHAPES: dict[str, Callable[[int], Array]] = {
+    "circle": circle,
+    "grid": grid,
+    "line": line,
+    "star": star,
+    "triangle": triangle,
+}
+
+
+def shape_points(name: str, count: int) -> Array:
+    """Points of a named shape, or of a word such as `word:SKY`, for `count` robots.
+
+    Raises:
+        InputError: there is no such shape, or not for so many robots; it names those that there are.
+    """
+    if name.startswith(PREFIX):
+        return word_points(name.removeprefix(PREFIX), count)
+    if name not in SHAPES:
+        raise InputError("template.shape", f"no shape {name!r}", f"one of {', '.join(SHAPES)}, {PREFIX}SKY")
+    return SHAPES[name](count)

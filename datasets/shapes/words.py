@@ -1,0 +1,120 @@
+"""Words as formation shapes: robots spread along the strokes of letters."""
+
+from dataclasses import dataclass
+from heapq import heapify, heapreplace
+
+import numpy as np
+from scipy.spatial.distance import pdist
+
+from skyherd.datasets.shapes.letters import STROKES
+from skyherd.errors import InputError
+from skyherd.geometry import Array, ComplexArray, to_points
+
+PREFIX = "word:"
+GAP = 0.42
+"""Between two letters, in heights."""
+
+TURN_DEG = 62.0
+"""A curve has a robot at least every so many degrees of its turn,"""
+
+REACH = 0.75
+"""and any stroke at least every so many heights."""
+
+LEAST_SPACING = 0.6
+"""No two robots are nearer to each other than this, in mean distances between neighbours on a stroke."""
+
+MOST_LETTERS = 40
+MET = 1e-6
+"""Ends of strokes nearer than this are one point."""
+
+
+@dataclass(frozen=True)
+class Stroke:
+    """A curve (M,) without corners, and the numbers of the points that it begins and ends at."""
+
+    curve: ComplexArray
+    ends: tuple[int, int]
+
+    @property
+    def length(self) -> float:
+        """Arc length."""
+        return float(np.abs(np.diff(self.curve)).sum())
+
+    @property
+    def least_parts(self) -> int:
+        """In how many parts it is cut at least, so that lines look like lines, and rings like rings."""
+        turns = np.angle(np.diff(self.curve)[1:] / np.diff(self.curve)[:-1])
+        return int(np.ceil(max(np.degrees(np.abs(turns).sum()) / TURN_DEG, self.length / REACH)))
+
+    def cut(self, parts: int) -> ComplexArray:
+        """The points (parts - 1,) that cut it into equal parts."""
+        along = np.append(0.0, np.cumsum(np.abs(np.diff(self.curve))))
+        at = along[-1] * np.arange(1, parts) / parts
+        return np.asarray(np.interp(at, along, self.curve.real) + 1j * np.interp(at, along, self.curve.imag))
+
+
+def word_points(text: str, count: int) -> Array:
+    """Points (N, 2) of `count` robots that write a word, letters 1 high, in writing order.
+
+    Robots stand wherever a stroke ends, turns sharply or meets another, and share out the rest of the
+    strokes as evenly as whole numbers allow: the next robot goes to the stroke whose length over
+    `parts + 1/2` is greatest (Webster's rule, by which parts differ least from their mean).
+
+    Raises:
+        InputError: another sign than A-Z and 0-9, or too few robots to write it.
+    """
+    if not text or len(text) > MOST_LETTERS or not set(text) <= set(STROKES):
+        what = f"no shape {PREFIX + text!r}"
+        raise InputError(
+            "template.shape", what, f"1 to {MOST_LETTERS} letters A-Z and digits, as {PREFIX}SKY"
+        )
+    strokes, joints = _strokes(text)
+    points = _spread(strokes, joints, count)
+    if points is None:
+        enough = count + 1
+        while _spread(strokes, joints, enough) is None:
+            enough += 1
+        raise InputError("template.shape", f"{count} robots to write {text}", f"at least {enough} robots")
+    return to_points(points)
+
+
+def _strokes(text: str) -> tuple[list[Stroke], ComplexArray]:
+    """Strokes of a word, and the points where they begin and end."""
+    curves, joints, left = [], np.zeros(0, dtype=np.complex128), 0.0
+    for letter in text:
+        curves += [curve + left for curve in STROKES[letter]]
+        left += max(float(curve.real.max()) for curve in STROKES[letter]) + GAP
+    strokes = []
+    for curve in curves:
+        ends = []
+        for end in (curve[0], curve[-1]):
+            met = np.flatnonzero(np.abs(joints - end) < MET)
+            ends.append(int(met[0]) if met.size else joints.size)
+            joints = joints if met.size else np.append(joints, end)
+        strokes.append(Stroke(curve, (ends[0], ends[1])))
+    return strokes, joints
+
+
+def _spread(strokes: list[Stroke], joints: ComplexArray, count: int) -> ComplexArray | None:
+    """Points (N,) of so many robots in writing order, or None if they are too few or stand too close."""
+    parts = [stroke.least_parts for stroke in strokes]
+    spare = count - joints.size - sum(parts) + len(parts)
+    if spare < 0:
+        return None
+    lengths = [stroke.length for stroke in strokes]
+    queue = [(-length / (part + 0.5), k) for k, (length, part) in enumerate(zip(lengths, parts, strict=True))]
+    heapify(queue)
+    for _ in range(spare):
+        k = queue[0][1]
+        parts[k] += 1
+        heapreplace(queue, (-lengths[k] / (parts[k] + 0.5), k))
+    points, written = [], set[int]()
+    for stroke, part in zip(strokes, parts, strict=True):
+        first, last = stroke.ends
+        points += [joints[[first]]] if first not in written else []
+        points.append(stroke.cut(part))
+        points += [joints[[last]]] if last not in written | {first} else []
+        written |= {first, last}
+    placed = np.concatenate(points)
+    is_clear = pdist(to_points(placed)).min() >= LEAST_SPACING * sum(lengths) / sum(parts)
+    return placed if is_clear else None

@@ -1,0 +1,1 @@
+"""How much of what each pixel sees, in closed form."""

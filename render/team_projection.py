@@ -1,0 +1,82 @@
+"""Where a team's markers lie in many cameras' images at one instant: exact, without shutter or motion."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from skyherd.geometry import Array, BoolArray, IntArray, inverse
+from skyherd.render.camera.camera import Camera, CameraPose, distort, homography_image_ground
+from skyherd.render.truth import SQUARE, ground_markers
+
+BEYOND = 1 + 1e-9
+"""Robots on the edge of a footprint count as near it, however its corners were rounded."""
+
+
+@dataclass(frozen=True)
+class TeamImage:
+    """The markers whose whole card is in one camera's image: M rows of the team.
+
+    Attributes:
+        rows: (M,) which markers of the team.
+        centers_px: (M, 2) images of their centres.
+        corners_px: (M, 4, 2) images of the black squares' corners, in the marker's order.
+    """
+
+    rows: IntArray
+    centers_px: Array
+    corners_px: Array
+
+
+def project_team(
+    views: Sequence[tuple[Camera, CameraPose]],
+    positions_m: Array,
+    headings_rad: Array,
+    side_m: float,
+    card_side_m: float,
+) -> Iterator[TeamImage]:
+    """Images of a team's markers (N), one for each view: `project_markers`, where a whole card is in view.
+
+    Only markers near the ground that a camera sees are projected: the work grows with what is seen, not with
+    cameras times markers.
+    """
+    if not views:
+        return
+    grounds = ground_markers(positions_m, headings_rad, side_m)
+    images_ground = np.array([homography_image_ground(camera, pose) for camera, pose in views])
+    view, row = np.nonzero(_near(views, images_ground, positions_m))
+    matrices = images_ground[view] @ grounds[row]
+    points = np.concatenate([np.zeros((1, 2)), SQUARE, SQUARE * (card_side_m / side_m)])
+    mapped = np.column_stack([points, np.ones(len(points))]) @ matrices.transpose(0, 2, 1)
+    pixels = mapped[..., :2] / mapped[..., 2:]
+    ends = np.searchsorted(view, np.arange(len(views) + 1))
+    parts = [slice(begin, end) for begin, end in pairwise(ends.tolist())]
+    for part, (camera, pose) in zip(parts, views, strict=True):
+        if camera.distortion:
+            pixels[part] = distort(camera, pose.zoom, pixels[part])
+    limits = np.array([camera.size_px for camera, _ in views])[view, None] - 0.5
+    cards, ahead = pixels[:, 5:], (mapped[:, 5:, 2] > 0).all(axis=1)
+    whole = np.asarray(((cards >= -0.5) & (cards <= limits)).all(axis=(1, 2)) & ahead)
+    for part in parts:
+        seen = np.flatnonzero(whole[part]) + part.start
+        yield TeamImage(row[seen], pixels[seen, 0], pixels[seen, 1:5])
+
+
+def _near(views: Sequence[tuple[Camera, CameraPose]], images_ground: Array, positions_m: Array) -> BoolArray:
+    """(V, N) all markers that may be in view, and few others.
+
+    Without a lens an image shows the quadrilateral on the ground under its corners, and so nothing outside
+    the circle around their mean that has them all. To cameras with a lens, or the horizon in view, all are.
+    """
+    bent = np.array([bool(camera.distortion) for camera, _ in views])
+    corners_px = np.array([camera.corners_px for camera, _ in views])
+    grounds_image = inverse(images_ground)
+    homogeneous = np.concatenate([corners_px, np.ones((*corners_px.shape[:2], 1))], axis=2)
+    mapped = homogeneous @ grounds_image.transpose(0, 2, 1)
+    corners_m = mapped[..., :2] / mapped[..., 2:]
+    middles_m = corners_m.mean(axis=1)
+    reach_m = BEYOND * np.linalg.norm(corners_m - middles_m[:, None], axis=2).max(axis=1)
+    reach_m[(mapped[..., 2] <= 0).any(axis=1) | bent] = np.inf
+    away_m2 = ((positions_m - middles_m[:, None]) ** 2).sum(axis=2)
+    return np.asarray(away_m2 <= reach_m[:, None] ** 2)

@@ -1,0 +1,1 @@
+"""What is worked out from a run's steps: history, summary, and its topology judged."""

@@ -1,0 +1,194 @@
+"""A run as arrays over time: what the figures, the summary and the video's plots are drawn from."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from operator import attrgetter
+
+import numpy as np
+
+from skyherd.analysis.goal_points import goal_error_m
+from skyherd.analysis.tree_snapshot import TreeState, TreeWatch
+from skyherd.control import Template
+from skyherd.control.topology.conditions import control_matrix
+from skyherd.datasets import Mission
+from skyherd.datasets.configuration.body_models import SizeModel
+from skyherd.geometry import Array, BoolArray, IntArray, to_complex
+from skyherd.loop import Step, dead_units
+from skyherd.sim.world import make_camera
+
+
+@dataclass(frozen=True)
+class ImageTrace:
+    """Where one unit saw the robots it controlled: (K,) times, (K, N) points `u + iv` or NaN."""
+
+    times_s: Array
+    points_px: np.ndarray
+
+
+@dataclass(frozen=True)
+class History:
+    """T steps of N robots and U units.
+
+    Attributes:
+        mission: what was run.
+        times_s: (T,).
+        positions_m: (T, N, 2).
+        headings_rad: (T, N).
+        v_mps: (T, N) commanded, within the wheels' limits.
+        omega_radps: (T, N).
+        unit_positions_m: (T, U, 2).
+        heights_m: (T, U).
+        yaws_rad: (T, U).
+        tilts_rad: (T, U, 2) about the cameras' u and v axes.
+        zooms: (T, U).
+        V: (T,) m².
+        V_units: (T, U) m²; NaN for a set that makes no shape.
+        scales: (T, U) metres a template unit.
+        rotations_rad: (T, U) ground sense.
+        goal_errors_m: (T, U) largest distance of a desired point on the ground from that of the truth; NaN
+            where a unit took no image or set no goals, and where the shape's size is not free.
+        shape_error: (T,).
+        shape_scale: (T,) metres a template unit.
+        shape_rotation_rad: (T,).
+        min_separation_m: (T,).
+        roles: (T, N) row of the template's point that each robot goes to.
+        conditions: (T, 5) whether TC1-TC5 hold.
+        controlled: (T, U, N) S_j^c.
+        commanded: (T, N) whether each robot follows a goal heard of late.
+        trees: the tree of units at each step, None where sets come from the safety radius alone.
+        traces: image traces by unit.
+        frames: images taken.
+        whole: markers whose card was whole in an image, over all images.
+        found: those of them detected.
+        false_detections: detections of no robot.
+    """
+
+    mission: Mission
+    times_s: Array
+    positions_m: Array
+    headings_rad: Array
+    v_mps: Array
+    omega_radps: Array
+    unit_positions_m: Array
+    heights_m: Array
+    yaws_rad: Array
+    tilts_rad: Array
+    zooms: Array
+    V: Array
+    V_units: Array
+    scales: Array
+    rotations_rad: Array
+    goal_errors_m: Array
+    shape_error: Array
+    shape_scale: Array
+    shape_rotation_rad: Array
+    min_separation_m: Array
+    roles: IntArray
+    conditions: BoolArray
+    controlled: BoolArray
+    commanded: BoolArray
+    trees: list[TreeState | None]
+    traces: list[ImageTrace]
+    frames: int
+    whole: int
+    found: int
+    false_detections: int
+
+    @property
+    def ids(self) -> IntArray:
+        """(N,) robots."""
+        return self.mission.ids
+
+    @property
+    def shape(self) -> Template:
+        """What they form in the end, each robot with the point that is its own by then."""
+        return self.mission.shape_at(float(self.times_s[-1]), self.roles[-1])
+
+    @property
+    def ready_row(self) -> int | None:
+        """First step with the topology in place: the tree was ready; where none is built first, 0."""
+        if self.mission.scenario.selection.kind != "tree":
+            return 0
+        return next((row for row, tree in enumerate(self.trees) if tree and tree.ready), None)
+
+
+_COLUMNS = {
+    "times_s": "time_s",
+    "positions_m": "positions_m",
+    "headings_rad": "headings_rad",
+    "v_mps": "command.v_mps",
+    "omega_radps": "command.omega_radps",
+    "unit_positions_m": "fleet.positions_m",
+    "heights_m": "fleet.heights_m",
+    "yaws_rad": "fleet.yaws_rad",
+    "tilts_rad": "fleet.tilts_rad",
+    "zooms": "fleet.zooms",
+    "V": "observation.V",
+    "V_units": "observation.V_units",
+    "scales": "observation.scales",
+    "rotations_rad": "observation.rotations_rad",
+    "shape_error": "observation.shape.error",
+    "shape_scale": "observation.shape.scale",
+    "shape_rotation_rad": "observation.shape.rotation_rad",
+    "min_separation_m": "observation.min_separation_m",
+    "roles": "roles",
+}
+"""Field of the history: where a step has it."""
+
+CURVES = (*_COLUMNS, "goal_errors_m", "conditions", "controlled", "commanded")
+"""Fields of the history that are arrays over time."""
+
+
+def make_history(mission: Mission, steps: Iterable[Step]) -> History:
+    """Stack the steps of a run; there must be at least one. Images are let go as the steps come."""
+    steps = [step.without_images() for step in steps]
+    columns = {name: np.array([attrgetter(path)(step) for step in steps]) for name, path in _COLUMNS.items()}
+    frames = [frame for step in steps for frame in step.frames.values()]
+    conditions = [step.observation.conditions for step in steps]
+    return History(
+        mission=mission,
+        **columns,
+        goal_errors_m=_goal_errors(mission, steps),
+        conditions=np.array([[c.tc1, c.tc2, c.tc3, c.tc4, c.tc5] for c in conditions]),
+        controlled=np.array([control_matrix(step.control_sets, mission.ids) for step in steps]),
+        commanded=np.array([np.isin(mission.ids, step.commanded_ids) for step in steps]),
+        trees=_trees(mission, steps),
+        traces=[_trace(mission, steps, unit) for unit in range(len(mission.scenario.units))],
+        frames=len(frames),
+        whole=sum(frame.sight.whole_ids.size for frame in frames),
+        found=sum(frame.sight.found_ids.size for frame in frames),
+        false_detections=sum(frame.sight.false_detections for frame in frames),
+    )
+
+
+def _trees(mission: Mission, steps: list[Step]) -> list[TreeState | None]:
+    watch = TreeWatch()
+    return [watch.see(step, dead_units(mission.scenario, step.time_s)) for step in steps]
+
+
+def _goal_errors(mission: Mission, steps: list[Step]) -> Array:
+    cameras = [make_camera(unit.camera) for unit in mission.scenario.units]
+    errors = np.full((len(steps), len(cameras)), np.nan)
+    if mission.scenario.size != SizeModel():
+        return errors
+    points = mission.template.points_of(mission.ids).conj()
+    for row, step in enumerate(steps):
+        for unit, frame in step.frames.items():
+            goals = frame.decision.goals
+            if goals is None:
+                continue
+            mine = np.searchsorted(mission.ids, goals.ids)
+            template, positions = points[step.roles[mine]], to_complex(step.positions_m[mine])
+            errors[row, unit] = goal_error_m(frame, cameras[unit], step.fleet.pose(unit), template, positions)
+    return errors
+
+
+def _trace(mission: Mission, steps: list[Step], unit: int) -> ImageTrace:
+    seen = [(step.time_s, step.frames[unit]) for step in steps if unit in step.frames]
+    points = np.full((len(seen), mission.ids.size), np.nan + 1j * np.nan)
+    for row, (_, frame) in enumerate(seen):
+        mine = frame.sight.detections.select(frame.decision.report.controlled_ids)
+        points[row, np.searchsorted(mission.ids, mine.ids)] = (
+            mine.centers_px[:, 0] + 1j * mine.centers_px[:, 1]
+        )
+    return ImageTrace(np.array([time for time, _ in seen]), points)

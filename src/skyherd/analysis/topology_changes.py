@@ -1,0 +1,61 @@
+"""What changed in a run's topology, and when."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from skyherd.analysis.history import History
+from skyherd.analysis.tree_snapshot import TreeState
+from skyherd.geometry import BoolArray
+
+
+@dataclass(frozen=True)
+class Switch:
+    """A change of the topology in words."""
+
+    time_s: float
+    what: str
+
+
+def find_switches(history: History) -> list[Switch]:
+    """All changes after a run's first step: units that die, return or join, robots that change hands."""
+    found = []
+    for row in range(1, history.times_s.size):
+        before, after = history.trees[row - 1], history.trees[row]
+        words = [*_of_units(before, after), *_of_robots(history, row)]
+        found += [Switch(float(history.times_s[row]), what) for what in words]
+    return found
+
+
+def _of_units(before: TreeState | None, after: TreeState | None) -> Iterator[str]:
+    if before is None or after is None:
+        return
+    yield from (f"unit {unit} died" for unit in sorted(after.dead - before.dead))
+    yield from (f"unit {unit} returned" for unit in sorted(before.dead - after.dead))
+    yield from (f"unit {unit} joined the tree" for unit in sorted(after.members - before.members))
+    gone = before.members - after.members - after.dead
+    yield from (f"unit {unit} left the tree" for unit in sorted(gone))
+    if after.ready and not before.ready:
+        yield "the tree is complete"
+
+
+def _of_robots(history: History, row: int) -> Iterator[str]:
+    """Robots that changed hands, those with the same change together."""
+    before, after = history.controlled[row - 1], history.controlled[row]
+    changes: dict[tuple[str, str], list[int]] = {}
+    for column in np.flatnonzero((before != after).any(axis=0)).tolist():
+        change = _owners(before[:, column]), _owners(after[:, column])
+        changes.setdefault(change, []).append(int(history.ids[column]))
+    for (old, new), robots in changes.items():
+        yield f"{robot_names(robots)}: {old} → {new}"
+
+
+def _owners(units: BoolArray) -> str:
+    names = [str(unit) for unit in np.flatnonzero(units)]
+    return f"unit {names[0]}" if len(names) == 1 else f"units {' + '.join(names)}" if names else "nobody"
+
+
+def robot_names(ids: list[int]) -> str:
+    """`robot 3`, or `robots 3, 5`."""
+    return f"robot{'s' if len(ids) > 1 else ''} {', '.join(str(robot) for robot in ids)}"

@@ -1,0 +1,187 @@
+"""A topology judged: its graph, which of TC1-TC5 it breaks and by whom, and how fast it should converge."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from scipy.optimize import brentq
+
+from skyherd.analysis.history import History
+from skyherd.analysis.topology_changes import robot_names
+from skyherd.control import Template
+from skyherd.control.topology.conditions import (
+    Conditions,
+    ControlSets,
+    check_conditions,
+    control_matrix,
+    edges,
+)
+from skyherd.control.topology.convergence_rate import laplacian, slowest_rate
+from skyherd.geometry import Array, ComplexArray, IntArray
+
+Edge = tuple[int, int]
+FLAT = 0.25
+"""An error whose logarithm falls less than this in the last third, over the middle third, is at its floor."""
+
+LEAST_SAMPLES = 20
+
+
+@dataclass(frozen=True)
+class Breach:
+    """One way in which a condition is violated: which, and by what units and robots."""
+
+    condition: int
+    what: str
+
+
+@dataclass(frozen=True)
+class TopologyReport:
+    """A topology and what follows from it.
+
+    Attributes:
+        sets: S_j^c by unit.
+        shared: the robots that two units have in common, for each edge of G_c.
+        conditions: TC1-TC5.
+        breaches: why those that are violated are.
+        slowest: λ_3 of L, the slowest mode's rate in units of the gain k
+        (control/topology/convergence_rate.py).
+    """
+
+    sets: ControlSets
+    shared: dict[Edge, list[int]]
+    conditions: Conditions
+    breaches: list[Breach]
+    slowest: float
+
+
+def judge_topology(sets: ControlSets, template: Template) -> TopologyReport:
+    """Judge the sets of all living units over the template's robots."""
+    shared = {edge: _common(sets, *edge) for edge in edges(sets)}
+    rows = _rows(sets, template)
+    return TopologyReport(
+        sets=sets,
+        shared=shared,
+        conditions=check_conditions(control_matrix(sets, template.ids)),
+        breaches=list(_breaches(sets, list(shared), template.ids)),
+        slowest=slowest_rate(template.points_px, rows),
+    )
+
+
+def _rows(sets: ControlSets, template: Template) -> list[IntArray]:
+    return [np.searchsorted(template.ids, ids) for ids in sets.values()]
+
+
+def _common(sets: ControlSets, j: int, k: int) -> list[int]:
+    common: list[int] = np.intersect1d(sets[j], sets[k]).tolist()
+    return common
+
+
+def _breaches(sets: ControlSets, links: list[Edge], ids: IntArray) -> Iterator[Breach]:
+    """What breaks each condition; a graph that is not connected breaks TC5 too, and says so once."""
+    parts = _parts(sorted(sets), links)
+    if len(parts) > 1:
+        names = " | ".join(", ".join(str(unit) for unit in part) for part in parts)
+        yield Breach(1, f"units fall apart into {len(parts)} groups without two robots in common: {names}")
+    held = np.unique(np.concatenate([*sets.values(), np.zeros(0, dtype=np.int64)]))
+    if (lost := np.setdiff1d(ids, held)).size:
+        yield Breach(2, f"{robot_names(lost.tolist())}: controlled by no unit")
+    for j, k in combinations(sorted(sets), 2):
+        common = _common(sets, j, k)
+        if len(common) not in (0, 2):
+            yield Breach(3, f"units {j} and {k} share {len(common)}, not two or none: {robot_names(common)}")
+    for robot in ids.tolist():
+        owners = [unit for unit in sorted(sets) if robot in sets[unit]]
+        if len(owners) > 2:
+            names = ", ".join(str(unit) for unit in owners)
+            yield Breach(4, f"robot {robot}: controlled by {len(owners)} units: {names}")
+    if cycle := _on_cycles(links):
+        yield Breach(5, f"units on a cycle: {', '.join(str(unit) for unit in cycle)}")
+    elif len(parts) > 1:
+        yield Breach(5, "no tree, since the units fall apart (TC1)")
+
+
+def _parts(units: list[int], links: list[Edge]) -> list[list[int]]:
+    """Connected parts of the graph."""
+    label = {unit: unit for unit in units}
+    for j, k in links:
+        old, new = label[k], label[j]
+        label = {unit: new if part == old else part for unit, part in label.items()}
+    return [[unit for unit in units if label[unit] == part] for part in dict.fromkeys(label.values())]
+
+
+def _on_cycles(links: list[Edge]) -> list[int]:
+    """Units left when those with a single neighbour are taken away again and again: none in a forest."""
+    while links:
+        ends = [unit for link in links for unit in link]
+        kept = [link for link in links if min(ends.count(unit) for unit in link) > 1]
+        if len(kept) == len(links):
+            break
+        links = kept
+    return sorted({unit for link in links for unit in link})
+
+
+def predicted_time_s(
+    sets: ControlSets, template: Template, positions: ComplexArray, gain_ps: float, error: float
+) -> float | None:
+    """When the shape error reaches `error` under `dp/dt = -k L p` from positions (N,); None if never.
+
+    In L's modes `p = Σ_i c_i v_i` each `c_i` falls as `exp(-k λ_i t)`, those of `λ = 0`, the similarities of
+    the template, stay: `error(t)² = Σ_{i ≥ 3} |c_i|² exp(-2 k λ_i t) / |p - mean|²`. Positions are in map
+    sense. It is without limits of speed, and as if robots could move sideways.
+    """
+    values, modes = np.linalg.eigh(laplacian(template.points_px, _rows(sets, template)))
+    if positions.size < 3 or values[2] < 1e-9:
+        return None
+    image_sense = (positions - positions.mean()).conj()
+    parts = np.abs(modes.conj().T @ image_sense) ** 2
+    rigid = parts[:2].sum()
+
+    def excess(time_s: float) -> float:
+        left = parts[2:] @ np.exp(-2 * gain_ps * values[2:] * time_s)
+        return float(np.log(left / (left + rigid)) / 2 - np.log(error))
+
+    if excess(0.0) <= 0:
+        return 0.0
+    longest_s = float(20 / (gain_ps * values[2]))
+    while excess(longest_s) > 0:
+        longest_s *= 2
+    return float(brentq(excess, 0.0, longest_s))
+
+
+def resting_error(slowest: float, threshold: float) -> float:
+    """How far from the shape robots may come to rest that stop below a threshold: RMS, in its unit.
+
+    At rest `|(L p)_i| < b` for each of N robots, so that `|L p| < b sqrt(N)`; the part of p that is no
+    similarity of the template is shrunk by λ_3 at most, and so less than `b sqrt(N) / λ_3`: RMS `b / λ_3`.
+    """
+    return threshold / slowest if slowest > 0 else np.inf
+
+
+def measured_rate_ps(times_s: Array, errors: Array) -> float | None:
+    """Rate at which a shape error (T,) falls late in a stretch, 1/s; None if there is too little to see.
+
+    Minus the least-squares slope of log error over the second half of the stretch before the error reaches
+    its floor, three times its least value, if it stops falling at all.
+    """
+    if errors.size >= LEAST_SAMPLES and _is_flat(np.log(errors)):
+        above = np.flatnonzero(errors > 3 * errors.min())
+        times_s, errors = (values[: above[-1] + 1 if above.size else 0] for values in (times_s, errors))
+    late = slice(errors.size // 2, None)
+    if errors[late].size < LEAST_SAMPLES:
+        return None
+    return float(-np.polyfit(times_s[late], np.log(errors[late]), 1)[0])
+
+
+def _is_flat(logs: Array) -> bool:
+    """Whether values (T,) stop falling in their last third."""
+    third = logs.size // 3
+    return bool(logs[-third] - logs[-1] < FLAT * (logs[third] - logs[-third]))
+
+
+def last_stretch(history: History) -> slice:
+    """Steps from the last change of the topology on, and not before it was in place."""
+    changes = np.flatnonzero((history.controlled[1:] != history.controlled[:-1]).any(axis=(1, 2))) + 1
+    ready = history.ready_row
+    first = max(int(changes[-1]) if changes.size else 0, 0 if ready is None else ready)
+    return slice(first, None)

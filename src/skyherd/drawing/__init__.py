@@ -1,0 +1,1 @@
+"""Drawing into images: lines, text and shapes, and the project's colours."""

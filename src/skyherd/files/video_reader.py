@@ -1,0 +1,114 @@
+"""Pictures to look at, one after the other: from a file, a folder or a video."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+
+import av
+import numpy as np
+import numpy.typing as npt
+
+from skyherd.errors import InputError
+from skyherd.files.images import SUFFIXES
+
+DEEPER, FEW = ("*/*", "*/*/*"), 4
+"""Where pictures are looked for that are not in the folder itself, and how many such folders are named."""
+
+VIDEO_SUFFIXES = frozenset(
+    {".mp4", ".m4v", ".mov", ".avi", ".mkv", ".webm", ".mpg", ".mpeg", ".ts", ".mts", ".wmv"}
+)
+"""How the names of video files end; any other file is taken as a picture."""
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A picture of a video: its number from 0, its time, and grey levels (height, width)."""
+
+    index: int
+    time_s: float
+    image: npt.NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class Clip:
+    """What is known of a video before it is read: frames a second, and their number, 0 if not known."""
+
+    path: Path
+    rate_hz: Fraction
+    count: int
+
+
+def is_video(path: Path) -> bool:
+    """Whether a file is a video, by its name."""
+    return path.suffix.lower() in VIDEO_SUFFIXES
+
+
+def find_files(target: Path) -> list[Path]:
+    """The file itself, or the pictures and videos of a folder in the order of their names.
+
+    Raises:
+        InputError: there is no such file or folder, or no picture in the folder.
+    """
+    if not target.exists():
+        raise InputError(
+            str(target), "no such file or folder", "give a picture, a folder of them, or a video"
+        )
+    if not target.is_dir():
+        return [target]
+    known = SUFFIXES | VIDEO_SUFFIXES
+    found = [file for file in target.iterdir() if file.is_file() and file.suffix.lower() in known]
+    if not found:
+        deeper = {
+            file.parent for level in DEEPER for file in target.glob(level) if file.suffix.lower() in known
+        }
+        allowed = f"names that end in {', '.join(sorted(known))}"
+        if deeper:
+            allowed = f"the folder that they are in: {', '.join(sorted(map(str, deeper))[:FEW])}"
+        raise InputError(str(target), "no picture in this folder", allowed)
+    return sorted(found, key=lambda file: file.name)
+
+
+def open_clip(path: Path) -> Clip:
+    """Rate and length of a video.
+
+    Raises:
+        InputError: it is not a video that can be read.
+    """
+    try:
+        with av.open(str(path)) as container:
+            stream = container.streams.video[0]
+            rate = stream.average_rate or stream.guessed_rate or Fraction(25)
+            seconds = float((container.duration or 0) / av.time_base)
+            return Clip(path, Fraction(rate), stream.frames or round(seconds * float(rate)))
+    except (OSError, av.FFmpegError, IndexError) as error:
+        raise _unreadable(path, error) from None
+
+
+def read_clip(clip: Clip) -> Iterator[Frame]:
+    """Frames of a video, one at a time.
+
+    Raises:
+        InputError: it cannot be read on, or held no frame.
+    """
+    index = 0
+    try:
+        with av.open(str(clip.path)) as container:
+            for picture in container.decode(video=0):
+                time_s = float(picture.time or index / clip.rate_hz)
+                grey = np.asarray(picture.to_ndarray(format="gray"), dtype=np.uint8)
+                yield Frame(index, time_s, np.ascontiguousarray(grey))
+                index += 1
+    except (OSError, av.FFmpegError, IndexError) as error:
+        raise _unreadable(clip.path, error) from None
+    if not index:
+        raise _unreadable(clip.path, None)
+
+
+def _unreadable(path: Path, error: Exception | None) -> InputError:
+    why = (
+        "no picture in it"
+        if error is None
+        else " ".join(str(getattr(error, "strerror", None) or error).split())
+    )
+    return InputError(str(path), f"cannot be read as a video ({why})", "give one that plays, such as an MP4")

@@ -1,0 +1,1 @@
+"""Finding markers in picture and video files: what `skyherd detect` does."""

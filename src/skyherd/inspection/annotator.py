@@ -1,0 +1,121 @@
+"""Pictures of what a detector found and what it rejected, legible at any size."""
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from skyherd.drawing.canvas import Color, Image, draw_arrows, draw_lines, draw_text, fill_polygon, text_width
+from skyherd.drawing.palette import PAPER, UNIT_COLORS, rgb
+from skyherd.geometry import Array, to_points
+from skyherd.messages import Detections
+from skyherd.vision.diagnosis.explain import Rejection
+from skyherd.vision.diagnosis.reasons import Reason
+
+FOUND_COLOR, REJECTED_COLOR, PLAIN_COLOR = rgb(UNIT_COLORS[0]), rgb(UNIT_COLORS[1]), rgb(UNIT_COLORS[6])
+
+LEAST_SIDE_PX = 640
+"""What the longer side of an annotated picture has at least, unless asked otherwise."""
+
+FULL_SIDE_PX = 1280
+"""Beyond this, lines and letters grow with the longer side."""
+
+FONT_PX, LINE_PX = 15, 2
+
+
+class Annotator:
+    """Draws on pictures of one size.
+
+    Args:
+        size_px: width and height of the pictures to be annotated.
+        least_side_px: smaller pictures are enlarged by a whole factor until their longer side has so many.
+    """
+
+    def __init__(self, size_px: tuple[int, int], *, least_side_px: int = LEAST_SIDE_PX) -> None:
+        longer = max(size_px)
+        self.zoom = max(1, -(-least_side_px // longer))
+        self.scale = max(1.0, longer * self.zoom / FULL_SIDE_PX)
+        self.font_px, self.line_px = round(FONT_PX * self.scale), round(LINE_PX * self.scale)
+
+    def draw(
+        self, image: npt.NDArray[np.uint8], detections: Detections, rejections: Sequence[Rejection] = ()
+    ) -> Image:
+        """RGB copy of a grey image, `zoom` times as large: outlines, arrows, ids, numbered rejections."""
+        enlarged = cv2.resize(image, None, fx=self.zoom, fy=self.zoom, interpolation=cv2.INTER_NEAREST)
+        picture = np.asarray(cv2.cvtColor(enlarged, cv2.COLOR_GRAY2RGB), dtype=np.uint8)
+        likely = [r for r in rejections if r.reason is not Reason.NO_BITS]
+        plain = [r for r in rejections if r.reason is Reason.NO_BITS]
+        self._outline(picture, [r.corners_px for r in plain], PLAIN_COLOR, max(1, self.line_px // 2))
+        self._outline(picture, [r.corners_px for r in likely], REJECTED_COLOR, self.line_px)
+        self._outline(picture, list(detections.corners_px), FOUND_COLOR, self.line_px)
+        self._arrows(picture, detections)
+        self._label(picture, detections, likely)
+        return picture
+
+    def _shown(self, points_px: Array) -> Array:
+        """Places in the enlarged picture of points of the image."""
+        return np.asarray((points_px + 0.5) * self.zoom - 0.5)
+
+    def _outline(self, picture: Image, squares_px: list[Array], color: Color, width_px: int) -> None:
+        """Lines just outside the squares."""
+        for corners in squares_px:
+            shown = self._shown(corners)
+            center = shown.mean(axis=0)
+            reach = float(np.linalg.norm(shown - center, axis=1).mean())
+            draw_lines(
+                picture, [center + (shown - center) * (1 + width_px / reach)], color, width_px, closed=True
+            )
+
+    def _arrows(self, picture: Image, detections: Detections) -> None:
+        """Forward arrows, from the middles of the front edges outwards."""
+        ahead = to_points(np.exp(1j * detections.headings_rad))
+        sides = detections.sides_px[:, None] * self.zoom
+        lengths = np.maximum(0.45 * sides, 14 * self.scale)
+        starts = self._shown(detections.centers_px) + sides / 2 * ahead
+        draw_arrows(picture, starts, starts + lengths * ahead, FOUND_COLOR, rgb(PAPER), scale=self.scale)
+
+    def _label(self, picture: Image, detections: Detections, rejections: list[Rejection]) -> None:
+        """Ids beside the markers, away from their arrows; number and reason beside what was rejected."""
+        centers = [*detections.centers_px, *(r.center_px for r in rejections)]
+        if not centers:
+            return
+        centers_px = self._shown(np.array(centers))
+        reaches = (
+            self.zoom * np.array([*detections.sides_px, *(r.reading.side_px for r in rejections)]) * 0.72
+        )
+        texts = [str(marker_id) for marker_id in detections.ids.tolist()]
+        texts += [f"{k + 1}: {r.reason.value}" for k, r in enumerate(rejections)]
+        away = [*(detections.headings_rad + np.pi), *(np.pi / 2 for _ in rejections)]
+        colors = [FOUND_COLOR] * len(detections) + [REJECTED_COLOR] * len(rejections)
+        taken = np.column_stack([centers_px - reaches[:, None], centers_px + reaches[:, None]])
+        for k, (text, color) in enumerate(zip(texts, colors, strict=True)):
+            box = self._place(text, centers_px[k], float(reaches[k]), float(away[k]), taken, picture.shape)
+            taken = np.vstack([taken, box])
+            self._write(picture, text, box, color)
+
+    def _place(
+        self, text: str, center: Array, reach: float, away_rad: float, taken: Array, shape: tuple[int, ...]
+    ) -> Array:
+        """Box (left, top, right, bottom) for a text around a place, where it hides least of what is taken."""
+        half = (
+            np.array([text_width(text, self.font_px, bold=True) + 0.6 * self.font_px, 1.5 * self.font_px]) / 2
+        )
+        turns = away_rad + np.pi / 4 * np.array([0, 1, -1, 2, -2, 3, -3, 4])
+        rays = np.column_stack([np.cos(turns), np.sin(turns)])
+        far = (reach + self.line_px) * np.maximum(1.0, 1.0 / np.abs(rays).max(axis=1))[:, None] * rays
+        middles = center + far + np.sign(np.round(rays, 6)) * half
+        limit = np.array([shape[1], shape[0]])
+        middles = np.clip(middles, half, np.maximum(limit - half, half))
+        boxes = np.column_stack([middles - half, middles + half])
+        overlap = np.minimum(boxes[:, None, 2:], taken[None, :, 2:]) - np.maximum(
+            boxes[:, None, :2], taken[None, :, :2]
+        )
+        hidden = overlap.clip(0).prod(axis=2).sum(axis=1)
+        return np.asarray(boxes[int(np.argmin(hidden + 1e-6 * np.arange(turns.size)))])
+
+    def _write(self, picture: Image, text: str, box: Array, color: Color) -> None:
+        left, top, right, bottom = box
+        fill_polygon(picture, np.array([[left, top], [right, top], [right, bottom], [left, bottom]]), color)
+        middle = ((left + right) / 2, (top + bottom) / 2)
+        draw_text(picture, text, middle, rgb(PAPER), size_px=self.font_px, bold=True, align="center")

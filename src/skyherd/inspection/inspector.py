@@ -1,0 +1,203 @@
+"""Detection on files: pictures, folders of them and videos in; annotated ones and tables out."""
+
+from collections import Counter
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+from PIL import Image
+
+from skyherd.errors import InputError
+from skyherd.files.atomic import refuse_existing, write_whole
+from skyherd.files.images import read_grey
+from skyherd.files.video_reader import find_files, is_video, open_clip, read_clip
+from skyherd.files.video_writer import VideoSink
+from skyherd.inspection.annotator import Annotator
+from skyherd.inspection.table import (
+    DETECTION_COLUMNS,
+    FORMATS,
+    REJECTION_COLUMNS,
+    Format,
+    Place,
+    Table,
+    detection_rows,
+    open_table,
+    rejection_rows,
+)
+from skyherd.markers.dictionary import load_dictionary
+from skyherd.messages import Detections
+from skyherd.vision.detectors.registry import Detector, create_detector
+from skyherd.vision.diagnosis.explain import Rejection, explain
+from skyherd.vision.diagnosis.suggestions import suggest
+
+DETECTIONS, REJECTIONS = "detections", "rejected"
+
+FEW = 3
+"""With fewer detections in a picture something is likely wrong with it, and a hint is looked for."""
+
+Grey = npt.NDArray[np.uint8]
+OnFrame = Callable[[Path, int, int], None]
+"""Told of the file, the frames done in it, and how many it has, 0 if that is not known."""
+
+
+@dataclass
+class FileResult:
+    """What became of one file.
+
+    Attributes:
+        file: the picture or video.
+        frames: how many pictures were looked at.
+        ids: how often each marker was detected.
+        rejections: of a picture, all; of a video, those of its last frame.
+        reasons: how often each reason for a rejection was given.
+        hint: what to try, if little was detected.
+        trouble: why it could not be read, if so.
+        picture: the annotated file.
+    """
+
+    file: Path
+    frames: int = 0
+    ids: Counter[int] = field(default_factory=Counter)
+    rejections: list[Rejection] = field(default_factory=list)
+    reasons: Counter[str] = field(default_factory=Counter)
+    hint: str | None = None
+    trouble: InputError | None = None
+    picture: Path | None = None
+
+
+class Inspector:
+    """Runs a detector over files and leaves tables and annotated pictures in a folder.
+
+    Args:
+        detector: name, as `skyherd.vision.create_detector` knows it.
+        dictionary: name of the dictionary.
+        explained: also say why candidates were rejected.
+        kind: of the tables.
+        on_frame: watches.
+
+    Raises:
+        InputError: there is no such detector or dictionary.
+    """
+
+    def __init__(
+        self,
+        detector: str,
+        dictionary: str,
+        *,
+        explained: bool = False,
+        kind: Format = "csv",
+        on_frame: OnFrame = lambda file, done, count: None,
+    ) -> None:
+        load_dictionary(dictionary)
+        create_detector(detector, dictionary=dictionary)
+        self.detector, self.dictionary, self.explained, self.kind = detector, dictionary, explained, kind
+        self._on_frame = on_frame
+
+    def inspect(self, target: Path, folder: Path, *, force: bool = False) -> list[FileResult]:
+        """Look at a picture, a video, or all in a folder; a file that cannot be read is a trouble of its own.
+
+        Raises:
+            InputError: there is nothing to look at, a single file cannot be read, or the folder exists.
+            OutputError: something cannot be written.
+        """
+        files = find_files(target)
+        refuse_existing(folder, force=force)
+        with ExitStack() as stack:
+            if not target.is_dir():
+                _check_readable(target)
+            folder.mkdir(parents=True, exist_ok=True)
+            for name in (DETECTIONS, REJECTIONS):
+                for kind in FORMATS:
+                    (folder / f"{name}.{kind}").unlink(missing_ok=True)
+            tables = [self._open(stack, folder / DETECTIONS, DETECTION_COLUMNS)]
+            if self.explained:
+                tables.append(self._open(stack, folder / REJECTIONS, REJECTION_COLUMNS))
+            names = _picture_names(files)
+            return [self._inspect_file(file, folder / names[file], tables) for file in files]
+
+    def _open(self, stack: ExitStack, path: Path, columns: list[str]) -> Table:
+        return stack.enter_context(open_table(path.with_suffix(f".{self.kind}"), columns, self.kind))
+
+    def _inspect_file(self, file: Path, picture: Path, tables: list[Table]) -> FileResult:
+        result = FileResult(file)
+        try:
+            (self._inspect_video if is_video(file) else self._inspect_picture)(result, picture, tables)
+        except InputError as error:
+            result.trouble = error
+        return result
+
+    def _inspect_picture(self, result: FileResult, picture: Path, tables: list[Table]) -> None:
+        self._on_frame(result.file, 0, 1)
+        image = read_grey(result.file)
+        detector = create_detector(self.detector, dictionary=self.dictionary)
+        found = self._look(detector, image, Place(result.file.name), result, tables)
+        annotated = Annotator((image.shape[1], image.shape[0])).draw(image, found, result.rejections)
+        drawn = Image.fromarray(annotated)
+        result.picture = write_whole(picture, lambda part: drawn.save(part, format="PNG", compress_level=2))
+        if len(found) < FEW:
+            result.hint = suggest(image, self.dictionary)
+        self._on_frame(result.file, 1, 1)
+
+    def _inspect_video(self, result: FileResult, picture: Path, tables: list[Table]) -> None:
+        clip = open_clip(result.file)
+        detector = create_detector(self.detector, dictionary=self.dictionary)
+        sink: VideoSink | None = None
+        with ExitStack() as stack:
+            for frame in read_clip(clip):
+                height, width = frame.image.shape
+                annotator = Annotator((width, height))
+                place = Place(result.file.name, frame.index, frame.time_s)
+                found = self._look(detector, frame.image, place, result, tables)
+                shown = _even(annotator.draw(frame.image, found, result.rejections))
+                if sink is None:
+                    size_px = (shown.shape[1], shown.shape[0])
+                    sink = stack.enter_context(VideoSink(picture, size_px, Fraction(clip.rate_hz)))
+                sink.write(shown)
+                self._on_frame(result.file, frame.index + 1, clip.count)
+                if frame.index == 0 and len(found) < FEW:
+                    result.hint = suggest(frame.image, self.dictionary)
+        result.picture = picture
+        result.hint = None if len(result.ids) >= FEW else result.hint
+
+    def _look(
+        self, detector: Detector, image: Grey, place: Place, result: FileResult, tables: list[Table]
+    ) -> Detections:
+        """Detect in one picture, write its rows, and count."""
+        found = detector.detect(image, time_s=place.time_s or 0.0)
+        result.frames += 1
+        result.ids.update(found.ids.tolist())
+        for row in detection_rows(place, found):
+            tables[0].add(row)
+        if self.explained:
+            result.rejections = explain(image, self.dictionary, found)
+            result.reasons.update(rejection.reason.value for rejection in result.rejections)
+            for row in rejection_rows(place, result.rejections):
+                tables[1].add(row)
+        return found
+
+
+def _check_readable(file: Path) -> None:
+    """Refuse a file that cannot be read before a folder is made for it."""
+    if is_video(file):
+        open_clip(file)
+    else:
+        read_grey(file)
+
+
+def _picture_names(files: list[Path]) -> dict[Path, str]:
+    """Names of the annotated files: the originals', with their whole names where two would be alike."""
+    ends = {file: ".mp4" if is_video(file) else ".png" for file in files}
+    often = Counter(file.stem + ends[file] for file in files)
+    return {
+        file: (file.stem if often[file.stem + ends[file]] == 1 else file.name) + ends[file] for file in files
+    }
+
+
+def _even(picture: Grey) -> Grey:
+    """The picture with its last row and column repeated where that makes its sides even."""
+    height, width = picture.shape[:2]
+    return np.pad(picture, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")

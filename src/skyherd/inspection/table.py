@@ -1,0 +1,131 @@
+"""Detections and rejections as tables: CSV, or JSON lines, one marker a row.
+
+Columns of detections: file, frame (videos: number from 0), time_s (videos), id, u_px, v_px, heading_deg
+(from +u to +v), side_px, the standard deviations of u, v and heading, empty where the detector does not
+state them, and the corners, the first two ahead. JSON has corners and the covariance of (u px, v px, heading
+rad) as lists.
+"""
+
+import csv
+import json
+import os
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, TextIO, get_args
+
+import numpy as np
+
+from skyherd.errors import OutputError
+from skyherd.messages import Detections
+from skyherd.vision.diagnosis.explain import Rejection
+
+Format = Literal["csv", "jsonl"]
+FORMATS: tuple[Format, ...] = get_args(Format)
+
+CORNERS = [f"corner{k}_{axis}_px" for k in range(4) for axis in "uv"]
+STDS = ["std_u_px", "std_v_px", "std_heading_deg"]
+WHERE = ["file", "frame", "time_s"]
+DETECTION_COLUMNS = [*WHERE, "id", "u_px", "v_px", "heading_deg", "side_px", *STDS, *CORNERS]
+MEASURED = ["cell_px", "contrast", "blur_px", "tilt_deg", "likeness", "nearest_id", "wrong_cells"]
+REJECTION_COLUMNS = [*WHERE, "reason", "u_px", "v_px", "side_px", *MEASURED, *CORNERS, "words"]
+
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Place:
+    """Which picture a row is of; frame and time are None for picture files."""
+
+    file: str
+    frame: int | None = None
+    time_s: float | None = None
+
+
+def detection_rows(place: Place, found: Detections) -> Iterator[Row]:
+    """One row a marker."""
+    for k, marker_id in enumerate(found.ids.tolist()):
+        covariance = found.covariances[k]
+        stds = np.sqrt(np.diag(covariance)) * (1.0, 1.0, np.degrees(1.0)) if covariance.any() else [None] * 3
+        yield {
+            **vars(place),
+            "id": marker_id,
+            "u_px": found.centers_px[k, 0],
+            "v_px": found.centers_px[k, 1],
+            "heading_deg": np.degrees(found.headings_rad[k]),
+            "side_px": found.sides_px[k],
+            **dict(zip(STDS, stds, strict=True)),
+            "corners_px": found.corners_px[k],
+            "covariance": covariance if covariance.any() else None,
+        }
+
+
+def rejection_rows(place: Place, rejections: Sequence[Rejection]) -> Iterator[Row]:
+    """One row a candidate."""
+    for rejection in rejections:
+        reading = rejection.reading
+        yield {
+            **vars(place),
+            "reason": rejection.reason.value,
+            "u_px": rejection.center_px[0],
+            "v_px": rejection.center_px[1],
+            "side_px": reading.side_px,
+            "cell_px": reading.cell_px[0],
+            "contrast": reading.contrast,
+            "blur_px": reading.blur_cells * reading.cell_px.mean(),
+            "tilt_deg": reading.tilt_deg,
+            "likeness": reading.likeness,
+            "nearest_id": reading.nearest_id,
+            "wrong_cells": reading.wrong_bits,
+            "corners_px": rejection.corners_px,
+            "words": rejection.words,
+        }
+
+
+class Table:
+    """An open table, to which rows are added."""
+
+    def __init__(self, stream: TextIO, columns: list[str], kind: Format) -> None:
+        self._stream, self._kind = stream, kind
+        self._writer = csv.DictWriter(stream, columns, extrasaction="ignore", lineterminator="\n")
+        if kind == "csv":
+            self._writer.writeheader()
+
+    def add(self, row: Row) -> None:
+        """Write one row."""
+        if self._kind == "csv":
+            corners = dict(zip(CORNERS, np.ravel(row["corners_px"]), strict=True))
+            self._writer.writerow({key: _short(value) for key, value in (row | corners).items()})
+        else:
+            plain = {key: _short(value) for key, value in row.items()}
+            self._stream.write(json.dumps(plain, ensure_ascii=False) + "\n")
+
+
+def _short(value: Any) -> Any:
+    """Numbers to a ten-thousandth and at least five figures, arrays as lists."""
+    if isinstance(value, np.ndarray):
+        return [_short(item) for item in value]
+    if isinstance(value, float):
+        return round(float(value), 4) if abs(value) >= 0.1 else float(f"{value:.5g}")
+    return value
+
+
+@contextmanager
+def open_table(path: Path, columns: list[str], kind: Format) -> Iterator[Table]:
+    """A table that gets its name when it is whole; if the body raises, nothing is left of it.
+
+    Raises:
+        OutputError: it cannot be written.
+    """
+    part = path.with_name(f".{path.name}.part")
+    try:
+        with part.open("w", encoding="utf-8", newline="") as stream:
+            yield Table(stream, columns, kind)
+        os.replace(part, path)
+    except OutputError:
+        raise
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be written: {error.strerror or error}") from None
+    finally:
+        part.unlink(missing_ok=True)

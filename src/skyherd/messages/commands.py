@@ -1,0 +1,47 @@
+"""What robots and units ask of their own motors: wheel speeds and flight velocities."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from skyherd.errors import MessageError
+from skyherd.geometry import Array, IntArray
+from skyherd.messages.frozen_arrays import freeze, freeze_ids
+
+
+@dataclass(frozen=True)
+class VelocityCommand:
+    """Wheel commands of the team: (N,) ids, forward speed and counter-clockwise turn rate."""
+
+    ids: IntArray
+    v_mps: Array
+    omega_radps: Array
+
+    def __post_init__(self) -> None:
+        n = freeze_ids(self, "ids")
+        freeze(self, "v_mps", (n,))
+        freeze(self, "omega_radps", (n,))
+
+
+@dataclass(frozen=True)
+class FlightCommand:
+    """Velocity that a unit asks of its own autopilot, in its camera's frame.
+
+    Attributes:
+        unit_id: the unit.
+        lateral_mps: (2,) along the image's +u and +v.
+        climb_mps: upwards.
+        yaw_rate_radps: counter-clockwise seen from above.
+        zoom_rate_ps: relative change of the focal length, 1/s.
+    """
+
+    unit_id: int
+    lateral_mps: Array
+    climb_mps: float
+    yaw_rate_radps: float
+    zoom_rate_ps: float = 0.0
+
+    def __post_init__(self) -> None:
+        freeze(self, "lateral_mps", (2,))
+        if not np.isfinite([self.climb_mps, self.yaw_rate_radps, self.zoom_rate_ps]).all():
+            raise MessageError("FlightCommand: climb_mps, yaw_rate_radps and zoom_rate_ps must be finite")

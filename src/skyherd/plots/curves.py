@@ -1,0 +1,134 @@
+"""Figures of what changes over time: velocities, cost, scales, rotations, heights, the shape's error."""
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from skyherd.analysis.history import History
+from skyherd.drawing.palette import INK, MUTED
+from skyherd.geometry import Array, wrap_angle
+from skyherd.plots.style import (
+    draw_line,
+    draw_unit_lines,
+    legend_above,
+    new_figure,
+    robot_colorbar,
+    robot_colors,
+    time_axes,
+    use_log_scale,
+)
+
+ONE_ROW_IN = 3.2
+TWO_ROWS_IN = 5.0
+
+
+def draw_robot_velocities(history: History) -> Figure:
+    """Forward speed and turn rate that every robot's wheels were given."""
+    figure = new_figure(TWO_ROWS_IN)
+    axes = time_axes(figure, ["forward speed v (m/s)", "turn rate ω (rad/s)"])
+    colors = robot_colors(history.ids.size)
+    for ax, values in zip(axes, (history.v_mps, history.omega_radps), strict=True):
+        ax.axhline(0.0, color=MUTED, linewidth=0.8)
+        for robot, color in enumerate(colors):
+            draw_line(ax, history.times_s, values[:, robot], color=color, linewidth=1.0)
+    robot_colorbar(figure, axes, history.ids)
+    return figure
+
+
+def draw_cost(history: History) -> Figure:
+    """V and its shares V^j, on a linear and on a logarithmic axis (paper, eq. 9)."""
+    figure = new_figure(TWO_ROWS_IN)
+    axes = time_axes(figure, ["V (m²)", "V (m²), log"])
+    for ax in axes:
+        draw_line(ax, history.times_s, history.V, color=INK, linewidth=2.4, label="V, all units")
+        draw_unit_lines(ax, history.times_s, history.V_units)
+    axes[0].set_ylim(bottom=0.0)
+    use_log_scale(axes[1])
+    legend_above(figure)
+    return figure
+
+
+def draw_scales(history: History) -> Figure:
+    """Scale of each unit's partial formation and of the whole one."""
+    figure = new_figure(ONE_ROW_IN)
+    (axes,) = time_axes(figure, ["scale (m per template unit)"])
+    draw_unit_lines(axes, history.times_s, history.scales)
+    _draw_whole(figure, history, history.shape_scale)
+    return figure
+
+
+def draw_rotations(history: History) -> Figure:
+    """Rotation of each unit's partial formation and of the whole one."""
+    figure = new_figure(ONE_ROW_IN)
+    (axes,) = time_axes(figure, ["rotation (°)"])
+    whole = unwrap(history.shape_rotation_rad)
+    partial = whole[:, None] + wrap_angle(history.rotations_rad - whole[:, None])
+    draw_unit_lines(axes, history.times_s, np.degrees(partial))
+    _draw_whole(figure, history, np.degrees(whole))
+    return figure
+
+
+def draw_heights(history: History) -> Figure:
+    """Height of each camera and, where one changes, the zooms."""
+    zooming = bool((np.ptp(history.zooms, axis=0) > 0).any())
+    figure = new_figure(TWO_ROWS_IN if zooming else ONE_ROW_IN)
+    axes = time_axes(figure, ["height (m)", "zoom factor"] if zooming else ["height (m)"])
+    draw_unit_lines(axes[0], history.times_s, history.heights_m)
+    if zooming:
+        draw_unit_lines(axes[1], history.times_s, history.zooms)
+    legend_above(figure)
+    return figure
+
+
+def draw_yaws(history: History) -> Figure:
+    """Rotation of each camera about the vertical."""
+    figure = new_figure(ONE_ROW_IN)
+    (axes,) = time_axes(figure, ["camera yaw (°)"])
+    yaws_rad = np.apply_along_axis(unwrap, 0, history.yaws_rad)
+    draw_unit_lines(axes, history.times_s, np.degrees(yaws_rad))
+    legend_above(figure)
+    return figure
+
+
+def draw_camera_speeds(history: History) -> Figure:
+    """Norm of each camera's velocity in space."""
+    figure = new_figure(ONE_ROW_IN)
+    (axes,) = time_axes(figure, ["camera speed (m/s)"])
+    draw_unit_lines(axes, history.times_s[1:], camera_speeds_mps(history))
+    axes.set_ylim(bottom=0.0)
+    if history.times_s.size > 1:
+        axes.set_xlim(left=history.times_s[0])
+    legend_above(figure)
+    return figure
+
+
+def draw_shape_error(history: History) -> Figure:
+    """How far the team is from the nearest copy of the shape, and the goal."""
+    figure = new_figure(ONE_ROW_IN)
+    (axes,) = time_axes(figure, ["shape error, log"])
+    goal = history.mission.scenario.goal.shape_error
+    axes.axhline(goal, color=MUTED, linestyle="--", linewidth=1.2, label=f"goal {goal:g}")
+    draw_line(axes, history.times_s, history.shape_error, color=INK, linewidth=1.8, label="shape error")
+    use_log_scale(axes)
+    legend_above(figure)
+    return figure
+
+
+def camera_speeds_mps(history: History) -> Array:
+    """(T - 1, U) speeds over each step, from finite differences of position and height."""
+    points_m = np.concatenate([history.unit_positions_m, history.heights_m[..., None]], axis=-1)
+    moved_m = np.linalg.norm(np.diff(points_m, axis=0), axis=-1)
+    return np.asarray(moved_m / np.diff(history.times_s)[:, None])
+
+
+def unwrap(angles_rad: Array) -> Array:
+    """Angles (T,) without jumps of a turn; NaN stays NaN and does not spread."""
+    smooth_rad = angles_rad.copy()
+    known = np.isfinite(angles_rad)
+    smooth_rad[known] = np.unwrap(angles_rad[known])
+    return smooth_rad
+
+
+def _draw_whole(figure: Figure, history: History, values: Array) -> None:
+    """The whole formation's value over the units' lines, and the legend."""
+    draw_line(figure.axes[0], history.times_s, values, color=INK, linestyle="--", label="all robots")
+    legend_above(figure)

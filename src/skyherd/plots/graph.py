@@ -1,0 +1,81 @@
+"""The figure of the topology as a graph: units, the robots each controls, and the pairs that bind units."""
+
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patheffects import withStroke
+
+from skyherd.analysis.history import History
+from skyherd.control.topology.conditions import ControlSets, edges, owners_by_robot
+from skyherd.drawing.palette import INK, MUTED, PAPER, unit_color
+from skyherd.geometry import Array, IntArray
+from skyherd.plots.style import frame_square, legend_above, new_figure
+
+SIDE_IN = 7.2
+UNIT_SIZE, ROBOT_SIZE = 300, 110
+MOST_LABELS = 120
+"""With more robots than this their ids are left out."""
+
+
+def draw_graph(history: History) -> Figure:
+    """The graph at the end of a run."""
+    last = history.controlled[-1]
+    sets = {unit: history.ids[mine] for unit, mine in enumerate(last) if unit not in _dead(history)}
+    figure = new_figure(SIDE_IN, SIDE_IN)
+    axes = figure.subplots()
+    draw_sets(axes, sets, history.ids, history.positions_m[-1], history.unit_positions_m[-1])
+    legend_above(figure, graph_handles(), columns=4)
+    return figure
+
+
+def _dead(history: History) -> frozenset[int]:
+    tree = history.trees[-1]
+    return frozenset() if tree is None else tree.dead
+
+
+def graph_handles() -> list[Line2D]:
+    """Legend entries for what a graph is drawn with."""
+    unit: dict[str, Any] = {"ls": "", "marker": "s", "mfc": MUTED, "mec": PAPER, "ms": 11}
+    robot: dict[str, Any] = {"ls": "", "marker": "o", "mfc": PAPER, "mec": unit_color(0), "mew": 2}
+    return [
+        Line2D([], [], label="unit", **unit),
+        Line2D([], [], color=INK, lw=3, label="edge: two robots or more shared"),
+        Line2D([], [], label="robot", ms=8, **robot),
+    ]
+
+
+def draw_sets(axes: Axes, sets: ControlSets, ids: IntArray, robots_m: Array, units_m: Array) -> None:
+    """Draw robots (N, 2) and units (U, 2) on the ground, and what holds them together."""
+    for unit, mine in sets.items():
+        spokes = robots_m[np.searchsorted(ids, mine)]
+        for x, y in spokes.tolist():
+            line = [units_m[unit, 0], x], [units_m[unit, 1], y]
+            axes.plot(*line, color=unit_color(unit), lw=0.7, alpha=0.55, zorder=1)
+    for j, k in edges(sets):
+        ends = units_m[[j, k]]
+        axes.plot(*ends.T, color=INK, lw=3, zorder=2, solid_capstyle="round")
+    owners = owners_by_robot(sets)
+    for robot, place in zip(ids.tolist(), robots_m, strict=True):
+        _draw_robot(axes, robot, place, owners.get(robot, []), named=ids.size <= MOST_LABELS)
+    for unit in sets:
+        x, y = units_m[unit].tolist()
+        color = unit_color(unit)
+        axes.scatter(x, y, s=UNIT_SIZE, c=color, marker="s", edgecolor=PAPER, linewidth=1.5, zorder=5)
+        name = axes.annotate(str(unit), (x, y), ha="center", va="center", zorder=6, weight="bold")
+        name.set_path_effects([withStroke(linewidth=2.5, foreground=PAPER)])
+    frame_square(axes, np.concatenate([robots_m, units_m]))
+    axes.set(xlabel="x (m)", ylabel="y (m)")
+
+
+def _draw_robot(axes: Axes, robot: int, place: Array, owners: list[int], *, named: bool) -> None:
+    """A ring in the colour of its unit, one within another if it has several, grey if none."""
+    x, y = place.tolist()
+    colors = [unit_color(unit) for unit in owners] or [MUTED]
+    for k, color in reversed(list(enumerate(colors))):
+        size = ROBOT_SIZE * (1 + 0.75 * k)
+        axes.scatter(x, y, s=size, facecolor=PAPER, edgecolor=color, linewidth=2, zorder=3)
+    if named:
+        axes.annotate(str(robot), (x, y), ha="center", va="center", fontsize=6, zorder=4)

@@ -1,0 +1,235 @@
+"""Figures of where things are: paths on the ground, traces in the images, the template, the topology."""
+
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Circle, Patch, Polygon
+
+from skyherd.analysis.history import History
+from skyherd.drawing.palette import INK, MUTED, PAPER, TEMPLATE_COLOR, unit_color
+from skyherd.geometry import Array, ComplexArray, IntArray, to_complex, to_points
+from skyherd.plots.style import frame_square, legend_above, new_figure, unit_handles
+from skyherd.render import CameraPose, footprint_m
+from skyherd.sim.world import make_camera
+
+LEAST_GAP = 0.3
+"""Points nearer than this to the same direction, in shares of the mean gap, make no outline by angle."""
+
+MOST_LABELS = 60
+"""More robots than this go without their ids in the figures."""
+
+STONE: dict[str, Any] = {"facecolor": "#e3e5e8", "edgecolor": INK, "linewidth": 0.9, "hatch": "///"}
+"""How an obstacle looks."""
+
+DASHES = (0, (4, 3))
+TRACE_SIDE_IN = {1: 4.8, 2: 4.0, 3: 3.4}
+"""Side of an image's panel by the number of panels in a row."""
+
+FAR = 1.5
+"""Fields of view are shown up to this many spans of the team and the cameras away."""
+
+
+def formation_order(points: ComplexArray) -> IntArray:
+    """Order (N,) in which to join points into a closed outline of their shape.
+
+    By angle around the centroid, if no two lie in nearly the same direction from there. Else a short tour:
+    the shorter of those found from two beginnings, by that angle and as numbered.
+    """
+    angles_rad = np.angle(points - points.mean())
+    around: IntArray = np.argsort(angles_rad, kind="stable")
+    gaps_rad = np.diff(angles_rad[around], append=angles_rad[around[0]] + 2 * np.pi)
+    if points.size < 4 or gaps_rad.min() > LEAST_GAP * gaps_rad.mean():
+        return around
+    tours = [_shorten(points, order) for order in (around, np.arange(points.size))]
+    return min(tours, key=lambda order: float(_sides(points, order).sum()))
+
+
+def _shorten(points: ComplexArray, order: IntArray) -> IntArray:
+    """2-opt: while it makes the tour shorter, cross-connect the ends of the two sides that gain most."""
+    first, second = np.triu_indices(order.size, 1)
+    while True:
+        here, sides = points[order], _sides(points, order)
+        after = np.roll(here, -1)
+        crossed = np.abs(here[first] - here[second]) + np.abs(after[first] - after[second])
+        gain = sides[first] + sides[second] - crossed
+        best = int(np.argmax(gain))
+        if gain[best] <= 1e-9 * sides.sum():
+            return order
+        between = slice(int(first[best]) + 1, int(second[best]) + 1)
+        order = np.concatenate([order[: between.start], order[between][::-1], order[between.stop :]])
+
+
+def _sides(points: ComplexArray, order: IntArray) -> Array:
+    """Lengths (N,) of a closed tour's sides."""
+    return np.asarray(np.abs(points[order] - points[np.roll(order, -1)]))
+
+
+def draw_paths(history: History) -> Figure:
+    """Paths of robots and cameras over the ground, and the final fields of view."""
+    figure = new_figure(7.1, 6.8)
+    axes = figure.subplots()
+    positions = to_complex(history.positions_m)
+    axes.plot(positions.real, positions.imag, color=INK, alpha=0.45, linewidth=0.9)
+    _draw_starts(axes, positions[0], INK)
+    footprints = [_footprint_m(history, unit) for unit in range(history.heights_m.shape[1])]
+    for unit, corners_m in enumerate(footprints):
+        color, path_m = unit_color(unit), history.unit_positions_m[:, unit]
+        axes.add_patch(Polygon(corners_m, facecolor="none", edgecolor=color, linewidth=1.1, alpha=0.8))
+        axes.plot(*path_m.T, color=color, linewidth=1.8)
+        axes.plot(*path_m[0], "s", color=color, markersize=7)
+        axes.plot(*path_m[-1], "o", color=color, markersize=8, markeredgecolor=PAPER, zorder=6)
+    _draw_bodies(axes, history)
+    _draw_formation(axes, positions[-1], _shape_of(history, -1), history.ids, INK)
+    _frame_ground(axes, history, footprints)
+    axes.set(xlabel="x (m)", ylabel="y (m)")
+    handles = [*_start_and_end(INK), *unit_handles(len(footprints)), *_obstacle_handles(history)]
+    legend_above(figure, handles, columns=7)
+    return figure
+
+
+def draw_image_traces(history: History) -> Figure:
+    """What each unit saw of the robots it controlled."""
+    units = len(history.traces)
+    columns = min(units, 3)
+    rows = -(-units // columns)
+    side_in = TRACE_SIDE_IN[columns]
+    figure = new_figure(rows * (side_in + 0.1) + 0.7, columns * side_in + 0.3)
+    panels = figure.subplots(rows, columns, squeeze=False).ravel()
+    for unit, axes in enumerate(panels[:units]):
+        _draw_trace(axes, history, unit)
+        axes.set_xlabel("u (px)" if unit + columns >= units else "")
+        axes.set_ylabel("v (px), down" if unit % columns == 0 else "")
+    for axes in panels[units:]:
+        axes.set_visible(False)
+    radius = Line2D([], [], color=MUTED, linewidth=1.0, label="safety radius")
+    leaving = Line2D([], [], color=MUTED, linewidth=1.0, linestyle=":", label="leaving radius")
+    legend_above(figure, [*_start_and_end(INK), radius, leaving])
+    return figure
+
+
+def draw_template(history: History) -> Figure:
+    """The template image: the shape to form, the last one if there are several."""
+    figure = new_figure(4.8, 5.2)
+    axes = figure.subplots()
+    points = history.shape.points_of(history.ids)
+    _draw_formation(axes, points, points, history.ids, TEMPLATE_COLOR)
+    axes.set(xlabel="u (template units)", ylabel="v (template units), down")
+    frame_square(axes, to_points(points))
+    axes.invert_yaxis()
+    return figure
+
+
+def _draw_trace(axes: Axes, history: History, unit: int) -> None:
+    """One unit's image: traces of its robots, where they began and ended, and its safety radius."""
+    width, height = history.mission.scenario.units[unit].camera.size_px
+    _draw_safety_radius(axes, history, width, height)
+    points = history.traces[unit].points_px
+    color = unit_color(unit)
+    axes.plot(points.real, points.imag, color=color, linewidth=0.9, alpha=0.6)
+    if len(points):
+        first, last = np.isfinite(points[0]), np.isfinite(points[-1])
+        _draw_outline(axes, points[0, first], _shape_of(history, 0)[first], MUTED)
+        _draw_starts(axes, points[0, first], color)
+        shape, ids = _shape_of(history, -1)[last], history.ids[last]
+        _draw_formation(axes, points[-1, last], shape, ids, color, size=8.5, labels=len(last) <= MOST_LABELS)
+    axes.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), aspect="equal", title=f"unit {unit}")
+    axes.locator_params(nbins=4)
+    axes.spines[["top", "right"]].set_visible(True)
+    axes.grid(False)
+
+
+def _draw_safety_radius(axes: Axes, history: History, width: int, height: int) -> None:
+    rule = history.mission.scenario.selection
+    radius_px = rule.radius * min(width, height) / 2
+    center = ((width - 1) / 2, (height - 1) / 2)
+    for factor, line in ((1.0, "-"), (1.0 + rule.hysteresis, ":")):
+        circle = Circle(center, radius_px * factor, fill=False, color=MUTED, linestyle=line, linewidth=1.0)
+        axes.add_patch(circle)
+
+
+def _draw_starts(axes: Axes, points: ComplexArray, color: str) -> None:
+    axes.plot(points.real, points.imag, "s", color=color, markersize=4, markerfacecolor=PAPER)
+
+
+def _draw_formation(
+    axes: Axes,
+    points: ComplexArray,
+    shape: ComplexArray,
+    ids: IntArray,
+    color: str,
+    *,
+    size: float = 10.0,
+    labels: bool = True,
+) -> None:
+    """Robots at points (N,) as numbered circles, joined by dashed lines into their shape (N,)."""
+    _draw_outline(axes, points, shape, color)
+    axes.plot(points.real, points.imag, "o", color=color, markersize=size, markerfacecolor=PAPER, zorder=4)
+    if not labels or ids.size > MOST_LABELS:
+        return
+    for robot, point in zip(ids, points, strict=True):
+        label = axes.text(point.real, point.imag, str(robot), fontsize=0.62 * size, zorder=5, clip_on=True)
+        label.set(ha="center", va="center_baseline")
+
+
+def _shape_of(history: History, row: int) -> ComplexArray:
+    """Points (N,) of the template that the robots go to at a step."""
+    shape = history.mission.shape_at(float(history.times_s[row]), history.roles[row])
+    return shape.points_of(history.ids)
+
+
+def _draw_bodies(axes: Axes, history: History) -> None:
+    """Obstacles, and the robots' bodies at the end."""
+    mission = history.mission
+    for place, radius_m in zip(mission.obstacle_positions_m, mission.obstacle_radii_m, strict=True):
+        axes.add_patch(Circle(place, radius_m, **STONE))
+    if radius_m := mission.bodies.radius_m:
+        for place in history.positions_m[-1]:
+            axes.add_patch(Circle(place, radius_m, facecolor=MUTED, alpha=0.25, linewidth=0))
+
+
+def _obstacle_handles(history: History) -> list[Patch]:
+    return [Patch(**STONE, label="obstacle")] if history.mission.obstacle_ids.size else []
+
+
+def _draw_outline(axes: Axes, points: ComplexArray, shape: ComplexArray, color: str) -> None:
+    """Dashed lines that join robots at points (N,) in the order that outlines their shape (N,)."""
+    if shape.size < 2:
+        return
+    order = formation_order(shape)
+    closed = points[np.append(order, order[0])]
+    axes.plot(closed.real, closed.imag, color=color, linestyle=DASHES, linewidth=0.9, zorder=3)
+
+
+def _start_and_end(color: str) -> list[Line2D]:
+    start = Line2D([], [], color=color, linestyle="", marker="s", markersize=4, label="start")
+    end = Line2D([], [], color=color, linestyle=DASHES, linewidth=0.9, marker="o", markersize=8, label="end")
+    for handle in (start, end):
+        handle.set_markerfacecolor(PAPER)
+    return [start, end]
+
+
+def _footprint_m(history: History, unit: int) -> Array:
+    """Ground points (4, 2) under the corners of a unit's last image."""
+    model = history.mission.scenario.units[unit]
+    x_m, y_m = history.unit_positions_m[-1, unit]
+    tilt_u_rad, tilt_v_rad = history.tilts_rad[-1, unit].tolist()
+    pose = CameraPose(
+        position_m=(float(x_m), float(y_m)),
+        height_m=float(history.heights_m[-1, unit]),
+        yaw_rad=float(history.yaws_rad[-1, unit]),
+        tilt_rad=(tilt_u_rad, tilt_v_rad),
+        zoom=float(history.zooms[-1, unit]),
+    )
+    return footprint_m(make_camera(model.camera), pose)
+
+
+def _frame_ground(axes: Axes, history: History, footprints: list[Array]) -> None:
+    """Equal axes around all paths and fields of view, short of corners that a tilt throws far away."""
+    paths_m = np.concatenate([history.positions_m.reshape(-1, 2), history.unit_positions_m.reshape(-1, 2)])
+    low, high = np.nanmin(paths_m, axis=0), np.nanmax(paths_m, axis=0)
+    reach = FAR * float((high - low).max())
+    corners_m = np.clip(np.concatenate(footprints), low - reach, high + reach)
+    frame_square(axes, np.concatenate([paths_m, corners_m]))

@@ -1,0 +1,149 @@
+"""The figures of a run: every panel of the paper's two simulation figures, and more, as PNG and SVG."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from matplotlib.figure import Figure
+
+from skyherd.analysis.history import History
+from skyherd.files.atomic import write_whole
+from skyherd.plots import curves, maps
+from skyherd.plots.graph import draw_graph
+from skyherd.plots.style import DPI, drawing_style
+from skyherd.plots.topology import draw_topology
+
+
+@dataclass(frozen=True)
+class FigureFile:
+    """A figure on disk: what it is called, what it shows, and where it lies."""
+
+    name: str
+    title: str
+    caption: str
+    png: Path
+    svg: Path
+
+
+@dataclass(frozen=True)
+class Panel:
+    """A figure that can be drawn of any run."""
+
+    name: str
+    title: str
+    caption: str
+    draw: Callable[[History], Figure]
+
+
+PANELS = (
+    Panel(
+        "paths",
+        "Paths on the ground",
+        "Robots from their start (small squares) to their end (numbered circles, joined into the shape); "
+        "cameras' paths in colour, seen from above, with the ground that each sees at the end.",
+        maps.draw_paths,
+    ),
+    Panel(
+        "shape_error",
+        "Shape error",
+        "RMS distance to the best-fitting copy of the shape, of any place, size and rotation, as a share "
+        "of the formation's RMS radius.",
+        curves.draw_shape_error,
+    ),
+    Panel(
+        "scales",
+        "Scale of the formations",
+        "Size of the shape that each unit's robots come nearest to. All agree once the shape is formed.",
+        curves.draw_scales,
+    ),
+    Panel(
+        "cost",
+        "Cost function",
+        "V falls to zero as the shape forms. It is the sum of the units' shares, and may jump where the "
+        "topology switches.",
+        curves.draw_cost,
+    ),
+    Panel(
+        "robot_velocities",
+        "Robot velocities",
+        "Forward speed and turn rate (counter-clockwise) of every robot, within its wheels' limits.",
+        curves.draw_robot_velocities,
+    ),
+    Panel(
+        "rotations",
+        "Rotation of the formations",
+        "Orientation, counter-clockwise on the ground, of the shape that each unit's robots come nearest "
+        "to. All agree once the shape is formed.",
+        curves.draw_rotations,
+    ),
+    Panel(
+        "heights",
+        "Camera heights",
+        "Height of every camera above the ground, and the zoom where it changes. No unit knows its own.",
+        curves.draw_heights,
+    ),
+    Panel(
+        "image_traces",
+        "Image traces",
+        "What each camera saw of the robots that its unit controlled, from the first image (squares) to "
+        "the last (circles). Inside the safety radius a unit takes a robot over; beyond the leaving "
+        "radius it may give it up.",
+        maps.draw_image_traces,
+    ),
+    Panel(
+        "template",
+        "Template image",
+        "The shape to form, as one image point for each robot. Its place, size and rotation do not matter.",
+        maps.draw_template,
+    ),
+    Panel(
+        "yaws",
+        "Camera rotation",
+        "Yaw of every camera, counter-clockwise seen from above.",
+        curves.draw_yaws,
+    ),
+    Panel(
+        "camera_speeds",
+        "Camera speeds",
+        "Norm of every camera's velocity, horizontal and vertical together.",
+        curves.draw_camera_speeds,
+    ),
+    Panel(
+        "topology",
+        "Control topology",
+        "The units that control each robot, by colour (an empty row: none), and when the paper's "
+        "conditions TC1-TC5 hold; of a tree of units, when each belonged to it. TC1 and TC2 suffice for "
+        "convergence from nearby; all five, from anywhere.",
+        draw_topology,
+    ),
+    Panel(
+        "graph",
+        "Units and what they share",
+        "The topology at the end, on the ground: thin lines from each unit to the robots that it controls, "
+        "thick ones between units that share two or more; shared robots have a ring for each of their units.",
+        draw_graph,
+    ),
+)
+
+
+def write_figures(history: History, folder: Path) -> list[FigureFile]:
+    """Draw all panels of a run into `folder` as PNG and SVG; the same run gives the same bytes.
+
+    Raises:
+        OutputError: a file could not be written.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    with drawing_style():
+        return [_write_panel(panel, history, folder) for panel in PANELS]
+
+
+def _write_panel(panel: Panel, history: History, folder: Path) -> FigureFile:
+    return save_figure(panel.draw(history), folder, panel.name, panel.title, panel.caption)
+
+
+def save_figure(figure: Figure, folder: Path, name: str, title: str, caption: str) -> FigureFile:
+    """Write a figure as PNG and SVG; OutputError if a file could not be written."""
+    png, svg = folder / f"{name}.png", folder / f"{name}.svg"
+    write_whole(png, lambda part: figure.savefig(part, format="png", dpi=DPI))
+    write_whole(svg, lambda part: figure.savefig(part, format="svg", metadata={"Date": None}))
+    return FigureFile(name, title, caption, png, svg)

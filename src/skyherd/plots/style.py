@@ -1,0 +1,148 @@
+"""What every figure is drawn with: the style, the axes, the lines, the legends."""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+import numpy.typing as npt
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import ListedColormap, Normalize
+from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.lines import Line2D
+from matplotlib.ticker import LogLocator, NullLocator
+
+from skyherd.drawing.palette import INK, MUTED, PAPER, unit_color
+from skyherd.geometry import Array, IntArray
+
+WIDTH_IN = 7.2
+DPI = 130
+FEW_DECADES = 1.0
+"""A log axis that spans less than this needs labels between the powers of ten."""
+
+MOST_TICKS = 20
+"""About as many robots are named beside the bar of their colours."""
+
+_STYLE: Any = {
+    "axes.axisbelow": True,
+    "axes.edgecolor": MUTED,
+    "axes.facecolor": PAPER,
+    "axes.grid": True,
+    "axes.labelcolor": INK,
+    "axes.linewidth": 0.8,
+    "axes.spines.right": False,
+    "axes.spines.top": False,
+    "axes.titlesize": 10,
+    "figure.dpi": DPI,
+    "figure.facecolor": PAPER,
+    "font.family": "DejaVu Sans",
+    "font.size": 10,
+    "grid.color": "#e4e7eb",
+    "grid.linewidth": 0.7,
+    "legend.fontsize": 9,
+    "legend.frameon": False,
+    "legend.handlelength": 1.8,
+    "lines.linewidth": 1.4,
+    "path.simplify_threshold": 0.2,
+    "savefig.facecolor": PAPER,
+    "svg.hashsalt": "skyherd",
+    "text.color": INK,
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "xtick.labelsize": 9,
+    "ytick.labelsize": 9,
+}
+
+
+@contextmanager
+def drawing_style() -> Iterator[None]:
+    """Matplotlib's own defaults and the style above, whatever the user's settings; restored on leaving."""
+    with mpl.rc_context():
+        mpl.rcdefaults()
+        mpl.rcParams.update(_STYLE)
+        yield
+
+
+def new_figure(height_in: float, width_in: float = WIDTH_IN) -> Figure:
+    """An empty figure whose parts make room for each other."""
+    return Figure(figsize=(width_in, height_in), layout=ConstrainedLayoutEngine(w_pad=0.08, h_pad=0.08))
+
+
+def time_axes(figure: Figure, labels: Sequence[str]) -> list[Axes]:
+    """Axes below each other on one time axis, one for each label of a vertical axis."""
+    rows: npt.NDArray[Any] = figure.subplots(len(labels), 1, sharex=True, squeeze=False)
+    column: list[Axes] = list(rows[:, 0])
+    for axes, label in zip(column, labels, strict=True):
+        axes.set_ylabel(label)
+        axes.margins(x=0)
+    column[-1].set_xlabel("time (s)")
+    figure.align_ylabels(column)
+    return column
+
+
+def frame_square(axes: Axes, points: Array) -> None:
+    """Equal axes over a square around points (K, 2), with a margin."""
+    low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
+    center, half = (low + high) / 2, 0.54 * max(float((high - low).max()), 1e-9)
+    axes.set(
+        xlim=(center[0] - half, center[0] + half), ylim=(center[1] - half, center[1] + half), aspect="equal"
+    )
+
+
+def draw_line(axes: Axes, times_s: Array, values: Array, **style: Any) -> Line2D:
+    """A line over time, with gaps where values are NaN; one that is a single point shows as a dot."""
+    lone = np.isfinite(values).sum() == 1
+    (line,) = axes.plot(times_s, values, marker="o" if lone else "", markersize=4, **style)
+    return line
+
+
+def draw_unit_lines(axes: Axes, times_s: Array, values: Array) -> None:
+    """A line for each column of values (T, U), in the units' colours."""
+    for unit, column in enumerate(values.T):
+        draw_line(axes, times_s, column, color=unit_color(unit), label=f"unit {unit}")
+
+
+def use_log_scale(axes: Axes) -> None:
+    """Make the vertical axis logarithmic if its lines have anything to show there; else leave it linear."""
+    drawn = np.concatenate([np.asarray(line.get_ydata(), dtype=float) for line in axes.lines])
+    shown = drawn[np.isfinite(drawn) & (drawn > 0)]
+    if not shown.size:
+        return
+    axes.set_yscale("log", nonpositive="mask")
+    low, high = shown.min() / 1.5, shown.max() * 1.5
+    axes.set_ylim(low, high)
+    if np.log10(high / low) > FEW_DECADES:
+        axes.yaxis.set_major_locator(LogLocator(numticks=7))
+        axes.yaxis.set_minor_locator(NullLocator())
+
+
+def legend_above(figure: Figure, handles: Sequence[Artist] | None = None, columns: int = 6) -> None:
+    """A legend above all axes, where it covers nothing; of the first axes' labelled lines by default."""
+    if handles is None:
+        handles = figure.axes[0].get_legend_handles_labels()[0]
+    if handles:
+        figure.legend(handles=list(handles), loc="outside upper left", ncols=min(columns, len(handles)))
+
+
+def unit_handles(units: int) -> list[Line2D]:
+    """Legend entries for the units' colours."""
+    return [Line2D([], [], color=unit_color(unit), lw=2, label=f"unit {unit}") for unit in range(units)]
+
+
+def robot_colors(count: int) -> Array:
+    """(N, 4) RGBA for robots by rank, dark to light, none too pale for white paper."""
+    return np.asarray(mpl.colormaps["viridis"](np.linspace(0.0, 0.88, count)))
+
+
+def robot_colorbar(figure: Figure, axes: Sequence[Axes], ids: IntArray) -> None:
+    """A bar beside the axes that tells robots' colours."""
+    colors = ScalarMappable(Normalize(-0.5, ids.size - 0.5), ListedColormap(robot_colors(ids.size).tolist()))
+    bar = figure.colorbar(colors, ax=list(axes), pad=0.02, aspect=40, label="robot", drawedges=False)
+    every = max(1, round(ids.size / MOST_TICKS))
+    bar.set_ticks(range(0, ids.size, every), labels=[str(robot) for robot in ids[::every]])
+    bar.ax.tick_params(length=0)
+    bar.ax.spines[:].set_visible(False)

@@ -1,0 +1,118 @@
+"""The figure of the control topology: who controls whom, and which of the paper's conditions hold."""
+
+from collections.abc import Iterator
+from itertools import pairwise
+
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from skyherd.analysis.history import History
+from skyherd.analysis.tree_snapshot import TreeState
+from skyherd.drawing.palette import INK, unit_color
+from skyherd.geometry import Array, BoolArray
+from skyherd.plots.style import legend_above, new_figure
+
+HOLDS, BROKEN = "#d5dae1", INK
+BAR = 0.76
+"""Height of a bar; the rest of its row is a gap."""
+
+WIDE_IN = 10.2
+MOST_ROWS_LABELLED = 24
+
+
+def draw_topology(history: History) -> Figure:
+    """A row a robot in the colours of the units that control it, and a row for each of TC1-TC5.
+
+    Where units form a tree there is a row a unit, too: when it was in the tree, and when it was dead.
+    """
+    robots, units = history.ids.size, history.controlled.shape[1]
+    members = np.array([_in_tree(tree, units) for tree in history.trees])
+    heights = [0.14 * robots, *([0.14 * units] if members.any() else []), 0.8]
+    figure = new_figure(1.5 + sum(heights), WIDE_IN)
+    rows = figure.subplots(len(heights), 1, sharex=True, height_ratios=heights)
+    upper, lower = rows[0], rows[-1]
+    edges_s = np.append(history.times_s, history.times_s[-1] + history.mission.scenario.step_s)
+    _draw_control(upper, history, edges_s)
+    if members.any():
+        _draw_members(rows[1], members, edges_s)
+    _draw_conditions(lower, history, edges_s)
+    if members.any() and history.ready_row is not None:
+        for axes in rows:
+            axes.axvline(history.times_s[history.ready_row], color=INK, linestyle=(0, (3, 2)), linewidth=1)
+    upper.set_xlim(edges_s[0], edges_s[-1])
+    colors = {f"unit {unit}": unit_color(unit) for unit in range(history.controlled.shape[1])}
+    colors |= {"holds": HOLDS, "does not hold": BROKEN}
+    handles: list[Artist] = [Patch(color=color, label=label) for label, color in colors.items()]
+    if members.any():
+        handles.append(Line2D([], [], color=INK, linestyle=(0, (3, 2)), linewidth=1, label="tree complete"))
+    legend_above(figure, handles, columns=7)
+    return figure
+
+
+def _in_tree(tree: TreeState | None, units: int) -> BoolArray:
+    """(U,) units that belong to the tree."""
+    return np.isin(np.arange(units), [] if tree is None else list(tree.members))
+
+
+def _draw_members(axes: Axes, members: BoolArray, edges_s: Array) -> None:
+    """Bars while a unit (T, U) belongs to the tree; it is dead or outside in between."""
+    for unit, column in enumerate(members.T):
+        for start, end in runs(column[:, None]):
+            if column[start]:
+                bar = _rectangle(edges_s[start], edges_s[end], unit - BAR / 2, BAR)
+                axes.add_collection(PolyCollection([bar], facecolor=unit_color(unit), linewidth=0))
+    axes.set_yticks(range(members.shape[1]), labels=[str(unit) for unit in range(members.shape[1])])
+    _finish_rows(axes, members.shape[1])
+    axes.set_ylabel("in the tree")
+
+
+def _draw_control(axes: Axes, history: History, edges_s: Array) -> None:
+    """Each robot's row, split between the units that control it; empty while none does."""
+    bars: dict[int, list[Array]] = {}
+    for row in range(history.ids.size):
+        for start, end in runs(history.controlled[:, :, row]):
+            units: list[int] = np.flatnonzero(history.controlled[start, :, row]).tolist()
+            for share, unit in enumerate(units):
+                height = BAR / len(units)
+                bar = _rectangle(edges_s[start], edges_s[end], row - BAR / 2 + share * height, height)
+                bars.setdefault(unit, []).append(bar)
+    for unit, rectangles in bars.items():
+        axes.add_collection(PolyCollection(rectangles, facecolor=unit_color(unit), linewidth=0))
+    every = 1 if history.ids.size <= MOST_ROWS_LABELLED else 5
+    axes.set_yticks(range(0, history.ids.size, every), labels=[str(robot) for robot in history.ids[::every]])
+    _finish_rows(axes, history.ids.size)
+    axes.set_ylabel("robot")
+
+
+def _draw_conditions(axes: Axes, history: History, edges_s: Array) -> None:
+    for row, holds in enumerate(history.conditions.T):
+        for start, end in runs(holds[:, None]):
+            bar = _rectangle(edges_s[start], edges_s[end], row - BAR / 2, BAR)
+            color = HOLDS if holds[start] else BROKEN
+            axes.add_collection(PolyCollection([bar], facecolor=color, linewidth=0))
+    axes.set_yticks(range(5), labels=[f"TC{row + 1}" for row in range(5)])
+    _finish_rows(axes, 5)
+    axes.set_xlabel("time (s)")
+
+
+def _finish_rows(axes: Axes, rows: int) -> None:
+    axes.set_ylim(rows - 0.4, -0.6)
+    axes.tick_params(axis="y", length=0, labelsize=8)
+    axes.grid(False, axis="y")
+    axes.spines["left"].set_visible(False)
+
+
+def runs(states: BoolArray) -> Iterator[tuple[int, int]]:
+    """Stretches `start:end` over which rows (T, K) stay the same."""
+    changes = np.flatnonzero((states[1:] != states[:-1]).any(axis=1)) + 1
+    bounds = [0, *changes.tolist(), len(states)]
+    yield from pairwise(bounds)
+
+
+def _rectangle(left: float, right: float, bottom: float, height: float) -> Array:
+    return np.array([[left, bottom], [right, bottom], [right, bottom + height], [left, bottom + height]])

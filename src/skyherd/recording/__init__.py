@@ -1,0 +1,1 @@
+"""Runs written to MCAP files and read back."""

@@ -1,0 +1,207 @@
+"""From the world to a unit's detections: through rendered pixels, or by projection, exact or noisy."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from skyherd.datasets import Mission
+from skyherd.errors import InputError
+from skyherd.geometry import Array, BoolArray, IntArray, to_complex
+from skyherd.markers.blur_model import total_sigma_px
+from skyherd.markers.dictionary import card_side
+from skyherd.messages import Detections
+from skyherd.render import (
+    Clutter,
+    FrameTruth,
+    Ground,
+    Motion,
+    Renderer,
+    Shutter,
+    TeamImage,
+    project_team,
+)
+from skyherd.sim.world import World
+from skyherd.vision import create_detector, explain_mirrored
+from skyherd.vision.detectors.accuracy import DetectorAccuracy, load_accuracy
+
+Image = npt.NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class Sight:
+    """What one unit's camera gave, and the truth that recall is judged by.
+
+    Attributes:
+        detections: for the controller.
+        whole_ids: robots and obstacles whose whole marker card is in the image.
+        found_ids: those of them that were detected.
+        false_detections: detections of neither robot nor obstacle, or farther than half a side from theirs.
+        image: the picture, if one was made.
+    """
+
+    detections: Detections
+    whole_ids: IntArray
+    found_ids: IntArray
+    false_detections: int
+    image: Image | None
+
+
+class Perception(Protocol):
+    """A unit's eyes."""
+
+    def look(self, world: World, units: Sequence[int], time_s: float) -> list[Sight]:
+        """What each of `units` sees now."""
+        ...
+
+
+def make_perception(mission: Mission, rng: np.random.Generator) -> Perception:
+    """The perception a scenario asks for: `rendered`, `ideal` or `noisy`."""
+    scenario = mission.scenario
+    if scenario.perception == "ideal":
+        return Projected(scenario.marker.side_m, scenario.marker.dictionary)
+    if scenario.perception == "noisy":
+        accuracy = load_accuracy(scenario.detector)
+        return Projected(scenario.marker.side_m, scenario.marker.dictionary, accuracy=accuracy, rng=rng)
+    return Rendered(mission, rng)
+
+
+def make_renderer(mission: Mission, rng: np.random.Generator) -> Renderer:
+    """The renderer a scenario asks for."""
+    scenario = mission.scenario
+    sensor, ground = scenario.sensor, scenario.ground
+    clutter = None
+    if ground.clutter_per_m2:
+        clutter = Clutter(scenario.seed, ground.clutter_per_m2, ground.clutter_side_m, ground.clutter_levels)
+    return Renderer(
+        scenario.marker.dictionary,
+        scenario.marker.side_m,
+        Ground(
+            scenario.seed,
+            kind=ground.kind,
+            mean=ground.mean,
+            contrast=ground.contrast,
+            tile_m=ground.period_m,
+            sigma_px=total_sigma_px(sensor.psf_px),
+            image=mission.ground_image,
+            clutter=clutter,
+        ),
+        sensor.make(rng),
+        psf_px=sensor.psf_px,
+        shutter=sensor.shutter(),
+    )
+
+
+class Rendered:
+    """Pixels drawn by `skyherd.render` and read by `skyherd.vision`."""
+
+    def __init__(self, mission: Mission, rng: np.random.Generator) -> None:
+        scenario = mission.scenario
+        self.side_m, self.dictionary = scenario.marker.side_m, scenario.marker.dictionary
+        self._unproven = set(range(len(scenario.units)))
+        self.detector = create_detector(scenario.detector, dictionary=self.dictionary)
+        self.renderer = make_renderer(mission, rng)
+        self._occluders = [occluder.make() for occluder in scenario.occluders]
+        self._moves = self.renderer.shutter != Shutter()
+
+    def look(self, world: World, units: Sequence[int], time_s: float) -> list[Sight]:
+        """Render each unit's image and detect the markers in it."""
+        return [self._look(world, unit, time_s) for unit in units]
+
+    def _look(self, world: World, unit: int, time_s: float) -> Sight:
+        camera, pose = world.cameras[unit], world.camera_pose(unit)
+        markers = world.markers
+        team = markers.ids, markers.positions_m, markers.headings_rad
+        motion = world.motion(unit) if self._moves else Motion()
+        image = self.renderer.render(camera, pose, *team, motion=motion, occluders=self._occluders)
+        truth = self.renderer.truth(camera, pose, *team, motion=motion, occluders=self._occluders)
+        detections = self.detector.detect(image, time_s=time_s, unit_id=unit)
+        whole_ids = truth.ids[truth.whole]
+        if unit in self._unproven:
+            self._prove_unmirrored(unit, image, len(detections))
+        right = _right(detections, truth)
+        found_ids = whole_ids[(whole_ids[:, None] == detections.ids[right]).any(axis=1)]
+        return Sight(detections, whole_ids, found_ids, int((~right).sum()), image)
+
+    def _prove_unmirrored(self, unit: int, image: Image, found: int) -> None:
+        """Refuse a mirrored stream; asked of each unit's images until one shows something."""
+        if why := explain_mirrored(image, self.dictionary):
+            raise InputError(f"unit {unit}", why, "an image as the eye sees it")
+        if found:
+            self._unproven.discard(unit)
+
+
+def _right(detections: Detections, truth: FrameTruth) -> BoolArray:
+    """Which detections (N,) are of a marker that is there, and within half a side of it."""
+    order = np.argsort(truth.ids)
+    place = np.searchsorted(truth.ids, detections.ids, sorter=order).clip(max=truth.ids.size - 1)
+    row = order[place]
+    error = np.linalg.norm(truth.centers_px[row] - detections.centers_px, axis=1)
+    return np.asarray((truth.ids[row] == detections.ids) & (error <= detections.sides_px / 2))
+
+
+class Projected:
+    """Exact projection of every marker whose card is whole in view, with measured noise if asked.
+
+    Args:
+        side_m: side of the markers.
+        dictionary: of the markers.
+        accuracy: the detector whose covariance the noise is drawn from; none for exact points.
+        rng: what draws it.
+    """
+
+    def __init__(
+        self,
+        side_m: float,
+        dictionary: str,
+        *,
+        accuracy: DetectorAccuracy | None = None,
+        rng: np.random.Generator | None = None,
+    ) -> None:
+        self.side_m, self.dictionary, self.accuracy = side_m, dictionary, accuracy
+        self.rng = rng or np.random.default_rng(0)
+
+    def look(self, world: World, units: Sequence[int], time_s: float) -> list[Sight]:
+        """Project the markers into each unit's image."""
+        views = [(world.cameras[unit], world.camera_pose(unit)) for unit in units]
+        markers, card_side_m = world.markers, self.side_m * card_side(self.dictionary)
+        images = project_team(views, markers.positions_m, markers.headings_rad, self.side_m, card_side_m)
+        return [
+            self._sight(world, unit, time_s, image, markers.ids[image.rows])
+            for unit, image in zip(units, images, strict=True)
+        ]
+
+    def _sight(self, world: World, unit: int, time_s: float, image: TeamImage, ids: IntArray) -> Sight:
+        centers, corners = image.centers_px, image.corners_px
+        headings, sides = _headings_and_sides(centers, corners)
+        covariances = np.zeros((ids.size, 3, 3))
+        if self.accuracy is not None and ids.size:
+            covariances = self.accuracy.covariances(sides)
+            error = np.sqrt(np.einsum("nii->ni", covariances)) * self.rng.standard_normal((ids.size, 3))
+            centers, corners = centers + error[:, :2], corners + error[:, None, :2]
+            headings = headings + error[:, 2]
+        detections = Detections(
+            unit_id=unit,
+            time_s=time_s,
+            image_size_px=np.array(world.cameras[unit].size_px),
+            ids=ids,
+            centers_px=centers,
+            headings_rad=headings,
+            sides_px=sides,
+            corners_px=corners,
+            covariances=covariances,
+        )
+        return Sight(detections, ids, ids, 0, None)
+
+
+def _headings_and_sides(centers_px: Array, corners_px: Array) -> tuple[Array, Array]:
+    """Heading (N,) towards the middle of the front edge, and side (N,), the root of the area.
+
+    Unlike `pose_of_corners` this also holds for mirrored markers, which no detector decodes.
+    """
+    corners = to_complex(corners_px)
+    heading = np.angle(corners[:, :2].mean(axis=1) - to_complex(centers_px))
+    diagonals = (corners[:, 2] - corners[:, 0]).conj() * (corners[:, 3] - corners[:, 1])
+    return heading, np.sqrt(np.abs(diagonals.imag) / 2)

@@ -1,0 +1,1 @@
+"""The annotated video of a run: its panels and how they are composed."""

@@ -1,0 +1,224 @@
+"""What one aerial unit sees and wants: its image, its robots, and where it asks them to go."""
+
+import cv2
+import numpy as np
+
+from skyherd.analysis.goal_points import desired_points_px, rows_of
+from skyherd.control.topology.conditions import ControlSets, owners_by_robot
+from skyherd.drawing.canvas import (
+    Box,
+    Color,
+    Image,
+    circle_dashes,
+    draw_arrows,
+    draw_circle,
+    draw_lines,
+    draw_ring,
+    draw_segments,
+    draw_text,
+    fill_polygon,
+    text_width,
+)
+from skyherd.drawing.palette import INK, MUTED, PAPER, TEMPLATE_COLOR, rgb, unit_rgb
+from skyherd.geometry import Array, BoolArray, to_points
+from skyherd.loop import UnitFrame
+from skyherd.messages import NOBODY, Detections
+from skyherd.messages.tree_status import TreeWord
+from skyherd.video.body_overlay import BodySizes, draw_obstacle, draw_safety, draw_warning
+
+TITLE_PX = 26
+BORDER_PX = 3
+PLAIN: Color = (236, 237, 233)
+"""Ground colour where there is no picture."""
+
+FOREIGN: Color = (78, 83, 90)
+"""Marks of robots that the unit sees and does not control."""
+
+CLEAR_SIDES = 0.95
+"""Nothing is drawn over an obstacle's marker and card, within so many marker sides of its middle."""
+
+RING_PX = 4
+"""From a robot's ring to the one of the units it is shared with."""
+
+LIFT = 0.7
+"""Exponent of the display curve of camera images: brightens mid greys, so that colours stand out."""
+
+_CURVE = np.rint(255 * (np.arange(256) / 255) ** LIFT).astype(np.uint8)
+
+
+def _standing(tree: TreeWord | None) -> str:
+    """What a title says of the unit's standing in the tree."""
+    if tree is None:
+        return ""
+    if tree.tree_id == NOBODY:
+        return " · outside" if tree.asks_id == NOBODY else f" · asks unit {tree.asks_id}"
+    return "" if tree.heir_id == NOBODY else f" · heir {tree.heir_id}"
+
+
+def brightened(image: Image) -> Image:
+    """A camera's image as it is shown."""
+    return np.asarray(cv2.LUT(image, _CURVE), dtype=np.uint8)
+
+
+class CameraView:
+    """Draws one unit's frames into its cell of the canvas: a title, and the image below it.
+
+    Args:
+        unit: whose images they are.
+        cell: the part of the canvas to draw in.
+        image_size_px: width and height of the unit's images.
+        radius: safety radius, in halves of the image's shorter side.
+        bodies: how large robots and obstacles are.
+    """
+
+    def __init__(
+        self,
+        unit: int,
+        cell: Image,
+        image_size_px: tuple[int, int],
+        radius: float,
+        bodies: BodySizes | None = None,
+    ) -> None:
+        self.unit, self.color, self.bodies = unit, unit_rgb(unit), bodies or BodySizes()
+        width, height = image_size_px
+        room = np.array([cell.shape[1], cell.shape[0] - TITLE_PX]) - 2 * BORDER_PX
+        self.scale = float(min(room / (width, height)))
+        shown = Box(BORDER_PX, TITLE_PX + BORDER_PX, int(width * self.scale), int(height * self.scale))
+        self._title = cell[:TITLE_PX]
+        self._picture = shown.of(cell)
+        self._grey = np.empty((shown.height, shown.width), np.uint8)
+        center_px = self.to_panel(np.array([(width - 1) / 2, (height - 1) / 2]))
+        self._circle = circle_dashes(center_px, radius * min(width, height) / 2 * self.scale)
+        self._frame = Box(0, TITLE_PX, shown.width + 2 * BORDER_PX, shown.height + 2 * BORDER_PX).of(cell)
+        self._is_dead = False
+        self._show_nothing(self.color)
+        self._write_title(f"unit {unit} · no image yet")
+
+    def to_panel(self, points_px: Array) -> Array:
+        """Places (..., 2) on the panel of points of the camera's image."""
+        return np.asarray((points_px + 0.5) * self.scale - 0.5)
+
+    def draw(self, frame: UnitFrame, sets: ControlSets, struck: frozenset[int] = frozenset()) -> None:
+        """Draw a frame, given which robots each unit controls, and whose bodies overlap."""
+        if self._is_dead:
+            self._show_nothing(self.color)
+            self._is_dead = False
+        seen, report = frame.sight.detections, frame.decision.report
+        stones = np.array(list(self.bodies.obstacles), dtype=np.int64)
+        robots = seen.select(np.setdiff1d(seen.ids, stones))
+        controlled = report.controlled_ids
+        held, standing = f"unit {self.unit} · {controlled.size} controlled", _standing(report.tree)
+        self._write_title(f"{held} · {len(robots)} seen{standing}", f"{held}{standing}")
+        self._draw_image(frame)
+        plain = frame.sight.image is None
+        color = rgb(MUTED if plain else PAPER)
+        draw_lines(self._picture, self._seen_circle(frame), color, 2)
+        self._draw_obstacles(seen.select(stones), struck)
+        self._draw_marks(robots, {**sets, self.unit: controlled})
+        self._draw_bodies(robots, struck, color)
+        self._draw_goals(frame)
+        self._draw_ids(robots)
+
+    def _seen_circle(self, frame: UnitFrame) -> list[Array]:
+        """The safety radius as the camera sees it."""
+        if frame.ground_map.ideal:
+            return self._circle
+        size_px = frame.sight.detections.image_size_px
+        circle = (np.concatenate(self._circle) + 0.5) / self.scale - 0.5
+        seen = self.to_panel(frame.ground_map.image_px(circle, size_px))
+        return list(seen.reshape(len(self._circle), -1, 2))
+
+    def draw_dead(self) -> None:
+        """Show that the unit is dead."""
+        if not self._is_dead:
+            self._is_dead = True
+            self._show_nothing(rgb(MUTED))
+            height, width = self._picture.shape[:2]
+            draw_lines(self._picture, [[[0, 0], [width, height]], [[0, height], [width, 0]]], rgb(MUTED), 2)
+            self._write_title(f"unit {self.unit} · dead")
+
+    def _show_nothing(self, frame: Color) -> None:
+        self._frame[:] = frame
+        self._picture[:] = PLAIN
+
+    def _write_title(self, *texts: str) -> None:
+        """Write the first text that there is room for, large or small; else the last one, small."""
+        self._title[:] = rgb(PAPER)
+        draw_circle(self._title, (7, TITLE_PX / 2), 6, self.color, -1)
+        room = self._title.shape[1] - 20
+        sizes = [(text, size_px) for text in texts for size_px in (15, 12)]
+        fitting = (choice for choice in sizes if text_width(*choice) <= room)
+        text, size_px = next(fitting, sizes[-1])
+        draw_text(self._title, text, (20, TITLE_PX / 2), rgb(INK), size_px=size_px)
+
+    def _draw_image(self, frame: UnitFrame) -> None:
+        """The picture, or its markers as black squares where none was made."""
+        image = frame.sight.image
+        if image is None:
+            self._picture[:] = PLAIN
+            for corners in self.to_panel(frame.sight.detections.corners_px):
+                fill_polygon(self._picture, corners, (0, 0, 0))
+            return
+        height, width = self._grey.shape
+        cv2.resize(image, (width, height), dst=self._grey, interpolation=cv2.INTER_AREA)
+        cv2.LUT(self._grey, _CURVE, dst=self._grey)
+        cv2.cvtColor(self._grey, cv2.COLOR_GRAY2RGB, dst=self._picture)
+
+    def _draw_obstacles(self, stones: Detections, struck: frozenset[int]) -> None:
+        """Obstacles, hatched around their markers."""
+        centers, sides = self.to_panel(stones.centers_px), stones.sides_px * self.scale
+        for stone_id, center, side in zip(stones.ids.tolist(), centers, sides.tolist(), strict=True):
+            radius = self.bodies.obstacles[stone_id] * side
+            hole = min(CLEAR_SIDES * side, radius)
+            draw_obstacle(self._picture, center, radius, hole, struck=stone_id in struck)
+
+    def _draw_bodies(self, robots: Detections, struck: frozenset[int], color: Color) -> None:
+        """The room kept clear around robots, and what overlaps; a robot's own ring shows its body."""
+        centers, radii = self.to_panel(robots.centers_px), self._radii(robots)
+        clear = self.bodies.safety * robots.sides_px * self.scale
+        apart = clear > radii + RING_PX
+        draw_safety(self._picture, centers[apart], clear[apart], color)
+        hit = np.isin(robots.ids, list(struck))
+        for center, radius in zip(centers[hit].tolist(), radii[hit].tolist(), strict=True):
+            draw_warning(self._picture, center, radius + RING_PX)
+
+    def _draw_marks(self, robots: Detections, sets: ControlSets) -> None:
+        """Rings: this unit's colour, then the colours of the others that share the robot; else grey."""
+        owners = owners_by_robot(sets)
+        units = [owners.get(robot_id, []) for robot_id in robots.ids.tolist()]
+        mine = np.array([self.unit in who for who in units], dtype=bool)
+        shared = mine & np.array([len(who) > 1 for who in units], dtype=bool)
+        centers, radii = self.to_panel(robots.centers_px), self._radii(robots)
+        self._draw_ticks(centers, radii + RING_PX * shared, robots.headings_rad, mine)
+        for who, center, radius in zip(units, centers.tolist(), radii.tolist(), strict=True):
+            own = self.unit in who
+            draw_ring(self._picture, center, radius, [self.color if own else FOREIGN])
+            others = [unit_rgb(unit) for unit in who if unit != self.unit]
+            if own and others:
+                draw_ring(self._picture, center, radius + RING_PX, others)
+
+    def _draw_ticks(self, centers: Array, radii: Array, headings_rad: Array, mine: BoolArray) -> None:
+        """Heading ticks (N,) from the rings outwards."""
+        ahead = to_points(np.exp(1j * headings_rad))
+        starts, ends = centers + radii[:, None] * ahead, centers + (radii[:, None] + 8) * ahead
+        draw_segments(self._picture, starts, ends, rgb(PAPER), 5)
+        draw_segments(self._picture, starts[mine], ends[mine], self.color, 3)
+        draw_segments(self._picture, starts[~mine], ends[~mine], FOREIGN, 3)
+
+    def _radii(self, robots: Detections) -> Array:
+        """Radii (N,) of the rings around robots: their bodies', or outside the marker; not too small."""
+        return np.maximum((self.bodies.radius or 0.95) * robots.sides_px * self.scale, 7.0)
+
+    def _draw_goals(self, frame: UnitFrame) -> None:
+        if frame.decision.goals is None:
+            return
+        robots = frame.sight.detections
+        starts = self.to_panel(robots.centers_px[rows_of(robots, frame.decision.goals.ids)])
+        tips = self.to_panel(desired_points_px(frame))
+        draw_arrows(self._picture, starts, tips, rgb(TEMPLATE_COLOR), rgb(PAPER))
+
+    def _draw_ids(self, robots: Detections) -> None:
+        places = self.to_panel(robots.centers_px).tolist()
+        for robot_id, (u, v), radius in zip(robots.ids.tolist(), places, self._radii(robots), strict=True):
+            at = u + 0.75 * radius + 4, v - 0.75 * radius - 5
+            draw_text(self._picture, str(robot_id), at, rgb(INK), size_px=12, bold=True, halo=rgb(PAPER))

@@ -1,0 +1,226 @@
+"""A run as a moving picture: what the cameras see, the ground from above, and the cost going down."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from skyherd.analysis.tree_snapshot import TreeWatch
+from skyherd.datasets import Mission
+from skyherd.drawing.canvas import Box, Image, draw_text, text_width
+from skyherd.drawing.palette import INK, MUTED, PAPER, rgb, unit_rgb
+from skyherd.loop import Step, UnitFrame, dead_units
+from skyherd.video.body_overlay import BodySizes, overlapping_ids
+from skyherd.video.camera_panel import BORDER_PX, TITLE_PX, CameraView
+from skyherd.video.curve_panel import Curve, PlotView
+from skyherd.video.ground_panel import GroundView
+from skyherd.video.legend import draw_key, key_height_px
+from skyherd.video.rectified_panel import RectifiedView
+
+HEADER_PX = 46
+PLOTS_SHARE = 0.25
+CAMERAS_SHARE = 0.62
+STRIPS_PX = (0, *range(80, 320, 24))
+"""Heights that are tried for a strip with the key below the cameras; 0 is none."""
+
+GAP_PX = 14
+MUCH_LARGER = 1.2
+"""Cameras in a wide block must gain this much, since it leaves less to the ground and more paper bare."""
+
+MOST_RECTIFIED = 3
+"""With more units than this there is no room for rectified images."""
+
+MOST_NAMED = 5
+"""With more units than this the curves' names are bare numbers."""
+
+LEAST_COST = 1e-9
+"""Costs below this, m², are those of two robots, which always make their shape, or of none: not shown."""
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where everything is on the canvas: cells of cameras and of their images rectified, and the rest."""
+
+    cameras: list[Box]
+    rectified: list[Box]
+    key: Box
+    ground: Box
+    plots: tuple[Box, Box]
+
+
+def make_layout(
+    size_px: tuple[int, int],
+    image_sizes_px: Sequence[tuple[int, int]],
+    *,
+    tree: bool = False,
+    bodies: bool = False,
+    rectified: bool = False,
+) -> Layout:
+    """Cameras in a near-square block on the left, the ground beside it, the plots below.
+
+    With rectified images there is a column for each camera. The key goes where the block's last row has
+    room to spare, or else below the block.
+    """
+    width, height = size_px
+    units, square = len(image_sizes_px), int(np.ceil(np.sqrt(len(image_sizes_px))))
+    choices = (square, square + 1)
+    if rectified:
+        image_sizes_px, choices, square = [*image_sizes_px, *image_sizes_px], (units, units), units
+    bottom = height - round(PLOTS_SHARE * height)
+    blocks = [
+        _block(columns, (width, bottom), image_sizes_px, strip_px, tree=tree, bodies=bodies)
+        for columns in choices
+        for strip_px in STRIPS_PX
+    ]
+    pitch_u, pitch_v, columns, key = max(
+        (block for block in blocks if block),
+        key=lambda block: block[0] if block[2] == square else block[0] / MUCH_LARGER,
+    )
+    corners = [
+        (GAP_PX + k % columns * pitch_u, HEADER_PX + k // columns * pitch_v)
+        for k in range(len(image_sizes_px))
+    ]
+    cells = [Box(u, v, pitch_u - GAP_PX, pitch_v - GAP_PX) for u, v in corners]
+    left = 2 * GAP_PX + columns * pitch_u
+    ground = Box(left, HEADER_PX, width - left - GAP_PX, bottom - HEADER_PX)
+    half = (width - 3 * GAP_PX) // 2
+    plots = tuple(Box(u, bottom + 4, half, height - bottom - 4) for u in (GAP_PX, width - GAP_PX - half))
+    return Layout(cells[:units], cells[units:], key, ground, (plots[0], plots[1]))
+
+
+def _block(
+    columns: int,
+    room_px: tuple[int, int],
+    image_sizes_px: Sequence[tuple[int, int]],
+    strip_px: int,
+    *,
+    tree: bool,
+    bodies: bool,
+) -> tuple[int, int, int, Box] | None:
+    """Pitches of the cells, px, columns, and a box for the key; None if the key has no room.
+
+    The key is in a strip below the cells, or beside the last row's if that strip is 0 px high.
+    """
+    width, bottom = room_px
+    units = len(image_sizes_px)
+    rows = -(-units // columns)
+    aspect = max(w / h for w, h in image_sizes_px)
+    frame = 2 * BORDER_PX
+    high = (bottom - HEADER_PX - strip_px) / rows - TITLE_PX - frame - GAP_PX
+    wide = min(high * aspect, CAMERAS_SHARE * width / columns - frame - GAP_PX)
+    pitch_u, pitch_v = int(wide) + frame + GAP_PX, int(wide / aspect) + TITLE_PX + frame + GAP_PX
+    below = HEADER_PX + rows * pitch_v
+    if strip_px:
+        key = Box(GAP_PX, below - GAP_PX // 2, columns * pitch_u - GAP_PX, bottom - below)
+    else:
+        filled = units - (rows - 1) * columns
+        left = GAP_PX + filled * pitch_u
+        key = Box(left, below - pitch_v, (columns - filled) * pitch_u - GAP_PX, pitch_v - GAP_PX)
+    fits = wide > 0 and key.width > 0 and key_height_px(key.width, tree=tree, bodies=bodies) <= key.height
+    return (pitch_u, pitch_v, columns, key) if fits else None
+
+
+class Composer:
+    """Makes a picture of each step of a mission; give it the steps in order.
+
+    Args:
+        mission: what is run.
+        size_px: width and height of the pictures, px.
+    """
+
+    def __init__(self, mission: Mission, size_px: tuple[int, int] = (1600, 1000)) -> None:
+        scenario = mission.scenario
+        self.mission, self.size_px = mission, size_px
+        self._canvas = np.empty((size_px[1], size_px[0], 3), np.uint8)
+        self._canvas[:] = rgb(PAPER)
+        self._shown = self._canvas.view()
+        self._shown.setflags(write=False)
+        sizes = [unit.camera.size_px for unit in scenario.units]
+        tree = scenario.selection.kind == "tree"
+        self._bodies = BodySizes.of(mission)
+        bodies = bool(self._bodies.radius or self._bodies.obstacles or scenario.roles.exchange)
+        bent = scenario.control.rectify and not all(unit.ideal for unit in scenario.units)
+        layout = make_layout(
+            size_px, sizes, tree=tree, bodies=bodies, rectified=bent and len(sizes) <= MOST_RECTIFIED
+        )
+        self._cameras = [
+            CameraView(unit, box.of(self._canvas), sizes[unit], scenario.selection.radius, self._bodies)
+            for unit, box in enumerate(layout.cameras)
+        ]
+        self._rectified = [
+            RectifiedView(unit, box.of(self._canvas), sizes[unit])
+            for unit, box in enumerate(layout.rectified)
+        ]
+        self._ground = GroundView(mission, layout.ground.of(self._canvas))
+        draw_key(layout.key.of(self._canvas), tree=tree, bodies=bodies)
+        self._cost, self._scale = self._make_plots(layout)
+        self._last: dict[int, UnitFrame] = {}
+        self._tree = TreeWatch()
+
+    def compose(self, step: Step) -> Image:
+        """Picture (height, width, 3) RGB of a step: read-only, and drawn over by the next call."""
+        self._last |= step.frames
+        dead = dead_units(self.mission.scenario, step.time_s)
+        for unit in dead:
+            self._last.pop(unit, None)
+            self._cameras[unit].draw_dead()
+        struck = overlapping_ids(self.mission, step.positions_m)
+        for unit, frame in self._last.items():
+            self._cameras[unit].draw(frame, step.control_sets, struck)
+            if self._rectified:
+                self._rectified[unit].draw(frame)
+        self._ground.draw(step, self._tree.see(step, dead), struck)
+        seen = step.observation
+        cost = np.append(seen.V, seen.V_units)
+        self._cost.add(step.time_s, np.where(cost > LEAST_COST, cost, np.nan))
+        self._scale.add(step.time_s, seen.scales)
+        self._draw_header(step)
+        return self._shown
+
+    def _make_plots(self, layout: Layout) -> tuple[PlotView, PlotView]:
+        duration_s = self.mission.scenario.duration_s
+        many = len(self._cameras) > MOST_NAMED
+        names = [f"{unit}" if many else f"unit {unit}" for unit in range(len(self._cameras))]
+        units = [Curve(name, unit_rgb(unit)) for unit, name in enumerate(names)]
+        cost, scale = (box.of(self._canvas) for box in layout.plots)
+        return (
+            PlotView(cost, "cost V, m²", [Curve("total", rgb(INK), 4), *units], duration_s, log=True),
+            PlotView(scale, "scale of each part, metres a template unit", units, duration_s),
+        )
+
+    def _draw_header(self, step: Step) -> None:
+        """What is run, on the left; how it goes, in columns that stay in place, on the right."""
+        header = self._canvas[:HEADER_PX]
+        header[:] = rgb(PAPER)
+        scenario, middle = self.mission.scenario, HEADER_PX / 2
+        name = f"skyherd · {scenario.name}"
+        draw_text(header, name, (GAP_PX, middle), rgb(INK), size_px=21, bold=True)
+        after = GAP_PX + text_width(name, 21, bold=True) + 14
+        draw_text(header, scenario.perception, (after, middle), rgb(MUTED), size_px=18)
+        right = header.shape[1] - GAP_PX
+        for label, value, width in reversed(self._figures(step)):
+            draw_text(header, value, (right - width, middle), rgb(INK), size_px=18, bold=True)
+            label_right = right - width - 8
+            draw_text(header, label, (label_right, middle), rgb(MUTED), size_px=16, align="right")
+            right = round(label_right - text_width(label, 16) - 26)
+
+    def _nearest(self, step: Step) -> tuple[str, str, int]:
+        """The closest pair of robots, or where they have bodies the least gap between any two."""
+        if not (self._bodies.radius or self._bodies.obstacles):
+            return "closest pair", f"{step.observation.min_separation_m:.2f} m", 74
+        gap_m = float(self.mission.bodies.gaps_m(step.positions_m).min())
+        return "least gap", f"{gap_m:.2f} m".replace("-", "−"), 74
+
+    def _figures(self, step: Step) -> list[tuple[str, str, int]]:
+        """Label, value, and the width in px kept for the value."""
+        seen = step.observation
+        sights = [frame.sight for frame in self._last.values()]
+        found = sum(sight.found_ids.size for sight in sights)
+        whole = sum(sight.whole_ids.size for sight in sights)
+        return [
+            ("t", f"{step.time_s:.1f} s", 86),
+            ("shape error", f"{100 * seen.shape.error:.1f} %", 74),
+            self._nearest(step),
+            ("detections", f"{found}/{whole}", 88),
+            ("V", f"{seen.V:.3g} m²" if seen.V >= 0.01 else f"{seen.V:.1e} m²", 112),
+        ]

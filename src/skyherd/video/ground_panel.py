@@ -1,0 +1,261 @@
+"""The ground from above, as only the simulation knows it: robots, units, what they see, and the shape."""
+
+import numpy as np
+from scipy.spatial.distance import pdist, squareform
+
+from skyherd.analysis.tree_snapshot import TreeState
+from skyherd.control import fit_similarity
+from skyherd.control.topology.conditions import owners_by_robot
+from skyherd.datasets import Mission
+from skyherd.drawing.canvas import (
+    Box,
+    Color,
+    Image,
+    dashes,
+    draw_circle,
+    draw_lines,
+    draw_ring,
+    draw_segments,
+    draw_text,
+    fill_polygon,
+)
+from skyherd.drawing.palette import INK, MUTED, PAPER, TEMPLATE_COLOR, rgb, unit_rgb
+from skyherd.errors import DegenerateSetError
+from skyherd.geometry import Array, to_complex, to_points
+from skyherd.loop import Step
+from skyherd.render import footprint_m
+from skyherd.sim.world import make_camera
+from skyherd.video.axis_ticks import tick_values
+from skyherd.video.body_overlay import CLEAR, BodySizes, draw_bodies, draw_obstacle
+from skyherd.video.tree_overlay import TreeView, draw_dead, draw_pair_marks
+
+TITLE_PX = 26
+LEFT_PX = 34
+BOTTOM_PX = 22
+FIELD: Color = (248, 248, 246)
+GRID: Color = (228, 229, 226)
+FAINT: Color = (206, 209, 212)
+TAILS: tuple[tuple[int, Color], ...] = ((60, (184, 188, 193)), (30, (150, 156, 163)), (12, (112, 119, 128)))
+"""Last steps of a path, and the colour they are drawn in over the faint whole."""
+
+LABEL_SPOTS = np.array([[33.0, 0.0], [-33.0, 0.0], [0.0, -18.0], [0.0, 18.0]])
+LABEL_ROOM_PX = np.array([34.0, 18.0])
+"""What is nearer than this to the middle of a unit's name is in its way."""
+
+EXCHANGE_S = 2.0
+"""How long a place in the shape is shown as new to its robot."""
+
+MARGIN_PX = 16.0
+SPACING_PX = 64.0
+"""The view shows the footprints as long as neighbouring robots are typically this far apart in it."""
+
+
+def _spacing_m(positions_m: Array) -> float:
+    """Median distance from a robot to its nearest neighbour; positions (N, 2)."""
+    distances = squareform(pdist(positions_m))
+    np.fill_diagonal(distances, np.inf)
+    return float(np.median(distances.min(axis=1)))
+
+
+class GroundView:
+    """Draws steps into a panel of the canvas; the view widens when a robot or a unit would leave it.
+
+    Args:
+        mission: what is run.
+        panel: the part of the canvas to draw in.
+    """
+
+    def __init__(self, mission: Mission, panel: Image) -> None:
+        self.mission, self._panel = mission, panel
+        self._cameras = [make_camera(unit.camera) for unit in mission.scenario.units]
+        box = Box(LEFT_PX, TITLE_PX, panel.shape[1] - LEFT_PX, panel.shape[0] - TITLE_PX - BOTTOM_PX)
+        self._field = box.of(panel)
+        self._paper = np.empty_like(self._field)
+        self._past_m: list[Array] = []
+        self._center_m, self._px_per_m = np.zeros(2), 0.0
+        self._roles, self._exchanged_s = np.arange(mission.ids.size), np.full(mission.ids.size, -np.inf)
+        self._label_sides = [0] * len(self._cameras)
+        self._tree = TreeView(mission.ids)
+        self._title = panel[:TITLE_PX]
+
+    def to_panel(self, points_m: Array) -> Array:
+        """Places (..., 2) in the field of ground points (..., 2): x to the right, y up."""
+        middle = np.array([self._field.shape[1] - 1, self._field.shape[0] - 1]) / 2
+        return np.asarray((points_m - self._center_m) * (self._px_per_m, -self._px_per_m) + middle)
+
+    def draw(self, step: Step, tree: TreeState | None = None, struck: frozenset[int] = frozenset()) -> None:
+        """Draw the ground at one step, with the tree of units if they have one, and whose bodies overlap."""
+        self._write_title(tree)
+        corners_m = [footprint_m(c, step.fleet.pose(u)) for u, c in enumerate(self._cameras)]
+        self._past_m.append(np.concatenate([step.positions_m, step.fleet.positions_m]))
+        if not self._in_view(self._past_m[-1]):
+            self._fit(corners_m)
+        self._extend_paths(self._past_m[-2:])
+        self._field[:] = self._paper
+        self._draw_bodies(step, struck)
+        self._draw_tails(step.positions_m.shape[0])
+        dead = frozenset[int]() if tree is None else tree.dead
+        for unit, corners in enumerate(corners_m):
+            if unit not in dead:
+                width_px = 2 if tree is None else 1
+                draw_lines(self._field, [self.to_panel(corners)], unit_rgb(unit), width_px, closed=True)
+        self._draw_shape(step)
+        if tree is not None:
+            units, robots = self.to_panel(step.fleet.positions_m), self.to_panel(step.positions_m)
+            self._tree.draw_edges(self._field, tree, units, robots, step.time_s)
+        self._draw_robots(step, tree)
+        self._draw_units(step, tree)
+
+    def _write_title(self, tree: TreeState | None) -> None:
+        """What is shown, on the left, and how the tree stands, on the right."""
+        self._title[:] = rgb(PAPER)
+        title = "the ground from above · axes in metres" if tree is None else "the ground, metres"
+        draw_text(self._title, title, (LEFT_PX, TITLE_PX / 2), rgb(INK), size_px=15)
+        if tree is not None:
+            right = self._title.shape[1] - 2, TITLE_PX / 2
+            draw_text(self._title, _standing(tree), right, rgb(INK), size_px=13, bold=True, align="right")
+
+    def _in_view(self, points_m: Array) -> bool:
+        if self._px_per_m == 0:
+            return False
+        places = self.to_panel(points_m)
+        limit = np.array([self._field.shape[1], self._field.shape[0]]) - MARGIN_PX
+        return bool(((places >= MARGIN_PX) & (places <= limit)).all())
+
+    def _fit(self, corners_m: list[Array]) -> None:
+        """Choose the view: all that moves with a margin, and the footprints as far as they fit."""
+        room = np.array([self._field.shape[1], self._field.shape[0]]) - 2 * MARGIN_PX
+        past = np.concatenate(self._past_m)
+        low, high = past.min(axis=0), past.max(axis=0)
+        middle, least = (low + high) / 2, 0.55 * np.maximum(high - low, 1e-3)
+        most = np.maximum(
+            least, room * _spacing_m(self._past_m[-1][: self.mission.ids.size]) / SPACING_PX / 2
+        )
+        seen = np.concatenate([past, *corners_m, self.mission.obstacle_positions_m])
+        low = seen.min(axis=0).clip(middle - most, middle - least)
+        high = seen.max(axis=0).clip(middle + least, middle + most)
+        self._center_m = (low + high) / 2
+        self._px_per_m = float((room / (high - low)).min())
+        self._draw_paper()
+
+    def _draw_paper(self) -> None:
+        """Grid, axes, and the paths so far in the new view."""
+        height, width = self._field.shape[:2]
+        self._paper[:] = FIELD
+        span = np.array([width, height]) / 2 / self._px_per_m
+        low, high = self._center_m - span, self._center_m + span
+        step = tick_values(0.0, float(2 * span.min()), 6)[1]
+        bottom, left = self._panel[TITLE_PX + height :], self._panel[TITLE_PX:, :LEFT_PX]
+        bottom[:], left[:] = rgb(PAPER), rgb(PAPER)
+        for x in np.arange(np.ceil(low[0] / step), np.floor(high[0] / step) + 1) * step + 0.0:
+            u = self.to_panel(np.array([x, 0.0]))[0]
+            draw_lines(self._paper, [[[u, 0], [u, height]]], GRID)
+            if 12 <= u <= width - 12:
+                draw_text(bottom, f"{x:g}", (LEFT_PX + u, 11), rgb(MUTED), size_px=12, align="center")
+        for y in np.arange(np.ceil(low[1] / step), np.floor(high[1] / step) + 1) * step + 0.0:
+            v = self.to_panel(np.array([0.0, y]))[1]
+            draw_lines(self._paper, [[[0, v], [width, v]]], GRID)
+            draw_text(left, f"{y:g}", (LEFT_PX - 5, v), rgb(MUTED), size_px=12, align="right")
+        self._extend_paths(self._past_m)
+
+    def _extend_paths(self, points_m: list[Array]) -> None:
+        """Add the faint paths through the last places (T, N + U, 2)."""
+        places = np.moveaxis(self.to_panel(np.array(points_m)), 0, 1)
+        robots = self.mission.ids.size
+        draw_lines(self._paper, list(places[:robots]), FAINT)
+        for unit, path in enumerate(places[robots:]):
+            draw_lines(self._paper, [path], unit_rgb(unit))
+
+    def _draw_tails(self, robots: int) -> None:
+        for steps, color in TAILS:
+            recent = np.array(self._past_m[-steps:])[:, :robots]
+            draw_lines(self._field, list(np.moveaxis(self.to_panel(recent), 0, 1)), color)
+
+    def _draw_shape(self, step: Step) -> None:
+        """Where each robot belongs in the shape that fits best now, and the way there."""
+        self._exchanged_s[step.roles != self._roles] = step.time_s
+        self._roles = step.roles
+        shape = self.mission.shape_at(step.time_s, step.roles)
+        template = shape.points_of(self.mission.ids).conj()
+        positions = to_complex(step.positions_m)
+        try:
+            places = self.to_panel(to_points(fit_similarity(template, positions)(template)))
+        except DegenerateSetError:
+            return
+        robots, is_new = self.to_panel(step.positions_m), step.time_s < self._exchanged_s + EXCHANGE_S
+        draw_segments(self._field, *dashes(robots, places), rgb(TEMPLATE_COLOR))
+        draw_segments(self._field, *dashes(robots[is_new], places[is_new]), rgb(TEMPLATE_COLOR), 3)
+        for place, new in zip(places.tolist(), is_new.tolist(), strict=True):
+            draw_circle(self._field, place, 6.0, rgb(TEMPLATE_COLOR if new else PAPER), -1)
+            draw_circle(self._field, place, 6.0, rgb(TEMPLATE_COLOR), 1)
+
+    def _draw_bodies(self, step: Step, struck: frozenset[int]) -> None:
+        """Obstacles, and under the robots' marks their bodies and what is kept clear around them."""
+        mission, px_per_m = self.mission, self._px_per_m
+        centers = self.to_panel(mission.obstacle_positions_m)
+        radii_m = mission.obstacle_radii_m.tolist()
+        for center, radius_m, obstacle in zip(centers, radii_m, mission.obstacle_ids.tolist(), strict=True):
+            draw_obstacle(self._field, center, radius_m * px_per_m, 0.0, struck=obstacle in struck)
+        if not mission.bodies.radius_m:
+            return
+        robots, side_px = self.to_panel(step.positions_m), mission.scenario.marker.side_m * px_per_m
+        sizes = BodySizes.of(mission)
+        if sizes.safety:
+            for robot in robots.tolist():
+                draw_circle(self._field, robot, sizes.safety * side_px, CLEAR, -1)
+        draw_bodies(self._field, robots, sizes.radius * side_px, np.isin(mission.ids, list(struck)))
+
+    def _draw_units(self, step: Step, tree: TreeState | None) -> None:
+        places, robots = self.to_panel(step.fleet.positions_m), self.to_panel(step.positions_m)
+        for unit, place in enumerate(places):
+            u, v = place.tolist()
+            others = np.concatenate([robots, np.delete(places, unit, axis=0)])
+            at, halo = self._label_place(unit, place, others), rgb(PAPER)
+            if tree is not None and unit in tree.dead:
+                draw_dead(self._field, (u, v), 7, rgb(MUTED))
+                name, ink = f"unit {unit} dead", rgb(MUTED)
+            else:
+                cross = [[[u - 8, v], [u + 8, v]], [[u, v - 8], [u, v + 8]]]
+                draw_lines(self._field, cross, rgb(PAPER), 8)
+                draw_lines(self._field, cross, unit_rgb(unit), 3)
+                outside = " outside" if tree is not None and unit in tree.unjoined else ""
+                name, ink = f"unit {unit}{outside}", rgb(INK)
+            draw_text(self._field, name, at, ink, size_px=12, bold=True, align="center", halo=halo)
+
+    def _label_place(self, unit: int, place: Array, others: Array) -> tuple[float, float]:
+        """Where a unit's name goes: beside its cross, changing sides only when something is in the way."""
+        spots = place + LABEL_SPOTS
+        room = np.linalg.norm((others - spots[:, None]) / LABEL_ROOM_PX, axis=2).min(axis=1)
+        if room[self._label_sides[unit]] < 1:
+            self._label_sides[unit] = int(room.argmax())
+        u, v = spots[self._label_sides[unit]].tolist()
+        return u, v
+
+    def _draw_robots(self, step: Step, tree: TreeState | None) -> None:
+        """Discs with ids, ringed in the colours of the units that control them, noses ahead."""
+        radius = max(9.5, 0.5 * self.mission.scenario.marker.side_m * self._px_per_m)
+        places = self.to_panel(step.positions_m)
+        owners = owners_by_robot(step.control_sets)
+        if tree is not None:
+            draw_pair_marks(self._field, tree.links, self.mission.ids, places, radius)
+        nose = np.array([radius + 6, (radius - 2) * np.exp(0.7j), (radius - 2) * np.exp(-0.7j)])
+        noses = places[:, None] + to_points(np.exp(-1j * step.headings_rad)[:, None] * nose)
+        for robot_id, (u, v), corners in zip(self.mission.ids.tolist(), places.tolist(), noses, strict=True):
+            fill_polygon(self._field, corners, rgb(INK))
+            draw_circle(self._field, (u, v), radius + 1, rgb(PAPER), -1)
+            colors = [unit_rgb(unit) for unit in owners.get(robot_id, [])]
+            draw_ring(self._field, (u, v), radius - 0.5, colors or [rgb(MUTED)], 3)
+            draw_text(self._field, str(robot_id), (u, v), rgb(INK), size_px=11, bold=True, align="center")
+
+
+def _standing(tree: TreeState) -> str:
+    """How the tree stands, in a few words."""
+    living = len(tree.members) + len(tree.unjoined)
+    said = [f"{len(tree.members)} of {living} units in the tree"]
+    if not tree.ready:
+        said.append("robots wait")
+    if tree.dead:
+        said.append("dead: " + ", ".join(str(unit) for unit in sorted(tree.dead)))
+    if tree.missing_ids:
+        said.append("missing: " + ", ".join(str(robot) for robot in sorted(tree.missing_ids)))
+    return " · ".join(said)

@@ -1,0 +1,158 @@
+"""The key to the symbols of the video."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from skyherd.drawing.canvas import (
+    Image,
+    circle_dashes,
+    dashes,
+    draw_arrows,
+    draw_circle,
+    draw_lines,
+    draw_ring,
+    draw_segments,
+    draw_text,
+    text_width,
+)
+from skyherd.drawing.palette import INK, MUTED, PAPER, TEMPLATE_COLOR, rgb, unit_rgb
+from skyherd.video.body_overlay import CLEAR, draw_bodies, draw_obstacle
+from skyherd.video.camera_panel import FOREIGN
+from skyherd.video.tree_overlay import FLASH, draw_dead, draw_link, draw_turn
+
+SYMBOL_PX = 38
+ROW_PX, TIGHT_PX, MANY = 23, 21, 12
+"""Height of a row; and of one in a key of more than so many symbols."""
+
+TEXT_PX = 12
+FIRST, SECOND = unit_rgb(0), unit_rgb(1)
+
+
+def _mine(image: Image, u: float, v: float) -> None:
+    draw_ring(image, (u, v), 6, [FIRST], 2)
+
+
+def _shared(image: Image, u: float, v: float) -> None:
+    draw_ring(image, (u, v), 5, [FIRST], 2)
+    draw_ring(image, (u, v), 9, [SECOND], 2)
+
+
+def _foreign(image: Image, u: float, v: float) -> None:
+    draw_ring(image, (u, v), 6, [FOREIGN], 2)
+
+
+def _goal(image: Image, u: float, v: float) -> None:
+    draw_arrows(image, [(u - 13, v)], [(u + 13, v)], rgb(TEMPLATE_COLOR), rgb(PAPER))
+
+
+def _radius(image: Image, u: float, v: float) -> None:
+    draw_lines(image, circle_dashes((u, v), 9, 3), rgb(MUTED), 2)
+
+
+def _robot(image: Image, u: float, v: float) -> None:
+    draw_ring(image, (u, v), 8, [FIRST, SECOND], 3)
+
+
+def _shape(image: Image, u: float, v: float) -> None:
+    draw_segments(image, *dashes([[u - 13, v]], [[u + 4, v]]), rgb(TEMPLATE_COLOR))
+    draw_circle(image, (u + 8, v), 5, rgb(TEMPLATE_COLOR), 1)
+
+
+def _unit(image: Image, u: float, v: float) -> None:
+    square = [[u - 9, v - 9], [u + 9, v - 9], [u + 9, v + 9], [u - 9, v + 9]]
+    draw_lines(image, [square], FIRST, 2, closed=True)
+    draw_lines(image, [[[u - 4, v], [u + 4, v]], [[u, v - 4], [u, v + 4]]], FIRST, 2)
+
+
+ITEMS: tuple[tuple[Callable[[Image, float, float], None], str], ...] = (
+    (_mine, "controlled by this unit"),
+    (_shared, "shared with another unit"),
+    (_foreign, "seen, not controlled"),
+    (_goal, "to the desired point"),
+    (_radius, "safety radius"),
+    (_robot, "coloured by its units"),
+    (_shape, "its place in the shape"),
+    (_unit, "unit and its view"),
+)
+
+
+def _edge(image: Image, u: float, v: float) -> None:
+    ends = np.array([[u - 15, v], [u + 15, v]])
+    draw_link(image, ends, np.array([[u, v - 8], [u, v + 8]]), (0, 1))
+    draw_turn(image, (u - 8, v), FIRST)
+
+
+def _exchange(image: Image, u: float, v: float) -> None:
+    draw_circle(image, (u, v), 10, FLASH, -1)
+    draw_ring(image, (u, v), 6, [FIRST, SECOND], 3)
+
+
+def _granted(image: Image, u: float, v: float) -> None:
+    draw_segments(image, *dashes([[u - 15, v]], [[u + 15, v]]), rgb(MUTED), 2)
+
+
+def _dead(image: Image, u: float, v: float) -> None:
+    draw_dead(image, (u, v), 6, rgb(MUTED))
+
+
+TREE_ITEMS: tuple[tuple[Callable[[Image, float, float], None], str], ...] = (
+    (_edge, "edge by a pair; whose turn"),
+    (_exchange, "pair just exchanged"),
+    (_granted, "edge that one unit knows"),
+    (_dead, "dead unit"),
+)
+
+
+def _safety(image: Image, u: float, v: float) -> None:
+    draw_circle(image, (u, v), 10, CLEAR, -1)
+    draw_bodies(image, np.array([[u, v]]), 6, np.zeros(1, dtype=bool))
+
+
+def _overlap(image: Image, u: float, v: float) -> None:
+    draw_bodies(image, np.array([[u - 5, v], [u + 5, v]]), 6, np.ones(2, dtype=bool))
+
+
+def _obstacle(image: Image, u: float, v: float) -> None:
+    draw_obstacle(image, np.array([u, v]), 9, 0, struck=False)
+
+
+def _exchanged(image: Image, u: float, v: float) -> None:
+    draw_segments(image, *dashes([[u - 13, v]], [[u + 4, v]]), rgb(TEMPLATE_COLOR), 3)
+    draw_circle(image, (u + 8, v), 6, rgb(TEMPLATE_COLOR), -1)
+
+
+BODY_ITEMS: tuple[tuple[Callable[[Image, float, float], None], str], ...] = (
+    (_safety, "body; what is kept clear"),
+    (_overlap, "bodies that overlap"),
+    (_obstacle, "obstacle"),
+    (_exchanged, "place just exchanged"),
+)
+
+
+def _items(*, tree: bool, bodies: bool) -> tuple[tuple[Callable[[Image, float, float], None], str], ...]:
+    return ITEMS + (TREE_ITEMS if tree else ()) + (BODY_ITEMS if bodies else ())
+
+
+def key_height_px(width_px: int, *, tree: bool = False, bodies: bool = False) -> int:
+    """Height of the key in a panel of some width."""
+    _, rows, row_px = _grid(width_px, tree=tree, bodies=bodies)
+    return rows * row_px
+
+
+def _grid(width_px: int, *, tree: bool, bodies: bool) -> tuple[float, int, int]:
+    """Width of a column, px, rows, and the height of one, px."""
+    items = _items(tree=tree, bodies=bodies)
+    pitch = SYMBOL_PX + max(text_width(text, TEXT_PX) for _, text in items) + 6
+    columns = min(len(items), max(1, int(width_px // pitch)))
+    return pitch, -(-len(items) // columns), TIGHT_PX if len(items) > MANY else ROW_PX
+
+
+def draw_key(panel: Image, *, tree: bool = False, bodies: bool = False) -> None:
+    """Draw the key, with the symbols of tree and bodies if asked, in as few rows as there is room for."""
+    items = _items(tree=tree, bodies=bodies)
+    pitch, rows, row_px = _grid(panel.shape[1], tree=tree, bodies=bodies)
+    for k, (draw, text) in enumerate(items):
+        u, v = k // rows * pitch + SYMBOL_PX / 2, (k % rows + 0.5) * row_px
+        draw(panel, u, v)
+        draw_text(panel, text, (u + SYMBOL_PX / 2 + 2, v), rgb(INK), size_px=TEXT_PX)

@@ -1,0 +1,107 @@
+"""A unit's image as it would be under an ideal camera, by the map that the unit has learned."""
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from skyherd.analysis.goal_points import rectified_goals_px, rows_of
+from skyherd.control import GroundMap, rectified
+from skyherd.drawing.canvas import (
+    Box,
+    Image,
+    draw_arrows,
+    draw_circle,
+    draw_lines,
+    draw_text,
+    fill_polygon,
+    text_width,
+)
+from skyherd.drawing.palette import INK, PAPER, TEMPLATE_COLOR, rgb, unit_rgb
+from skyherd.geometry import Array
+from skyherd.loop import UnitFrame
+from skyherd.messages import Detections
+from skyherd.video.camera_panel import BORDER_PX, PLAIN, TITLE_PX, brightened
+
+Float = npt.NDArray[np.float32]
+
+KNOT_PX = 8
+"""The map is computed so far apart on the panel, and linear between: right to a tenth of its pixels."""
+
+
+class RectifiedView:
+    """Draws one unit's frames, rectified, into its cell of the canvas: a title, and the image below it.
+
+    Args:
+        unit: whose images they are.
+        cell: the part of the canvas to draw in.
+        image_size_px: width and height of the unit's images.
+    """
+
+    def __init__(self, unit: int, cell: Image, image_size_px: tuple[int, int]) -> None:
+        width, height = image_size_px
+        room = np.array([cell.shape[1], cell.shape[0] - TITLE_PX]) - 2 * BORDER_PX
+        self.unit, self.color, self.size_px = unit, unit_rgb(unit), np.array(image_size_px)
+        self.scale = float(min(room / (width, height)))
+        shown = Box(BORDER_PX, TITLE_PX + BORDER_PX, int(width * self.scale), int(height * self.scale))
+        self._title, self._picture = cell[:TITLE_PX], shown.of(cell)
+        Box(0, TITLE_PX, shown.width + 2 * BORDER_PX, shown.height + 2 * BORDER_PX).of(cell)[:] = self.color
+        self._picture[:] = PLAIN
+        self._write_title("rectified · no image yet")
+
+    def to_panel(self, points_px: Array) -> Array:
+        """Places (..., 2) on the panel of points of the rectified image."""
+        return np.asarray((points_px + 0.5) * self.scale - 0.5)
+
+    def draw(self, frame: UnitFrame) -> None:
+        """Draw a frame: markers are squares of one size here, if the map is right."""
+        seen = frame.sight.detections
+        robots = rectified(seen, frame.ground_map)
+        self._write_title(*_titles(seen, robots, learned=not frame.ground_map.ideal))
+        corners = self.to_panel(robots.corners_px)
+        if frame.sight.image is None:
+            self._picture[:] = PLAIN
+            for square in corners:
+                fill_polygon(self._picture, square, (0, 0, 0))
+        else:
+            self._draw_image(frame.sight.image, frame.ground_map)
+        draw_lines(self._picture, list(corners), self.color, 2, closed=True)
+        if frame.decision.goals is not None:
+            starts = robots.centers_px[rows_of(robots, frame.decision.goals.ids)]
+            tips = self.to_panel(rectified_goals_px(frame))
+            draw_arrows(self._picture, self.to_panel(starts), tips, rgb(TEMPLATE_COLOR), rgb(PAPER))
+
+    def _draw_image(self, image: Image, ground_map: GroundMap) -> None:
+        height, width = self._picture.shape[:2]
+        u, v = (np.arange(0, length + KNOT_PX, KNOT_PX, dtype=float) for length in (width, height))
+        knots = np.stack(np.meshgrid(u, v), axis=-1)
+        places = (knots.reshape(-1, 2) + 0.5) / self.scale - 0.5
+        there = ground_map.image_px(places, self.size_px).reshape(knots.shape)
+        fine = _between(there.astype(np.float32), (width, height))
+        grey = cv2.remap(
+            brightened(image), fine[..., 0], fine[..., 1], cv2.INTER_LINEAR, borderValue=float(np.mean(PLAIN))
+        )
+        cv2.cvtColor(grey, cv2.COLOR_GRAY2RGB, dst=self._picture)
+
+    def _write_title(self, *texts: str) -> None:
+        """Write the first text that there is room for, else the last one."""
+        self._title[:] = rgb(PAPER)
+        draw_circle(self._title, (7, TITLE_PX / 2), 6, self.color, -1)
+        room = self._title.shape[1] - 20
+        fitting = (text for text in texts if text_width(text, 13) <= room)
+        draw_text(self._title, next(fitting, texts[-1]), (20, TITLE_PX / 2), rgb(INK), size_px=13)
+
+
+def _between(knots: Float, size_px: tuple[int, int]) -> Float:
+    """Values (height, width, 2) between knots that are `KNOT_PX` apart, linear."""
+    width, height = size_px
+    u, v = np.meshgrid(np.arange(width), np.arange(height))
+    where = (u / KNOT_PX).astype(np.float32), (v / KNOT_PX).astype(np.float32)
+    return np.asarray(cv2.remap(knots, *where, cv2.INTER_LINEAR), dtype=np.float32)
+
+
+def _titles(seen: Detections, robots: Detections, *, learned: bool) -> list[str]:
+    """What rectification does: by how much markers differ in size, before and after."""
+    if not learned or len(seen) < 2:
+        return ["rectified: as seen"]
+    before, after = (f"{100 * np.std(d.sides_px) / np.mean(d.sides_px):.2g} %" for d in (seen, robots))
+    return [f"rectified · sizes ± {after}, seen ± {before}", f"sizes ± {after}, seen ± {before}"]

@@ -1,0 +1,185 @@
+"""`skyherd detect`, in process: what it leaves, says and refuses."""
+
+import csv
+import json
+
+import cv2
+import numpy as np
+import pytest
+from PIL import Image
+
+from skyherd.cli import main
+from skyherd.files.video_writer import VideoSink, count_frames, read_frames
+from skyherd.inspection import inspector
+from skyherd.markers.dictionary import marker_cells
+
+IDS = [4, 11, 30]
+
+
+def sheet(ids=IDS, *, dictionary="4X4_50", shift_px=0, background=140) -> np.ndarray:
+    """Markers of 48 px, heading up, 100 px apart, centres at (59.5 + 100 k + shift, 59.5)."""
+    image = np.full((120, 120 + 100 * (len(ids) - 1) + 20), background, np.uint8)
+    for k, marker_id in enumerate(ids):
+        cells = np.pad(marker_cells(dictionary, marker_id), 1, constant_values=True)
+        card = np.kron(np.where(cells, 230, 30), np.ones((8, 8))).astype(np.uint8)
+        half, u = len(card) // 2, 60 + 100 * k + shift_px
+        image[60 - half : 60 + half, u - half : u + half] = card
+    return image
+
+
+def call(capsys, *arguments) -> tuple[int, str, str]:
+    with pytest.raises(SystemExit) as left:
+        main(["detect", *map(str, arguments)])
+    said = capsys.readouterr()
+    return left.value.code, said.out, said.err
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_a_picture_leaves_a_table_and_an_annotated_picture(here, capsys) -> None:
+    Image.fromarray(sheet()).save("a.png")
+    code, out, err = call(capsys, "a.png")
+    assert (code, err) == (0, "") and "4, 11, 30" in out
+    with open("detections/a/detections.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [int(row["id"]) for row in rows] == IDS
+    for k, row in enumerate(rows):
+        assert float(row["u_px"]) == pytest.approx(59.5 + 100 * k, abs=0.05)
+        assert float(row["heading_deg"]) == pytest.approx(-90, abs=0.1)
+        assert float(row["side_px"]) == pytest.approx(48, abs=0.1)
+        assert float(row["corner0_v_px"]) == pytest.approx(35.5, abs=0.2)
+        assert 0 < float(row["std_u_px"]) < 0.1
+        assert (row["file"], row["frame"], row["time_s"]) == ("a.png", "", "")
+    with Image.open("detections/a/a.png") as picture:
+        assert picture.mode == "RGB" and max(picture.size) >= 640
+    assert not [path for path in here.rglob("*") if path.name.startswith(".")]
+
+
+def test_json_lines_carry_corners_and_covariance(here, capsys) -> None:
+    Image.fromarray(sheet()).save("a.png")
+    assert call(capsys, "a.png", "--format", "jsonl", "--out", "x", "--explain")[0] == 0
+    rows = [json.loads(line) for line in (here / "x" / "detections.jsonl").read_text().splitlines()]
+    assert [row["id"] for row in rows] == IDS
+    assert np.shape(rows[0]["corners_px"]) == (4, 2) and np.shape(rows[0]["covariance"]) == (3, 3)
+    assert (here / "x" / "rejected.jsonl").read_text() == ""
+
+
+def test_a_folder_is_read_in_the_order_of_names_and_past_what_is_broken(here, capsys) -> None:
+    (here / "pics").mkdir()
+    for name, ids in (("b.png", [1]), ("a.png", [2, 3]), ("a.bmp", [5])):
+        Image.fromarray(sheet(ids)).save(here / "pics" / name)
+    (here / "pics" / "c.png").write_bytes((here / "pics" / "b.png").read_bytes()[:200])
+    (here / "pics" / "notes.txt").write_text("no picture")
+    code, _, err = call(capsys, "pics", "--out", "x")
+    with open("x/detections.csv", newline="") as file:
+        assert [(row["file"], row["id"]) for row in csv.DictReader(file)] == [
+            ("a.bmp", "5"),
+            ("a.png", "2"),
+            ("a.png", "3"),
+            ("b.png", "1"),
+        ]
+    errors = [line for line in err.splitlines() if line.startswith("error")]
+    assert code == 2 and len(errors) == 1 and "pics/c.png" in errors[0]
+    assert sorted(path.name for path in (here / "x").glob("*.png")) == ["a.bmp.png", "a.png.png", "b.png"]
+
+
+def test_a_video_is_annotated_frame_by_frame(here, capsys) -> None:
+    frames = [sheet(shift_px=2 * k) for k in range(8)]
+    with VideoSink("v.mp4", (frames[0].shape[1], frames[0].shape[0]), 8) as sink:
+        for frame in frames:
+            sink.write(np.dstack([frame] * 3))
+    code, out, _ = call(capsys, "v.mp4", "--explain")
+    assert code == 0 and "4, 11, 30" in out
+    with open("detections/v/detections.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 24 and {row["frame"] for row in rows} == {str(k) for k in range(8)}
+    for row in (row for row in rows if row["id"] == "4"):
+        k = int(row["frame"])
+        assert float(row["time_s"]) == pytest.approx(k / 8, abs=1e-3)
+        assert float(row["u_px"]) == pytest.approx(59.5 + 2 * k, abs=0.2)  # the codec blurs
+    assert count_frames("detections/v/v.mp4") == 8
+    assert next(read_frames("detections/v/v.mp4")).shape[1] >= 640
+
+
+def test_why_nothing_was_found_is_said(here, capsys) -> None:
+    Image.fromarray(sheet([40, 60], dictionary="5X5_100")).save("other.png")
+    Image.fromarray(sheet()[:, ::-1]).save("mirror.png")
+    Image.fromarray(np.full((80, 80), 90, np.uint8)).save("plain.png")
+    code, _, err = call(capsys, "other.png")
+    assert code == 0 and "no marker found" in err and "--dictionary 5X5_100" in err
+    assert "mirrored" in call(capsys, "mirror.png")[2]
+    assert call(capsys, "plain.png")[2] == "warning: plain.png: no marker found\n"
+    assert call(capsys, "plain.png", "--force", "--require")[0] == 1
+    assert call(capsys, "other.png", "--force", "--require", "--dictionary", "5X5_100")[0] == 0
+
+
+def test_rejections_are_numbered_with_place_and_remedy(here, capsys) -> None:
+    image = sheet()
+    small = cv2.resize(image, None, fx=0.16, fy=0.16, interpolation=cv2.INTER_AREA)
+    image = np.full((240, 340), 140, np.uint8)
+    image[100 : 100 + small.shape[0], 100 : 100 + small.shape[1]] = small
+    image[180:220, 250:290] = 30  # and a dark patch that is no marker
+    Image.fromarray(image).save("small.png")
+    _, out, _ = call(capsys, "small.png", "--explain")
+    assert "1. at (" in out and "px a cell, at least 3 are needed" in out and "print larger" in out
+    assert "more dark quadrilateral(s) without bits" in out
+    with open("detections/small/rejected.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert rows[0]["reason"] == "too few pixels a cell" and float(rows[0]["cell_px"]) < 2
+    assert rows[-1]["reason"] == "no bits"
+
+
+def test_an_interrupted_video_leaves_no_table_and_no_film(here, capsys, monkeypatch) -> None:
+    with VideoSink("v.mp4", (160, 120), 8) as sink:
+        for _ in range(5):
+            sink.write(np.full((120, 160, 3), 90, np.uint8))
+    look, calls = inspector.Inspector._look, []
+
+    def interrupted(self, *arguments):
+        calls.append(1)
+        if len(calls) == 3:
+            raise KeyboardInterrupt
+        return look(self, *arguments)
+
+    monkeypatch.setattr(inspector.Inspector, "_look", interrupted)
+    code, _, err = call(capsys, "v.mp4")
+    assert code == 130 and "interrupted" in err
+    assert not list((here / "detections" / "v").iterdir())
+
+
+def test_a_folder_of_folders_is_told_which_of_them_has_pictures(here, capsys) -> None:
+    (here / "all" / "images" / "train").mkdir(parents=True)
+    Image.fromarray(sheet()).save(here / "all" / "images" / "train" / "a.png")
+    code, _, err = call(capsys, "all")
+    assert code == 2 and "train" in err and "the folder that they are in" in err, err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["none.png"], ["none.png", "no such file"]),
+        (["empty.png"], ["empty.png", "empty"]),
+        (["text.png"], ["text.png", "not a picture"]),
+        (["text.mp4"], ["text.mp4", "video"]),
+        (["void"], ["void", "no picture in this folder"]),
+        (["a.png", "--dictionary", "9X9"], ["9X9", "4X4_50"]),
+        (["a.png", "--detector", "yolo"], ["yolo", "photometric"]),
+        (["a.png", "--format", "xml"], ["xml", "jsonl"]),
+        (["a.png", "--out", "void"], ["void", "--force"]),
+        (["a.png", "--out", "text.png/x"], ["text.png"]),
+    ],
+)
+def test_bad_input_is_one_line_and_leaves_nothing(here, capsys, arguments, words) -> None:
+    (here / "void").mkdir()
+    (here / "empty.png").write_bytes(b"")
+    (here / "text.png").write_text("hello")
+    (here / "text.mp4").write_text("hello")
+    Image.fromarray(sheet()).save("a.png")
+    before = sorted(here.rglob("*"))
+    code, _, err = call(capsys, *arguments)
+    assert code == 2 and err.count("\n") == 1 and all(word in err for word in words), err
+    assert sorted(here.rglob("*")) == before

@@ -1,0 +1,236 @@
+"""The command line, in process: what it leaves, what it refuses, and its exit codes."""
+
+import errno
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+from command_line import assert_refused, call
+
+from skyherd import runner
+from skyherd.datasets import scenario_text
+from skyherd.recording.writer import Recorder
+
+SHORT = ["--perception", "ideal", "--no-video", "--set", "duration_s=1.0"]
+
+SUMMARY_KEYS = [
+    "scenario",
+    "seed",
+    "perception",
+    "converged",
+    "simulated_s",
+    "real_time_factor",
+    "wall_s",
+    "steps",
+    "loop_steps_per_s",
+    "frames",
+    "frames_per_s",
+    "shape_error",
+    "scale",
+    "rotation_rad",
+    "V_start",
+    "V_end",
+    "detection_recall",
+    "false_detections",
+    "topology_switches",
+    "tc1_violation_s",
+    "tc2_violation_s",
+    "tc3_violation_s",
+    "tc4_violation_s",
+    "tc5_violation_s",
+    "min_separation_m",
+    "min_gap_m",
+    "collisions",
+    "role_exchanges",
+    "shortest_path_m",
+    "path_length_m",
+    "final_positions_m",
+]
+
+
+def test_a_run_leaves_all_it_promises(tmp_path, capsys):
+    out = tmp_path / "run"
+    code, said, _ = call(
+        capsys, "run", "star", "--out", out, "--perception", "ideal", "--set", "duration_s=1.0"
+    )
+    assert code == 1  # a second is not enough to reach the shape
+    assert "NOT reached" in said
+    assert {entry.name for entry in out.iterdir()} == {
+        "run.mcap", "video.mp4", "figures", "summary.json", "report.html",
+    }  # fmt: skip
+    summary = json.loads((out / "summary.json").read_text())
+    assert set(SUMMARY_KEYS) <= set(summary)
+    assert sorted(summary["final_positions_m"], key=int) == [str(robot) for robot in range(16)]
+    assert summary["steps"] == 11
+
+
+def test_reaching_the_shape_is_exit_code_0(tmp_path, capsys):
+    arguments = ["--perception", "ideal", "--no-video", "--set", "duration_s=70.0"]
+    code, said, _ = call(capsys, "run", "triangle", "--out", tmp_path / "run", *arguments)
+    assert code == 0
+    assert "shape reached" in said
+
+
+def test_report_makes_the_same_summary_again(tmp_path, capsys):
+    out = tmp_path / "run"
+    call(capsys, "run", "star", "--out", out, *SHORT)
+    first = (out / "summary.json").read_text()
+    for name in ("summary.json", "report.html"):
+        (out / name).unlink()
+    assert call(capsys, "report", out)[0] == 0
+    assert (out / "summary.json").read_text() == first
+    assert (out / "report.html").stat().st_size > 100_000
+
+
+def test_report_films_again_from_recorded_images(tmp_path, capsys):
+    out = tmp_path / "run"
+    call(capsys, "run", "triangle", "--out", out, "--set", "duration_s=0.5", "--no-video", "--record-images")
+    assert not (out / "video.mp4").exists()
+    call(capsys, "report", out)
+    assert (out / "video.mp4").stat().st_size > 10_000
+
+
+def test_an_existing_folder_is_refused_and_left_alone_without_force(tmp_path, capsys):
+    out = tmp_path / "run"
+    out.mkdir()
+    assert_refused(call(capsys, "run", "star", "--out", out, *SHORT), str(out), "--force")
+    (out / "mine.txt").write_text("precious")
+    (out / "figures").mkdir()
+    (out / "figures" / "thesis.txt").write_text("precious")
+    assert_refused(call(capsys, "run", "star", "--out", out, *SHORT), str(out), "--force")
+    assert {entry.name for entry in out.iterdir()} == {"mine.txt", "figures"}
+    call(capsys, "run", "star", "--out", out, "--force", *SHORT)
+    assert (out / "mine.txt").read_text() == (out / "figures" / "thesis.txt").read_text() == "precious"
+    assert (out / "report.html").exists()
+
+
+def test_a_folder_that_cannot_be_made_is_refused(tmp_path, capsys):
+    file = tmp_path / "file"
+    file.write_text("")
+    assert_refused(call(capsys, "run", "star", "--out", file, *SHORT), str(file), "is a file")
+    assert_refused(call(capsys, "run", "star", "--out", file / "below", *SHORT), "file/below")
+
+
+def test_a_full_disk_is_refused_before_the_run(tmp_path, capsys, monkeypatch):
+    usage = runner.shutil.disk_usage(tmp_path)
+    monkeypatch.setattr(runner.shutil, "disk_usage", lambda path: usage._replace(free=5 * 2**20))
+    out = tmp_path / "run"
+    assert_refused(call(capsys, "run", "star", "--out", out, *SHORT), "5 MiB free", "100 MiB")
+    assert not list(out.iterdir())
+
+
+def test_a_disk_that_fills_up_in_mid_run_is_one_line(tmp_path, capsys, monkeypatch):
+    def full(self, step):
+        raise OSError(errno.ENOSPC, "No space left on device", "run.mcap")
+
+    monkeypatch.setattr(Recorder, "write", full)
+    out = tmp_path / "run"
+    assert_refused(
+        call(capsys, "run", "star", "--out", out, "--perception", "ideal", "--set", "duration_s=1.0"),
+        "No space left",
+    )
+    assert {entry.name for entry in out.iterdir()} == {"run.mcap"}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["run", "no-such-scenario"], ["no-such-scenario", "star"]),
+        (["run", "star", "--perception", "psychic"], ["perception", "psychic", "rendered"]),
+        (["run", "star", "--seed", "many"], ["--seed", "integer"]),
+        (["run", "star", "--set", "marker.side_m=nan"], ["marker.side_m", "finite"]),
+        (["run", "star", "--colour"], ["--colour"]),
+        (["run"], ["Missing", "scenario"]),
+        (["report", "no-such-folder"], ["no-such-folder", "run.mcap"]),
+        (["scenario", "show", "nothing"], ["nothing", "star"]),
+        (["scenario", "check", "nothing.toml"], ["nothing.toml"]),
+    ],
+)
+def test_bad_arguments_are_one_line(tmp_path, capsys, monkeypatch, arguments, words):
+    monkeypatch.chdir(tmp_path)
+    assert_refused(call(capsys, *arguments), *words)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_mirrored_stream_is_named_and_touches_nothing(tmp_path, capsys):
+    out, mirrored = tmp_path / "run", ["--set", "units.0.camera.mirrored=true"]
+    assert_refused(call(capsys, "run", "triangle", "--out", out, *mirrored), "unit 0", "mirrored", "flip")
+    assert not out.exists()
+    call(capsys, "run", "triangle", "--out", out, *SHORT)
+    before = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
+    assert_refused(call(capsys, "run", "triangle", "--force", "--out", out, *mirrored), "mirrored")
+    assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == before
+
+
+def test_a_mirrored_stream_whose_first_frame_is_lost_is_named_at_the_next(tmp_path, capsys):
+    settings = ["units.0.camera.mirrored=true", "network.frame_loss=0.7", "duration_s=3.0"]
+    flags = [part for setting in settings for part in ("--set", setting)]
+    assert_refused(call(capsys, "run", "triangle", "--out", tmp_path / "run", *flags), "mirrored")
+
+
+def test_a_camera_that_sees_no_robot_is_warned_about_and_not_refused(tmp_path, capsys):
+    code, _, err = call(
+        capsys, "run", "star", "--out", tmp_path / "run", *SHORT, "--set", "units.2.position_m=[200, 0]"
+    )
+    assert code == 1
+    assert "warning: unit 2 sees no robot" in err
+
+
+def test_goals_forgotten_between_two_images_are_warned_about(tmp_path, capsys):
+    slow = ["--set", "units.1.frame_rate_hz=1"]
+    assert (
+        "warning: unit 1 takes an image less often"
+        in call(capsys, "run", "star", "--out", tmp_path / "run", *SHORT, *slow)[2]
+    )
+
+
+def test_scenario_verbs(capsys):
+    code, listed, _ = call(capsys, "scenario", "list")
+    assert code == 0
+    assert all(name in listed for name in ("triangle", "star", "grid", "circle"))
+    assert call(capsys, "scenario", "show", "star")[1] == scenario_text("star")
+    assert "16 robots, 3 unit(s)" in call(capsys, "scenario", "check", "star")[1]
+    assert json.loads(call(capsys, "scenario", "schema")[1])["title"] == "Scenario"
+
+
+def test_a_killed_run_still_gives_its_figures(tmp_path, capsys):
+    out = tmp_path / "run"
+    command = [sys.executable, "-c", "from skyherd.cli import main; main()", "run", "star", "--out", str(out)]
+    run = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    recording, deadline = out / "run.mcap", time.monotonic() + 60
+    while time.monotonic() < deadline and not (recording.exists() and recording.stat().st_size > 300_000):
+        time.sleep(0.05)
+    os.kill(run.pid, signal.SIGKILL)
+    run.wait()
+    assert not (out / "video.mp4").exists()  # half a video is not left looking whole
+    code, _, err = call(capsys, "report", out)
+    assert code == 0
+    assert "cut short" in err
+    summary = json.loads((out / "summary.json").read_text())
+    assert not summary["complete"]
+    assert 0 < summary["simulated_s"] < 100
+    assert len(list((out / "figures").glob("*.png"))) >= 9
+
+
+def test_an_interrupt_while_the_program_loads_is_obeyed():
+    # A finder that is asked for skyherd.cli stands for the user's Ctrl-C at that moment.
+    interrupt = """
+import runpy, sys
+class Interrupt:
+    def find_spec(self, name, *rest):
+        if name == "skyherd.cli":
+            raise KeyboardInterrupt
+sys.meta_path.insert(0, Interrupt())
+runpy.run_module("skyherd", run_name="__main__")
+"""
+    ended = subprocess.run([sys.executable, "-c", interrupt], capture_output=True, text=True, check=False)
+    assert (ended.returncode, ended.stdout, ended.stderr) == (130, "", "interrupted\n")
+
+
+def test_the_package_runs_as_a_program():
+    command = [sys.executable, "-m", "skyherd", "--version"]
+    assert subprocess.check_output(command, text=True).startswith("skyherd ")

@@ -1,0 +1,238 @@
+"""Robots keep apart whatever they want, whatever is late or lost; nothing changes where nothing is near."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from skyherd.control import AvoidanceRule, BodyRule, MarkerGains, Surroundings, Wheels
+from skyherd.control.avoidance.detour import circle, slide
+from skyherd.control.avoidance.proximity import encounters
+from skyherd.control.avoidance.speed_bound import avoiding_law, closing_bounds, slowed
+from skyherd.control.robots.unicycle import wheel_law
+from skyherd.datasets.configuration.models import DriveModel
+from skyherd.geometry import to_complex, to_points, wrap_angle
+from skyherd.messages import VelocityCommand
+from skyherd.sim.drive import Drive
+from skyherd.sim.world import move_bodies
+
+SIDE_M, STEP_S = 0.2, 0.1
+WHEELS = Wheels(0.5, 2.0)
+BODIES = BodyRule(radius_sides=1.0, margin_sides=0.0)
+REACH_M = 2 * SIDE_M
+
+
+def rule(**changed) -> AvoidanceRule:
+    return AvoidanceRule(SIDE_M, WHEELS, prompt_s=0.2, next_s=0.2, step_s=STEP_S, **changed)
+
+
+@dataclass
+class Crowd:
+    """Robots that want the worst, at one another or anywhere at full speed, and one unit that sees them."""
+
+    rng: np.random.Generator
+    rule: AvoidanceRule
+    make_detections: object
+    drive: DriveModel
+    count: int = 6
+    latency: int = 0
+    loss: float = 0.0
+
+    def __post_init__(self) -> None:
+        ids = np.arange(self.count)
+        self.positions_m, self.headings = self._start(), self.rng.uniform(-np.pi, np.pi, self.count)
+        self.around = Surroundings(ids, ids, self.rule.lifetime_s)
+        self.wheels = Drive(self.drive, self.count, STEP_S, int(self.rng.integers(1000)))
+        self.waiting: list = []
+        self.least_m = np.inf
+
+    def _start(self) -> np.ndarray:
+        placed: list[complex] = []
+        while len(placed) < self.count:
+            at = complex(*self.rng.uniform(-0.9, 0.9, 2))
+            if all(abs(at - other) > 1.02 * REACH_M for other in placed):
+                placed.append(at)
+        return to_points(placed)
+
+    def look(self, tick: int) -> None:
+        """An image 100 px a metre, v down, as a unit at (0, 0) sees it."""
+        points = 100 * to_complex(self.positions_m).conj()
+        sides = np.full(self.count, 100 * SIDE_M)
+        seen = self.make_detections(
+            np.arange(self.count), points, headings=-self.headings, sides=sides, time_s=tick * STEP_S
+        )
+        self.waiting.append((tick + self.latency, encounters(seen, np.arange(self.count), BODIES)))
+
+    def wants(self) -> tuple[np.ndarray, np.ndarray]:
+        others = to_complex(self.positions_m)
+        away = others[None, :] - others[:, None] + np.diag(np.full(self.count, np.inf))
+        nearest = away[np.arange(self.count), np.abs(away).argmin(axis=1)]
+        alpha = wrap_angle(np.angle(nearest) - self.headings)
+        hunt = self.rng.random(self.count) < 0.8
+        sign = np.where(np.abs(alpha) < np.pi / 2, 1.0, -1.0)
+        omega = np.where(hunt, np.clip(4 * wrap_angle(alpha - (sign < 0) * np.pi), -2, 2), 0)
+        omega = np.where(hunt, omega, self.rng.uniform(-2, 2, self.count))
+        return WHEELS.max_speed_mps * np.where(hunt, sign, self.rng.choice([-1, 1], self.count)), omega
+
+    def step(self, tick: int) -> None:
+        if tick % 2 == 0:
+            self.look(tick)
+        for arrival, message in self.waiting:
+            if arrival == tick:
+                self.around.receive(message, self.rng.random(self.count) >= self.loss)
+        bounds = closing_bounds(self.around, self.rule, tick * STEP_S)
+        v, omega = slowed(*self.wants(), bounds, self.rule)
+        self.around.turn(omega, tick * STEP_S, STEP_S)
+        v, omega = self.wheels.step(VelocityCommand(np.arange(self.count), v, omega))
+        offset = self.rule.wheels.axis_offset_m
+        for part in np.linspace(0.1, 1.0, 10):
+            there, _ = move_bodies(self.positions_m, self.headings, v, omega, part * STEP_S, offset)
+            apart = np.abs(to_complex(there)[:, None] - to_complex(there))[np.triu_indices(self.count, 1)]
+            self.least_m = min(self.least_m, float(apart.min()))
+        self.positions_m, self.headings = move_bodies(
+            self.positions_m, self.headings, v, omega, STEP_S, offset
+        )
+
+
+def least_gap_m(crowd: Crowd, ticks: int = 150) -> float:
+    for tick in range(ticks):
+        crowd.step(tick)
+    return crowd.least_m - REACH_M
+
+
+ROBOTS_AS_THEY_ARE = {
+    "exact": (DriveModel(), {}),
+    "brakes": (DriveModel(max_accel_mps2=0.25), {"lag_s": 2.0}),
+    "late": (DriveModel(delay_s=0.2), {"lag_s": 0.2}),
+    "fast": (
+        DriveModel(gain_error=0.2, track_m=0.3),
+        {"overshoot": 0.2, "turn_error_radps": 2 * 0.2 * 0.5 / 0.3 + 0.2 * 2.0},
+    ),
+    "offset": (
+        DriveModel(axis_offset_m=0.05),
+        {"wheels": Wheels(0.5, 2.0, axis_offset_m=0.05)},
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", ROBOTS_AS_THEY_ARE)
+@pytest.mark.parametrize(("latency", "loss"), [(0, 0.0), (2, 0.0), (0, 0.5), (1, 0.9)])
+@pytest.mark.parametrize("seed", range(3))
+def test_bodies_never_touch(make_detections, kind, latency, loss, seed) -> None:
+    """From any start without overlap, with any wishes: docs/bodies.md proves it, the gap only ever shrinks
+    by a factor. Rounding is 1e-9 m."""
+    drive, known = ROBOTS_AS_THEY_ARE[kind]
+    news_s = 0.2 + latency * STEP_S
+    usual = {"wheels": WHEELS, "prompt_s": news_s, "next_s": news_s, "step_s": STEP_S, "lifetime_s": 60.0}
+    mine = AvoidanceRule(SIDE_M, **(usual | known))
+    crowd = Crowd(np.random.default_rng([seed, 7]), mine, make_detections, drive, latency=latency, loss=loss)
+    assert least_gap_m(crowd) > -1e-9
+
+
+@pytest.mark.parametrize(
+    ("kind", "forgotten"), [("brakes", "lag_s"), ("late", "lag_s"), ("fast", "overshoot"), ("exact", "gamma")]
+)
+def test_robots_that_do_not_know_their_wheels_touch(make_detections, kind, forgotten) -> None:
+    """Negative control: each part of the bound is needed."""
+    drive, _ = ROBOTS_AS_THEY_ARE[kind]
+    blind = AvoidanceRule(SIDE_M, WHEELS, prompt_s=0.2, next_s=0.2, step_s=STEP_S, lifetime_s=60.0)
+    if forgotten == "gamma":
+        blind = AvoidanceRule(SIDE_M, WHEELS, prompt_s=0.0, next_s=0.2, step_s=0.001, lifetime_s=60.0)
+    gaps = [
+        least_gap_m(Crowd(np.random.default_rng([seed, 7]), blind, make_detections, drive), 60)
+        for seed in range(8)
+    ]
+    assert min(gaps) < 0
+
+
+def test_what_a_unit_tells_is_true(make_detections) -> None:
+    """Against the ground: distances in marker sides, bearings in each robot's frame, counter-clockwise."""
+    rng = np.random.default_rng(8)
+    crowd = Crowd(rng, rule(), make_detections, DriveModel())
+    crowd.look(0)
+    word = crowd.waiting[0][1]
+    here = to_complex(crowd.positions_m)
+    away = here[word.other_ids] - here[word.robot_ids]
+    assert word.distances_sides == pytest.approx(np.abs(away) / SIDE_M, rel=1e-9)
+    assert wrap_angle(word.bearings_rad - np.angle(away) + crowd.headings[word.robot_ids]) == pytest.approx(
+        0, abs=1e-9
+    )
+    assert word.robot_ids.size == 6 * 5 and (word.shares == 0.5).all()
+
+
+def test_an_obstacle_is_all_the_robots_own_to_keep_away_from(make_detections) -> None:
+    seen = make_detections([0, 1, 40], [0, 300, 60], sides=[20, 20, 20])
+    bodies = BodyRule(1.0, margin_sides=0.5, horizon_sides=4.0, obstacles={40: 0.25})
+    word = encounters(seen, np.array([0, 1, 2]), bodies)
+    assert word.robot_ids.tolist() == [0] and word.other_ids.tolist() == [40]
+    assert word.distances_sides.tolist() == [3.0] and word.reaches_sides.tolist() == [1.75]
+    assert word.shares.tolist() == [1.0]
+
+
+def test_news_replace_older_ones_and_clear_what_went_away(make_detections) -> None:
+    around = Surroundings(np.array([0, 1]), np.array([0, 1]), 2.0)
+    bodies = BodyRule(1.0, horizon_sides=4.0)
+
+    def tell(time_s: float, apart_px: float, ids=(0, 1)) -> None:
+        points = [0, apart_px][: len(ids)]
+        seen = make_detections(ids, points, sides=[20] * len(ids), time_s=time_s)
+        around.receive(encounters(seen, np.array([0, 1]), bodies))
+
+    tell(1.0, 100)
+    tell(0.5, 60)
+    assert around.distances_sides[0, 1] == 5.0, "older news change nothing"
+    tell(1.2, 0, ids=(0,))
+    assert around.fresh(1.3)[0].size == 2, "a body that is not seen has not gone"
+    tell(1.4, 400)
+    assert around.fresh(1.5)[0].size == 0, "two that are seen far apart have"
+    tell(2.0, 100)
+    assert around.fresh(4.1)[0].size == 0, "and old news are forgotten"
+
+
+def test_directions_turn_with_the_robot(make_detections) -> None:
+    """A message of time 0 that arrives at 0.3 s: the robot has turned by 0.3 rad meanwhile."""
+    around = Surroundings(np.array([0]), np.array([0, 1]), 2.0)
+    for tick in range(5):
+        if tick == 3:
+            seen = make_detections([0, 1], [0, 60], time_s=0.0)
+            around.receive(encounters(seen, np.array([0]), BodyRule(1.0, obstacles={1: 1.0})))
+        around.turn(np.array([1.0]), 0.1 * tick, 0.1)
+    assert around.bearings_rad(around.fresh(0.5)) == pytest.approx([-0.5])
+
+
+def test_nothing_near_leaves_the_law_alone(make_detections) -> None:
+    """Bit for bit: robots 10 sides apart whose goals lead away from one another."""
+    gains = MarkerGains(0.5, 2.0, 0.0, SIDE_M)
+    rho = np.array([3 + 1j, -2 + 4j])
+    around = Surroundings(np.array([0, 1]), np.array([0, 1]), 2.0)
+    points = np.array([0, 200])
+    around.receive(encounters(make_detections([0, 1], points), np.array([0, 1]), BODIES))
+    assert np.array_equal(avoiding_law(rho, gains, around, rule(), 0.0), wheel_law(rho, gains, WHEELS))
+
+
+def test_the_way_that_is_taken_is_within_all_bounds() -> None:
+    """And of two robots head on each takes the same side; one whose way is free keeps it."""
+    rng = np.random.default_rng(9)
+    rows = np.repeat(np.arange(20), 5)
+    bearings, speeds = rng.uniform(-np.pi, np.pi, 100), rng.uniform(0, 0.2, 100)
+    wanted = 0.3 * np.exp(1j * rng.uniform(-np.pi, np.pi, 20))
+    barred, way = slide(wanted, rows, bearings, speeds)
+    taken = wanted.copy()
+    taken[barred] = way
+    assert ((np.exp(-1j * bearings) * taken[rows]).real <= speeds + 1e-12).all()
+    free = np.setdiff1d(np.arange(20), barred)
+    assert barred.size and free.size
+    head_on = slide(np.array([0.3, 0.3 + 0j]), np.arange(2), np.zeros(2), np.full(2, 0.01))[1]
+    assert (head_on.imag < 0).all(), "to the right"
+
+
+def test_a_gyroscopic_force_turns_to_the_tangent_and_does_not_brake() -> None:
+    """Of the body that bars most: to the nearer side, to the right if head on; a free way stays free."""
+    rows = np.array([0, 0, 1, 2, 3])
+    bearings, speeds = np.array([0.3, -1.2, -0.4, 0.0, 3.0]), np.full(5, 0.05)
+    barred, way = circle(np.full(4, 0.3 + 0j), rows, bearings, speeds)
+    assert barred.tolist() == [0, 1, 2]
+    np.testing.assert_allclose(
+        way, 0.3 * np.exp(1j * np.array([0.3 - np.pi / 2, -0.4 + np.pi / 2, -np.pi / 2]))
+    )
+    assert circle(np.ones(1, dtype=complex), rows[:0], bearings[:0], speeds[:0])[0].size == 0

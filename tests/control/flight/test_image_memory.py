@@ -1,0 +1,117 @@
+"""Where robots lie in a unit's image that it does not see: by other units, carried along by its own moves."""
+
+import numpy as np
+import pytest
+
+from skyherd.control import Template
+from skyherd.control.flight.image_memory import ImageMemory
+
+ROUNDING_PX = 1e-9
+"""Similarities through some hundred pixels, fitted and applied: 1e-16 of them, some ten times over."""
+NOBODY: list[int] = []
+
+
+def scene(seed: int, count: int = 9):
+    """Ground points, and the similarity of each of two cameras that look at them."""
+    rng = np.random.default_rng(seed)
+    ground = rng.uniform(-3, 3, count) + 1j * rng.uniform(-3, 3, count)
+    cameras = [
+        (rng.uniform(60, 150) * np.exp(1j * rng.uniform(-3, 3)), complex(*rng.uniform(300, 500, 2)))
+        for _ in range(2)
+    ]
+    template = Template(
+        np.arange(10, 10 + count), rng.standard_normal(count) + 1j * rng.standard_normal(count)
+    )
+    return (
+        rng,
+        ground,
+        [lambda at, turn=turn, shift=shift: turn * at + shift for turn, shift in cameras],
+        template,
+    )
+
+
+def known_points(memory: ImageMemory, ids) -> np.ndarray:
+    rows = memory.rows(np.asarray(ids))
+    assert memory.known[rows].all()
+    return memory.points_px[rows]
+
+
+@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("common", [2, 5])
+def test_a_robot_outside_the_frame_is_placed_where_it_is(make_detections, make_report, seed, common) -> None:
+    """Two robots in common tell the similarity; the others lie where one's own camera would have them."""
+    _, ground, (ours, theirs), template = scene(seed)
+    ids = template.ids
+    memory = ImageMemory(template)
+    report = make_report(1, ids, theirs(ground), NOBODY)
+    memory.update(make_detections(ids[:common], ours(ground[:common])), [report])
+    np.testing.assert_allclose(known_points(memory, ids), ours(ground), rtol=0, atol=ROUNDING_PX)
+    assert memory.seen_s[memory.rows(ids[common:])].max() == -np.inf, "placed, not seen"
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_the_other_units_centre_is_found_in_the_own_image(make_detections, make_report, seed) -> None:
+    _, ground, (ours, theirs), template = scene(seed)
+    memory = ImageMemory(template)
+    size = (640, 480)
+    report = make_report(1, template.ids, theirs(ground), NOBODY, size=size)
+    memory.update(make_detections(template.ids[:4], ours(ground[:4])), [report])
+    turn = theirs(1.0) - theirs(0.0)
+    middle = (complex(319.5, 239.5) - theirs(0.0)) / turn
+    assert memory.centers_px[1] == pytest.approx(ours(middle), abs=ROUNDING_PX)
+    memory.update(make_detections(template.ids[:4], ours(ground[:4]), time_s=1.0), [])
+    assert not memory.centers_px, "known only by reports"
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_points_are_carried_along_as_the_unit_moves(make_detections, seed) -> None:
+    """The camera turns, climbs and drifts for thirty images; robots out of view since the first one stay put.
+
+    Rounding adds up image by image.
+    """
+    rng, ground, (camera, _), template = scene(seed)
+    memory = ImageMemory(template)
+    memory.update(make_detections(template.ids, camera(ground)), [])
+    for tick in range(1, 31):
+        turn = 1 + 0.03 * complex(*rng.standard_normal(2))
+        shift = complex(*rng.standard_normal(2)) * 5
+        camera = lambda at, before=camera, turn=turn, shift=shift: turn * before(at) + shift  # noqa: E731
+        memory.update(make_detections(template.ids[:3], camera(ground[:3]), time_s=0.1 * tick), [])
+    np.testing.assert_allclose(
+        known_points(memory, template.ids), camera(ground), rtol=0, atol=100 * ROUNDING_PX
+    )
+    np.testing.assert_array_equal(memory.seen_s, [3.0] * 3 + [0.0] * 6)
+
+
+def test_one_robot_in_common_tells_nothing(make_detections, make_report) -> None:
+    """Neither a similarity to another image nor the own motion: what is not seen is unknown, or stays."""
+    _, ground, (ours, theirs), template = scene(1)
+    memory = ImageMemory(template)
+    report = make_report(1, template.ids, theirs(ground), NOBODY)
+    memory.update(make_detections(template.ids[:1], ours(ground[:1])), [report])
+    assert memory.known.tolist() == [True] + [False] * 8 and not memory.centers_px
+    before = known_points(memory, template.ids[:1])
+    memory.update(make_detections([], [], time_s=1.0), [])
+    assert known_points(memory, template.ids[:1]) == before
+
+
+def test_two_robots_on_one_spot_tell_nothing(make_detections, make_report) -> None:
+    _, ground, (ours, theirs), template = scene(2)
+    memory = ImageMemory(template)
+    theirs_px = theirs(ground)
+    theirs_px[1] = theirs_px[0]
+    memory.update(
+        make_detections(template.ids[:2], ours(ground[:2])), [make_report(1, template.ids, theirs_px, NOBODY)]
+    )
+    assert memory.known.sum() == 2
+
+
+def test_points_from_the_centre_are_in_half_images(make_detections) -> None:
+    """Of robots that have a place; those that have none are left out."""
+    template = Template(np.arange(4), np.array([0, 1, 1j, 2]))
+    memory = ImageMemory(template)
+    seen = make_detections([0, 2], [399.5 + 399.5j, 799.5 + 199.5j])
+    memory.update(seen, [])
+    np.testing.assert_allclose(
+        memory.centred(np.array([0, 1, 2]), seen.image_size_px), [[0, 0], [1.0, -0.5]], atol=1e-12
+    )

@@ -1,0 +1,152 @@
+"""Roles as units exchange them: one map at a time, through losses, deaths and newcomers."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from skyherd.control import Template
+from skyherd.control.formation.registration import Panorama, panorama
+from skyherd.control.formation.roles import RoleRule, Roles, newest_roles
+from skyherd.errors import MessageError
+from skyherd.geometry import to_points
+from skyherd.messages import RoleMap
+
+N = 12
+RING = np.exp(2j * np.pi * np.arange(N) / N) * (1 + 0.3 * np.cos(5 * np.arange(N)))
+TEMPLATE = Template(np.arange(N), 100 * RING)
+RULE = RoleRule()
+
+
+def left(robots, points) -> float:
+    x, p = robots - robots.mean(), points - points.mean()
+    return float(np.vdot(x, x).real - abs(np.vdot(p, x)) ** 2 / np.vdot(p, p).real)
+
+
+def whole(points) -> Panorama:
+    return Panorama(np.asarray(points), np.ones(N, dtype=bool))
+
+
+class Crew:
+    """Units that see all robots from anywhere, and hear each other's last report with some luck."""
+
+    def __init__(self, make_report, units=3, loss=0.0, seed=0) -> None:
+        self.rng, self.loss = np.random.default_rng([seed, 2]), loss
+        self.roles = {unit: Roles(RULE, TEMPLATE) for unit in range(units)}
+        self.heard = {unit: {} for unit in range(units)}
+        self.blank = make_report
+        self.views = self.rng.normal(size=units) + 1j * self.rng.normal(size=units)
+
+    def step(self, time_s: float, robots: np.ndarray) -> None:
+        for unit, mine in self.roles.items():
+            reports = list(self.heard[unit].values())
+            mine.hear(reports)
+            if mine.may_exchange(unit, time_s, reports):
+                mine.exchange(unit, whole(self.views[unit] * robots))
+        for unit, mine in self.roles.items():
+            report = replace(self.blank(unit, [], [], []), time_s=time_s, roles=mine.word)
+            for other in self.roles:
+                if other != unit and self.rng.random() >= self.loss:
+                    self.heard[other][unit] = report
+
+    def maps(self) -> set:
+        return {mine.map.name for mine in self.roles.values()}
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize(("loss", "longest"), [(0.0, 1), (0.3, 10), (0.8, 60)])
+def test_units_come_to_one_map_and_it_stays(make_report, seed, loss, longest) -> None:
+    """Two units differ for as long as the newest map is not heard: `loss^longest` is below 1e-5."""
+    crew = Crew(make_report, loss=loss, seed=seed)
+    robots = crew.rng.normal(size=N) + 1j * crew.rng.normal(size=N)
+    before = left(robots, TEMPLATE.points_px)
+    differ = 0
+    for tick in range(400):
+        crew.step(0.2 * tick, robots)
+        differ = differ + 1 if len(crew.maps()) > 1 else 0
+        assert differ <= longest
+    (name,) = crew.maps()
+    after = [left(robots, mine.shape.points_px) for mine in crew.roles.values()]
+    assert len(set(after)) == 1 and after[0] < before and name[0] >= 1
+    for tick in range(400, 500):
+        crew.step(0.2 * tick, robots)
+    assert crew.maps() == {name}, "what cannot be improved is left alone"
+
+
+def test_every_exchange_lowers_what_is_left_by_the_gain(make_report) -> None:
+    crew = Crew(make_report, units=1)
+    robots = crew.rng.normal(size=N) + 1j * crew.rng.normal(size=N)
+    versions = 0
+    for tick in range(100):
+        robots = robots + 0.02 * (crew.rng.normal(size=N) + 1j * crew.rng.normal(size=N))
+        before = left(robots, crew.roles[0].shape.points_px)
+        crew.step(0.5 * tick, robots)
+        now = left(robots, crew.roles[0].shape.points_px)
+        if crew.roles[0].map.version > versions:
+            versions = crew.roles[0].map.version
+            assert now < (1 - RULE.gain) * before
+        else:
+            assert now == pytest.approx(before)
+    assert versions >= 1
+
+
+def test_the_map_outlives_its_author_and_reaches_newcomers(make_report) -> None:
+    crew = Crew(make_report)
+    robots = crew.rng.normal(size=N) + 1j * crew.rng.normal(size=N)
+    for tick in range(20):
+        crew.step(0.2 * tick, robots)
+    (name,) = crew.maps()
+    author = -name[1]
+    del crew.roles[author]
+    crew.roles[7], crew.heard[7], crew.views = Roles(RULE, TEMPLATE), {}, np.ones(8)
+    for heard in crew.heard.values():
+        heard.pop(author, None)
+    for tick in range(20, 23):
+        crew.step(0.2 * tick, robots)
+    assert crew.maps() == {name}
+
+
+def test_of_two_maps_made_at_once_the_lower_units_holds(make_report) -> None:
+    first, second = (RoleMap(3, unit, np.roll(np.arange(N), unit)) for unit in (1, 2))
+    mine = Roles(RULE, TEMPLATE)
+    reports = [replace(make_report(u, [], [], []), roles=word) for u, word in ((2, second), (1, first))]
+    mine.hear(reports)
+    assert mine.map is first
+    assert newest_roles([second, None, first], N).tolist() == first.roles.tolist()
+    assert newest_roles([None], N).tolist() == list(range(N))
+
+
+def test_fixed_roles_stay(make_report) -> None:
+    mine = Roles(None, TEMPLATE)
+    mine.hear([replace(make_report(1, [], [], []), roles=RoleMap(3, 1, np.roll(np.arange(N), 1)))])
+    assert not mine.may_exchange(0, 0.0, []) and not mine.exchange(0, whole(RING[::-1]))
+    assert mine.word is None
+    assert mine.shape.points_px.tolist() == TEMPLATE.points_px.tolist()
+
+
+def test_robots_of_unknown_place_keep_their_roles() -> None:
+    rng = np.random.default_rng(5)
+    known = np.arange(N) < 8
+    mine = Roles(RULE, TEMPLATE)
+    assert mine.exchange(0, Panorama(rng.normal(size=N) + 1j * rng.normal(size=N), known))
+    assert mine.map.roles[8:].tolist() == list(range(8, N))
+
+
+def test_a_map_that_is_no_permutation_is_refused() -> None:
+    with pytest.raises(MessageError, match="no permutation"):
+        RoleMap(0, 0, np.array([0, 0, 1]))
+
+
+def test_a_panorama_reaches_along_a_chain_of_views(make_detections, make_report) -> None:
+    """Unit 0 sees robots 0-4, unit 1 sees 3-8, unit 2 sees 7-11: two in common tell each next similarity."""
+    rng = np.random.default_rng(6)
+    ground = 300 * (rng.normal(size=N) + 1j * rng.normal(size=N))
+    views = [slice(0, 5), slice(3, 9), slice(7, 12)]
+    turns, shifts = rng.normal(size=(2, 3)) + 1j * rng.normal(size=(2, 3))
+    images = [turn * ground[view] + shift for turn, shift, view in zip(turns, shifts, views, strict=True)]
+    seen = make_detections(np.arange(N)[views[0]], images[0])
+    reports = [make_report(unit, np.arange(N)[views[unit]], images[unit], []) for unit in (2, 1)]
+    team = panorama(np.arange(N), seen, reports)
+    assert team.known.all()
+    assert to_points(team.points_px) == pytest.approx(to_points(turns[0] * ground + shifts[0]), rel=1e-9)
+    assert not panorama(np.arange(N), seen, reports[:1]).known[5:].any(), "without unit 1 there is no way"

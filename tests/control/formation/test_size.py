@@ -1,0 +1,114 @@
+"""The shape's size: the nearest fit within bounds, the same for all units, and robots that reach it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+from scipy.spatial.distance import pdist
+
+from skyherd.control import SizeRule, Template, fit_similarity
+from skyherd.control.formation.size import LEAK, Yardstick
+from skyherd.datasets import make_mission
+from skyherd.loop import run_steps
+
+
+def draw(seed: int, count: int = 7) -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng([seed, 3])
+    return tuple(rng.normal(size=(2, count)) + 1j * rng.normal(size=(2, count)))
+
+
+def residual(turn: complex, points, robots) -> float:
+    p, x = points - points.mean(), robots - robots.mean()
+    return float(np.sum(np.abs(turn * p - x) ** 2))
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize(("low", "high"), [(0.8, np.inf), (0.0, 0.1), (0.5, 0.5)])
+def test_a_bounded_fit_is_the_nearest_within_the_bounds(seed, low, high) -> None:
+    """Against a numerical search over size and rotation, started all around."""
+    points, robots = draw(seed)
+    fitted = fit_similarity(points, robots).resized(low, high)
+    assert low - 1e-12 <= fitted.scale <= high + 1e-12
+
+    def cost(unknowns) -> float:
+        scale = min(max(abs(unknowns[0]), low), high)
+        return residual(scale * np.exp(1j * unknowns[1]), points, robots)
+
+    starts = [(0.7, angle) for angle in np.linspace(-3, 3, 7)]
+    best = min(minimize(cost, start, method="Nelder-Mead", tol=1e-10).fun for start in starts)
+    assert residual(fitted.turn, points, robots) == pytest.approx(best, rel=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_goals_are_the_gradient_of_the_bounded_cost(seed) -> None:
+    """Lemma 2 with the floor active: dV/dx = x - d, by central differences (error of second order)."""
+    points, robots = draw(seed)
+    low = 2 * fit_similarity(points, robots).scale
+
+    def cost(x) -> float:
+        fitted = fit_similarity(points, x).resized(low, np.inf)
+        return float(np.sum(np.abs(fitted(points) - x) ** 2) / 2)
+
+    fitted = fit_similarity(points, robots).resized(low, np.inf)
+    step = 1e-5
+    for robot in range(robots.size):
+        for way in (1, 1j):
+            moved = [robots + sign * step * way * (np.arange(robots.size) == robot) for sign in (1, -1)]
+            slope = (cost(moved[0]) - cost(moved[1])) / (2 * step)
+            away = robots[robot] - fitted(points)[robot]
+            assert slope == pytest.approx((away * np.conj(way)).real, abs=1e-7)
+
+
+def test_bounds_are_in_marker_sides_between_the_two_nearest_points() -> None:
+    template = Template(np.arange(3), np.array([0, 10, 35j]))
+    assert SizeRule(3.0, 6.0).scales(template, 20.0) == (6.0, 12.0)
+    assert SizeRule().is_free and SizeRule().scales(template, 20.0) == (0.0, np.inf)
+
+
+@pytest.mark.parametrize("units", [2, 4])
+def test_units_that_measure_differently_agree(make_detections, make_report, units) -> None:
+    """A chain of units, each 2 % off its neighbour, in images of different scale.
+
+    The agreed sides differ by a share of what the measured ones do, which falls with LEAK.
+    """
+    rng = np.random.default_rng(4)
+    ground = rng.normal(size=6) + 1j * rng.normal(size=6)
+    scales, errors = rng.uniform(100, 300, units), 1 + 0.02 * np.arange(units)
+    sticks = [Yardstick() for _ in range(units)]
+    seen = [
+        make_detections(np.arange(6), scale * ground, sides=np.full(6, 0.2 * scale * error), unit_id=unit)
+        for unit, (scale, error) in enumerate(zip(scales, errors, strict=True))
+    ]
+    reports: dict = {}
+    for _ in range(200):
+        sides = [
+            stick.update(seen[unit], [reports[k] for k in (unit - 1, unit + 1) if k in reports])
+            for unit, stick in enumerate(sticks)
+        ]
+        for unit, side in enumerate(sides):
+            word = make_report(unit, np.arange(6), scales[unit] * ground, [])
+            reports[unit] = replace(word, side_px=side)
+    agreed = np.array(sides) / scales
+    assert np.ptp(np.log(agreed)) < 2 * LEAK * units * np.ptp(np.log(errors))
+    assert agreed.mean() == pytest.approx(0.2 * errors.mean(), rel=0.02 * units)
+
+
+@pytest.mark.parametrize(
+    ("size", "spacing_sides"),
+    [({}, None), ({"least_spacing_sides": 6.0}, 6.0), ({"spacing_sides": 2.0}, 2.0), ({"unit_m": 0.4}, 0.8)],
+)
+def test_a_team_keeps_above_the_floor_or_takes_the_size_that_is_wanted(
+    scenario_tree, size, spacing_sides
+) -> None:
+    """Triangle with its roles turned about shrinks to 3.5 sides where nothing holds it; side 0.5 m."""
+    tree = scenario_tree("triangle") | {"perception": "ideal", "duration_s": 40.0, "size": size}
+    tree["robots"]["positions_m"] = [tree["robots"]["positions_m"][i] for i in (3, 1, 5, 0, 4, 2)]
+    tree["control"] |= {"b_th": 0.0, "k": 0.3, "k_omega": 1.2}
+    *_, last = run_steps(make_mission(tree))
+    nearest_sides = pdist(last.positions_m).min() / 0.5
+    assert last.observation.shape.error < 0.01
+    if spacing_sides is None:
+        assert 3.0 < nearest_sides < 4.0
+    else:
+        assert nearest_sides == pytest.approx(spacing_sides, rel=0.01)

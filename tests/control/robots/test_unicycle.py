@@ -1,0 +1,177 @@
+"""Equations 2-3 and 6-8 against the paper's literal formulas, in words of its own coordinates."""
+
+import numpy as np
+import pytest
+
+from skyherd.control import Inboxes, MarkerGains, PixelGains, Template, motion_goals, robot_commands
+from skyherd.control.robots.unicycle import unicycle_law
+from skyherd.geometry import wrap_angle
+
+ROUNDING = 1e-12
+"""Angles of order 1 through two transcendental functions: 1e-15, with room."""
+
+
+def in_half_open(angle: float) -> float:
+    """The paper's `Angles are taken in [-pi, pi)`."""
+    return (angle + np.pi) % (2 * np.pi) - np.pi
+
+
+def paper_alpha(rho: np.ndarray, y: np.ndarray) -> float:
+    """Equation 3: `atan2(-[(rho; 0) x (y; 0)]_z, -rho^T y)`, in axes with z up, towards the camera."""
+    rho_hat = rho / np.linalg.norm(rho)
+    cross_z = np.cross([*rho_hat, 0.0], [*y, 0.0])[2]
+    return in_half_open(np.arctan2(-cross_z, -rho_hat @ y))
+
+
+def paper_law(rho: float, alpha: float, k: float, k_omega: float) -> tuple[float, float]:
+    """Equations 7-8."""
+    alpha_d = 0.0 if abs(alpha) <= np.pi / 2 else np.pi
+    return -k * np.sign(np.cos(alpha)) * rho, k_omega * in_half_open(alpha_d - alpha)
+
+
+def one_inbox(rho: np.ndarray) -> Inboxes:
+    """Robots that heard vectors `rho` in their own frames from one unit, with marker sides of 20 px."""
+    inboxes = Inboxes(np.arange(rho.size), np.array([0]), 1.0)
+    inboxes.rho_px[0] = rho
+    inboxes.sides_px[0] = 20.0
+    inboxes.heard_s[0] = 0.0
+    return inboxes
+
+
+def test_bearing_is_the_papers_angle(make_detections) -> None:
+    """alpha = pi - bearing, with the paper's cross product; image v is down, so z up needs (u, -v)."""
+    rng = np.random.default_rng(1)
+    for _ in range(50):
+        points = 400 + 100 * (rng.standard_normal(6) + 1j * rng.standard_normal(6))
+        headings = rng.uniform(-np.pi, np.pi, 6)
+        template = Template(np.arange(6), rng.standard_normal(6) + 1j * rng.standard_normal(6))
+        seen = make_detections(range(6), points, headings=headings)
+        goals = motion_goals(seen, seen.ids, template, shared_ids=np.array([], dtype=int), nearest=2)
+        t = template.points_px - template.points_px.mean()
+        desired = points.mean() + np.vdot(t, points) / np.vdot(t, t) * t
+        for robot in range(6):
+            rho = desired[robot] - points[robot]
+            assert goals.rho_px[robot] == pytest.approx(abs(rho), abs=1e-9)
+            y = np.array([np.cos(headings[robot]), -np.sin(headings[robot])])
+            alpha = paper_alpha(np.array([rho.real, -rho.imag]), y)
+            difference = np.pi - goals.bearings_rad[robot] - alpha
+            assert np.exp(1j * difference) == pytest.approx(1, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("error_px", "drives_forwards"), [(-40 + 30j, True), (40 + 30j, False)], ids=["ahead", "behind"]
+)
+def test_a_goal_to_the_left_on_the_ground_is_a_positive_bearing_and_turns_the_axis_towards_it(
+    make_detections, error_px, drives_forwards
+) -> None:
+    """The one flip of sense. Seen from above, robot 0 faces image right (+u); its left is image up (-v).
+
+    Robot 0 stands 30 px below its place, and 40 px behind it or beyond it: the goal is well off the bearing
+    of pi/2 at which the law changes from driving forwards to backwards, so that no rounding decides the case.
+    """
+    template = Template(np.arange(3), np.array([-1 - 1j, 1 + 0j, -1 + 1j]))
+    points = 400 + 400j + 100 * template.points_px + np.array([error_px, 0, 0])
+    seen = make_detections(range(3), points, headings=[0, 0, 0])
+    goals = motion_goals(seen, seen.ids, template, shared_ids=np.array([], dtype=int), nearest=1)
+    bearing = goals.bearings_rad[0]
+    assert 0 < bearing < np.pi
+    assert abs(bearing - np.pi / 2) > 0.1
+    inboxes = Inboxes(np.arange(3), np.array([0]), 1.0)
+    inboxes.receive(goals, 0.0)
+    for gains in (PixelGains(0.01, 1.0, 0.0), MarkerGains(0.1, 1.0, 0.0, 0.5)):
+        command = robot_commands(inboxes, gains, 0.0)
+        assert (command.v_mps[0] > 0) == drives_forwards
+        assert command.omega_radps[0] == pytest.approx(bearing if drives_forwards else bearing - np.pi)
+
+
+@pytest.mark.parametrize(
+    ("bearing_deg", "drives", "turns"),
+    [
+        (30, 1, 1),
+        (-30, 1, -1),
+        (150, -1, -1),
+        (-150, -1, 1),
+        (0, 1, 0),
+        (89, 1, 1),
+        (91, -1, -1),
+        (-91, -1, 1),
+    ],
+)
+def test_all_quadrants(bearing_deg, drives, turns) -> None:
+    """Goal ahead left: forward, left. Behind left: backwards, tail towards it, so to the right. And so on."""
+    rho = np.array([0.8 * np.exp(1j * np.radians(bearing_deg))])
+    v, omega = unicycle_law(rho, MarkerGains(0.5, 2.0, 0.0, 0.25))
+    assert (np.sign(v[0]), np.sign(np.round(omega[0], 12))) == (drives, turns)
+    expected_v, expected_omega = paper_law(
+        0.8, in_half_open(np.pi - np.radians(bearing_deg)), 0.5 * 0.25, 2.0
+    )
+    assert v[0] == pytest.approx(expected_v, abs=ROUNDING)
+    assert omega[0] == pytest.approx(expected_omega, abs=ROUNDING)
+
+
+@pytest.mark.parametrize(
+    "gains", [PixelGains(0.02, 0.7, 0.0), MarkerGains(0.1, 0.7, 0.0, 0.2)], ids=["px", "side"]
+)
+def test_equations_7_and_8_over_all_directions(gains) -> None:
+    rng = np.random.default_rng(2)
+    rho = rng.uniform(0, 50, 2000) * np.exp(1j * rng.uniform(-np.pi, np.pi, 2000))
+    v, omega = unicycle_law(rho, gains)
+    alpha = np.pi - np.arctan2(rho.imag, rho.real)  # equation 6
+    expected = [paper_law(abs(r), in_half_open(a), 0.02, 0.7) for r, a in zip(rho, alpha, strict=True)]
+    np.testing.assert_allclose(np.column_stack([v, omega]), expected, rtol=0, atol=ROUNDING)
+    assert np.abs(omega).max() <= 0.7 * np.pi / 2 + ROUNDING, "|alpha - alpha_d| <= pi/2"
+
+
+@pytest.mark.parametrize("sense", [1, -1], ids=["left", "right"])
+def test_a_goal_at_right_angles_turns_in_place(sense) -> None:
+    """`If cos alpha = 0, v = 0 and robot i can rotate in place but not translate`; alpha_d = 0 there.
+
+    alpha = pi - bearing = +pi/2 for a goal on the left: omega = -k pi/2, tail first. Exact: rho = ±i.
+    """
+    v, omega = unicycle_law(np.array([sense * 5j]), MarkerGains(0.1, 2.0, 0.0, 0.5))
+    assert omega[0] == pytest.approx(-sense * 2.0 * np.pi / 2, abs=ROUNDING)
+    assert v[0] == 0.0
+
+
+@pytest.mark.parametrize("bearing", [np.pi, -np.pi])
+def test_a_goal_right_behind_is_backed_into_without_turning(bearing) -> None:
+    v, omega = unicycle_law(np.array([3 * np.exp(1j * bearing)]), MarkerGains(0.1, 2.0, 0.0, 0.5))
+    assert v[0] == pytest.approx(-0.15)
+    assert omega[0] == pytest.approx(0.0, abs=ROUNDING)
+
+
+def test_no_goal_no_motion() -> None:
+    """alpha_m is 0 where rho is 0: v = omega = 0, exactly, and no NaN."""
+    v, omega = unicycle_law(np.array([0j, -0.0 + 0j]), PixelGains(0.1, 2.0, 0.0))
+    np.testing.assert_array_equal(np.abs([v, omega]), 0.0)
+
+
+@pytest.mark.parametrize(
+    ("gains", "scale"),
+    [(PixelGains(0.01, 1.0, 10.0), 1.0), (MarkerGains(0.1, 1.0, 0.5, 0.3), 20.0)],
+    ids=["10 px", "half a marker side"],
+)
+def test_robots_stop_below_the_threshold(gains, scale) -> None:
+    """v = omega = 0 if rho_m < b_th (Corollary 2), in px or in marker sides, here of 20 px."""
+    rho = gains.b_th * scale * np.array([0.999, 1.0, 1.001]) * np.exp(0.4j)
+    rho[1] = gains.b_th * scale  # exactly at the threshold: not below it
+    command = robot_commands(one_inbox(rho), gains, 0.0)
+    assert command.v_mps[0] == command.omega_radps[0] == 0.0
+    assert (command.v_mps[1:] > 0).all()
+    assert command.omega_radps[2] == pytest.approx(0.4)
+
+
+def test_marker_gains_are_metres_a_second_a_metre() -> None:
+    """rho = side_m · rho_px / side_px metres, v = k rho: 40 px at 20 px a side of 0.3 m are 0.6 m."""
+    command = robot_commands(one_inbox(np.array([40.0 + 0j])), MarkerGains(0.5, 1.0, 0.0, 0.3), 0.0)
+    assert command.v_mps[0] == pytest.approx(0.5 * 0.6, rel=1e-14)
+
+
+def test_pixel_gains_are_metres_a_second_a_pixel() -> None:
+    command = robot_commands(one_inbox(np.array([40.0 + 0j])), PixelGains(0.002, 1.0, 0.0), 0.0)
+    assert command.v_mps[0] == pytest.approx(0.08, rel=1e-14)
+
+
+def test_wrap_angle_is_half_open() -> None:
+    angles = np.array([-np.pi, np.pi, 3 * np.pi, -3 * np.pi, 0.0])
+    np.testing.assert_array_equal(wrap_angle(angles), [-np.pi, -np.pi, -np.pi, -np.pi, 0.0])

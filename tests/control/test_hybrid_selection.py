@@ -1,0 +1,81 @@
+"""Free overlaps with a way back: the tree is built when they have failed, and not before."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from skyherd.control import FreeRule, FreeThenTree, Roster, SafetyRadius, Template, TreeRule
+from skyherd.control.hybrid_selection import cost_share
+from skyherd.datasets import make_mission
+from skyherd.datasets.generated.random_missions import random_mission
+from skyherd.loop import run_steps
+
+RULE = FreeRule(SafetyRadius(), TreeRule(), stall_s=10.0)
+TEMPLATE = Template.from_image_points([0, 1, 2, 3], [[0, 0], [1, 0], [1, 1], [0, 1]])
+
+
+@pytest.fixture
+def one_unit(make_report):
+    """A unit that controls these robots and reports a cost, at 1 Hz: when a tree begins, s, or None."""
+
+    def run(cost, controlled=(0, 1, 2, 3), until_s: int = 40) -> int | None:
+        sets = FreeThenTree(RULE, TEMPLATE)
+        report = make_report(0, list(controlled), [0] * len(controlled), list(controlled))
+        for time_s in range(until_s):
+            sets.note(time_s, replace(report, time_s=time_s, cost_sides2=cost(time_s)), [])
+            if sets.tree is not None:
+                return time_s
+        return None
+
+    return run
+
+
+def test_a_cost_that_falls_keeps_free_overlaps(one_unit) -> None:
+    assert one_unit(lambda t: 100 * np.exp(-0.02 * t)) is None
+
+
+def test_a_cost_that_stalls_above_zero_begins_the_tree_after_the_stall_time(one_unit) -> None:
+    """The first comparison is with an image more than 10 s old."""
+    assert one_unit(lambda t: 5.0) == 11
+
+
+def test_a_cost_at_its_floor_is_no_stall(one_unit) -> None:
+    """All four robots 0.1 sides from their goals make V = 4 · 0.1² / 2; half of that is within the floor."""
+    assert one_unit(lambda t: 0.01) is None
+    assert one_unit(lambda t: 0.03) == 11
+
+
+def test_a_robot_that_nobody_controls_begins_the_tree_though_the_cost_is_zero(one_unit) -> None:
+    assert one_unit(lambda t: 0.0, controlled=(0, 1, 2)) == 11
+
+
+def test_a_unit_follows_one_that_has_begun(make_report, make_detections) -> None:
+    sets, leader = FreeThenTree(RULE, TEMPLATE), Roster(TreeRule(), TEMPLATE)
+    seen = make_detections([0, 1, 2, 3], [300 + 300j, 400 + 300j, 400 + 400j, 300 + 400j])
+    assert sets.update(seen, []).tolist() == [0, 1, 2, 3]
+    report = make_report(1, [0], [400 + 400j], [])
+    assert sets.update(seen, [report]).tolist() == [0, 1, 2, 3]
+    leader.update(replace(seen, unit_id=1), [])
+    assert sets.update(seen, [replace(report, tree=leader.word(0.0))]).tolist() == []
+    assert not sets.ready and sets.word(0.0) is not None
+
+
+def test_the_cost_is_half_the_squares_in_marker_sides(make_goals) -> None:
+    assert cost_share(None) == 0.0
+    assert cost_share(make_goals(0, [0, 1], [3, 4j], sides=[1.0, 2.0])) == pytest.approx((9 + 4) / 2)
+
+
+def test_a_mission_that_free_overlaps_lose_is_saved_by_the_tree() -> None:
+    """Hovering units with a small radius lose robots: the shape never comes, until the tree is built."""
+    errors = {}
+    for kind in ("radius", "radius-then-tree"):
+        tree = random_mission(3) | {"perception": "ideal", "duration_s": 60.0}
+        tree["selection"] = {"kind": kind, "radius": 0.8}
+        for unit in tree["units"]:
+            unit["flight"] = {"kind": "hover"}
+        for step in run_steps(make_mission(tree)):
+            errors[kind] = step.observation.shape.error
+    assert errors["radius"] > 0.3
+    assert errors["radius-then-tree"] < 0.01
+    assert step.observation.conditions.in_p

@@ -1,0 +1,137 @@
+"""One edge of the tree: turns alternate, whatever becomes of the words that hand them over."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from skyherd.control.tree.edge import NO_ROBOTS, NO_TURN, Edge, first_turn, holds, word_of
+from skyherd.messages import NOBODY, TreeWord, UnitReport
+
+NONE = np.array([], dtype=np.int64)
+
+
+def report_of(edge: Edge, time_s: float = 0.0) -> UnitReport:
+    """What the unit at this end reports, of this edge alone."""
+    lent, wished = sorted(edge.lent), sorted(edge.giving & edge.lent)
+    word = TreeWord(
+        tree_id=0,
+        asks_id=NOBODY,
+        ask_turn=NO_TURN,
+        heir_id=NOBODY,
+        ready=True,
+        neighbor_ids=np.array([edge.neighbor_id]),
+        turns=np.array([edge.turn]),
+        pairs=np.array([sorted(edge.pair) or [NOBODY, NOBODY]]),
+        lent_ids=np.array(lent, dtype=np.int64),
+        lent_to_ids=np.full(len(lent), edge.neighbor_id),
+        wished_ids=np.array(wished, dtype=np.int64),
+        missing_ids=NONE,
+    )
+    return UnitReport(edge.unit_id, time_s, np.array([800, 800]), NONE, np.zeros((0, 2)), NONE, NONE, word)
+
+
+def ends() -> tuple[Edge, Edge]:
+    pair = frozenset({1, 2})
+    return Edge(3, 7, 0.0, 0, pair), Edge(7, 3, 0.0, 0, pair)
+
+
+def test_exactly_one_end_has_each_turn() -> None:
+    for turn in range(20):
+        assert holds(turn, 3, 7) != holds(turn, 7, 3)
+        assert holds(turn, 3, 7) == (turn % 2 == 0), "the lower unit holds the even ones"
+
+
+@pytest.mark.parametrize("holder", [3, 7])
+def test_a_new_edge_begins_beyond_all_turns_of_a_former_one(holder) -> None:
+    """A turn an image, at 500 images a second: after 60 s the old edge is behind where a new one starts."""
+    other = 10 - holder
+    start = first_turn(1.0, holder, other)
+    assert holds(start, holder, other) and not holds(start, other, holder)
+    assert first_turn(61.0, other, holder) > start + 500 * 60
+
+
+def test_the_turn_goes_over_with_pair_and_loans() -> None:
+    one, two = ends()
+    assert one.mine and not two.mine
+    one.pair = frozenset({1, 5})
+    one.hand_over(lent=frozenset({8, 9}), giving=frozenset({9, 4}))
+    assert not one.mine and not two.mine, "on its way nobody has it"
+    two.hear(report_of(one))
+    assert two.mine and (two.turn, two.pair) == (1, {1, 5})
+    assert two.reach == {8, 9} and two.wished == {9}, "only what is lent can be wished away"
+    assert one.lent == {8, 9} and not two.lent, "promised until the turn is back"
+    two.hand_over(lent=frozenset({6}), giving=NO_ROBOTS)
+    one.hear(report_of(two))
+    assert one.mine and one.reach == {6} and not one.lent and not two.reach
+
+
+def test_repeated_and_older_words_change_nothing() -> None:
+    one, two = ends()
+    one.hand_over(frozenset({8}), NO_ROBOTS)
+    old = report_of(one)
+    two.hear(old)
+    two.pair = frozenset({2, 8})
+    two.hear(old)
+    assert two.pair == {2, 8}, "the turn that it has is not taken again"
+    two.hand_over(NO_ROBOTS, NO_ROBOTS)
+    two.hear(old)
+    assert two.turn == 2 and two.pair == {2, 8}
+    one.hear(report_of(two))
+    one.hand_over(NO_ROBOTS, NO_ROBOTS)
+    one.hear(report_of(two))
+    assert one.turn == 3, "nor a word of a turn that has passed"
+
+
+def test_an_end_that_knows_no_turn_takes_the_first_word() -> None:
+    heir = Edge(7, 3, 0.0, pair=frozenset({1, 2}))
+    assert heir.turn == NO_TURN and not heir.mine
+    other = Edge(3, 7, 0.0, 51, frozenset({4, 5}))
+    heir.hear(report_of(other))
+    assert (heir.turn, heir.pair, heir.mine) == (51, {4, 5}, True)
+
+
+@pytest.mark.parametrize("turn", [4, 5])
+def test_an_end_that_was_given_up_goes_over_to_the_new_edge(turn) -> None:
+    """Unit 3 buried unit 7 and then found it again, as the heir of another one: two edges of one name.
+
+    Unit 7 waited for the next turn of the first one for good, whether that was its own or not.
+    """
+    old = Edge(7, 3, 0.0, turn, frozenset({1, 2}), lent=frozenset({8}))
+    new = Edge(3, 7, 32.0, first_turn(32.0, 3, 7), frozenset({4, 5}))
+    old.hear(report_of(new))
+    assert (old.turn, old.pair, old.mine) == (new.turn, {4, 5}, False) and not old.lent
+    new.hand_over(frozenset({6}), NO_ROBOTS)
+    old.hear(report_of(new))
+    assert old.mine and old.reach == {6}
+
+
+def test_a_word_on_other_edges_is_none() -> None:
+    one, two = ends()
+    assert word_of(report_of(one), 8) is None
+    before = (two.turn, two.pair)
+    two.hear(report_of(Edge(3, 8, 0.0, 1, frozenset({6, 7}))))
+    assert (two.turn, two.pair) == before
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(st.tuples(st.sampled_from("ab"), st.integers(0, 200), st.booleans()), max_size=60))
+def test_turns_never_part_by_more_than_one_whatever_is_heard(story) -> None:
+    """Each end speaks at will and hears any word ever said, in any order: one turn, one pair, one holder.
+
+    `pair` stands for what the holder changed, a fresh number each time: ends at the same turn have the same.
+    """
+    one, two = ends()
+    said: dict[str, list[UnitReport]] = {"a": [report_of(one)], "b": [report_of(two)]}
+    fresh = 10
+    for name, pick, changes in story:
+        edge, other = (one, "b") if name == "a" else (two, "a")
+        edge.hear(said[other][pick % len(said[other])])
+        if edge.mine and changes:
+            edge.pair = frozenset({fresh, fresh + 1})
+            fresh += 2
+            edge.hand_over(NO_ROBOTS, NO_ROBOTS)
+        said[name].append(report_of(edge))
+        assert not (one.mine and two.mine)
+        assert abs(one.turn - two.turn) <= 1
+        assert one.turn != two.turn or one.pair == two.pair

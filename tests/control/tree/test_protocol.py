@@ -1,0 +1,346 @@
+"""Interleavings that once broke the tree protocol, written out; and what a crash costs."""
+
+from copy import deepcopy
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from protocol_world import ProtocolWorld
+
+from skyherd.control import Template
+from skyherd.control.tree.edge import NO_TURN, Edge
+from skyherd.control.tree.node_state import Standing, TreeRule
+from skyherd.control.tree.orphans import Orphans, yield_claims
+from skyherd.control.tree.peer_reports import Hearsay
+from skyherd.control.tree.protocol import Roster
+from skyherd.messages import NOBODY, TreeWord, UnitReport
+
+RULE = TreeRule()
+STEP_S = 0.5
+NONE = np.array([], dtype=np.int64)
+
+
+def everything(robots: int) -> dict[int, float]:
+    """A view of all robots, well inside."""
+    return {robot: 0.1 + 0.7 * robot / robots for robot in range(robots)}
+
+
+def formed(units: int, robots: int) -> ProtocolWorld:
+    """Units that all see all robots, after the tree has grown."""
+    return deepcopy(_formed(units, robots))
+
+
+@cache
+def _formed(units: int, robots: int) -> ProtocolWorld:
+    world = ProtocolWorld(units, robots, RULE, [everything(robots) for _ in range(units)])
+    world.quiet(20.0, STEP_S)
+    assert world.in_p()
+    return world
+
+
+def no_tree() -> TreeWord:
+    """What a unit says that belongs to no tree and asks nobody."""
+    return Roster(RULE, Template(np.arange(6), np.arange(6.0) + 0j)).word(0.0)
+
+
+def member_report(unit_id: int, time_s: float, controlled, seen: dict[int, float], pair=()) -> UnitReport:
+    """What a member says; its edge, if any, is to unit 99."""
+    edges = 1 if pair else 0
+    word = TreeWord(
+        tree_id=0,
+        asks_id=NOBODY,
+        ask_turn=NO_TURN,
+        heir_id=NOBODY,
+        ready=True,
+        neighbor_ids=np.full(edges, 99),
+        turns=np.zeros(edges, dtype=int),
+        pairs=np.array([pair] if pair else [], dtype=int).reshape(-1, 2),
+        lent_ids=NONE,
+        lent_to_ids=NONE,
+        wished_ids=NONE,
+        missing_ids=NONE,
+    )
+    points = np.array([[399.5 + 400 * at, 399.5] for at in seen.values()]).reshape(-1, 2)
+    ids, controlled = np.array(list(seen), dtype=int), np.array(sorted(controlled), dtype=int)
+    return UnitReport(unit_id, time_s, np.array([800, 800]), ids, points, controlled, NONE, word)
+
+
+def member(unit_id: int, own: set[int], held_s: float, reports: list[UnitReport]) -> Standing:
+    """A member at 10 s, which has heard these reports."""
+    template = Template(np.arange(8), np.exp(1j * np.arange(8)))
+    unit = Standing(RULE, template, Hearsay(RULE.silence_s), unit_id, own=set(own), tree_id=0, slot=5)
+    unit.held_s = dict.fromkeys(own, held_s)
+    unit.heard.take(reports)
+    return unit
+
+
+# --- claims ---
+
+
+@pytest.mark.parametrize(("said_s", "kept"), [(8.9, {4, 5}), (9.1, {5})])
+def test_what_a_unit_said_before_this_one_had_a_robot_is_no_claim(said_s, kept) -> None:
+    """Robot 4 went from unit 0 by way of unit 1 to unit 2, at 9 s, which last heard unit 0 before that.
+
+    Unit 2 dropped it for unit 0's sake, which no longer had it: nobody did.
+    """
+    unit = member(2, {4, 5}, 9.0, [member_report(0, said_s, {3, 4}, {})])
+    yield_claims(unit, 10.0)
+    assert unit.own == kept
+
+
+def test_a_higher_unit_yields_and_a_pair_does_not() -> None:
+    """Robot 4 is both units' own: the lower one keeps it. Robot 5 is in a pair elsewhere: an own one goes."""
+    claims = {"controlled": {4, 5, 6}, "seen": {}, "pair": (5, 6)}
+    low, high = (
+        member(unit, {4, 5}, 5.0, [member_report(other, 9.0, **claims)]) for unit, other in ((1, 2), (2, 1))
+    )
+    yield_claims(low, 10.0)
+    yield_claims(high, 10.0)
+    assert (low.own, high.own) == ({4}, set())
+
+
+@pytest.mark.parametrize(
+    ("said_s", "claimed", "lent"),
+    [
+        pytest.param(9.5, (), {2, 3}, id="a word since, which does not claim them"),
+        pytest.param(8.5, (), set(), id="no word since it has them: another may have adopted them too"),
+        pytest.param(9.5, (2,), {3}, id="one of them claimed"),
+    ],
+)
+def test_only_what_nobody_else_may_have_is_lent(said_s, claimed, lent) -> None:
+    """Two units adopted robot 2 at once, and each lent it: two pairs had it, and neither ever let it go."""
+    reports = [
+        member_report(1, 9.8, (), everything(8)),
+        member_report(3, said_s, claimed, {}),
+    ]
+    unit = member(0, {2, 3}, 9.0, reports)
+    unit.edges[1] = Edge(0, 1, 0.0, 0, frozenset({6, 7}))
+    assert unit.lendable(1, 10.0) == lent
+
+
+@pytest.mark.parametrize(("said_s", "adopts"), [(7.9, False), (8.0, True)])
+def test_a_robot_is_an_orphan_only_if_all_say_so_of_the_same_slot(said_s, adopts) -> None:
+    """Unit 1 gave robot 4 to unit 2, which took it at 7.95 s, and was last heard before.
+
+    At the slot of 10 s a word of the slot from 8 s on tells; an older one does not.
+    """
+    reports = [member_report(1, 9.9, (), {}), member_report(2, said_s, (), {})]
+    unit = member(0, set(), 0.0, reports)
+    unit.distances, orphans = {4: 0.3}, Orphans()
+    orphans.adopt(unit, 8.1, at_slot=False)
+    orphans.adopt(unit, 10.0, at_slot=True)
+    assert (4 in unit.own) == adopts
+
+
+# --- joining ---
+
+
+def test_a_late_grant_answers_a_question_that_is_no_longer_put() -> None:
+    """Unit 1 asks unit 0, sees too few robots for a moment, and asks anew; then the first grant arrives.
+
+    Unit 0 had withdrawn it, and lent the robots to somebody else. Turns went apart for good.
+    """
+    world = ProtocolWorld(2, 5, RULE, [everything(5), {}])
+    world.quiet(4.0, STEP_S)
+    assert world.sets[0] == set(range(5))
+
+    def step(*, deliver_to: int | None = None) -> None:
+        """Both take an image; letters arrive at one unit only, the others wait."""
+        world.time_s += 0.1
+        for unit in (0, 1):
+            if unit == deliver_to:
+                world.deliver_to(unit)
+            world.image(unit)
+
+    world.views[1] = everything(5)
+    step()
+    step()
+    step(deliver_to=0)
+    grant = world.latest[0]
+    assert grant.tree.neighbor_ids.tolist() == [1]
+    world.views[1] = {}
+    step()
+    step(deliver_to=0)
+    assert not world.rosters[0].unit.edges, "withdrawn"
+    world.views[1] = everything(5)
+    world.waiting.clear()
+    world.time_s += 0.1
+    world.image(1)
+    assert world.rosters[1].unit.asks_id == 0
+    world.inbox[1][0] = grant
+    world.time_s += 0.1
+    world.image(1)
+    assert not world.rosters[1].unit.edges
+    world.quiet(6.0, STEP_S)
+    assert world.in_p() and not world.edge_faults()
+
+
+def test_a_unit_that_asks_gets_both_of_two_robots_in_its_turn() -> None:
+    """Unit 1 has robots 4 and 5 left, which units 0 and 2 see; unit 0 asks, unit 2 is a neighbour.
+
+    Each had one of them in every slot, robot by robot, which makes no pair: unit 0 was never admitted.
+    """
+    neighbor = member_report(2, 9.9, (), everything(8), pair=(6, 7))
+    asking = member_report(0, 9.9, (), everything(8))
+    asking = replace(asking, tree=replace(asking.tree, tree_id=NOBODY, asks_id=1, ask_turn=9000))
+    unit = member(1, {4, 5}, 5.0, [neighbor, asking])
+    unit.edges[2] = Edge(1, 2, 0.0, 0, frozenset({6, 7}))
+    assert unit.askers(10.0) == {0}
+    for unit.slot in range(5, 9):
+        assert {unit.lendable(0, 10.0), unit.lendable(2, 10.0)} == {frozenset({4, 5}), frozenset()}
+
+
+def test_a_founder_asks_nobody() -> None:
+    world = ProtocolWorld(2, 5, RULE, [everything(5), everything(5)])
+    world.quiet(10.0, STEP_S)
+    world.crash(0)
+    world.quiet(10.0, STEP_S)
+    assert world.rosters[1].unit.asks_id == NOBODY
+
+
+def test_the_choice_of_the_founder_stands_while_its_word_is_on_the_way() -> None:
+    """Unit 0 chose unit 1, which founded the tree and then lost sight of what made it the better one."""
+    world = ProtocolWorld(2, 6, RULE, [{4: 0.1, 5: 0.1}, {3: 0.1, 4: 0.1, 5: 0.1}])
+    world.image(0)
+    world.quiet(RULE.dwell_s - STEP_S, STEP_S)
+    world.time_s = RULE.dwell_s
+    world.image(0)
+    world.deliver_all()
+    assert world.rosters[0].unit.asks_id == 1
+    del world.views[1][4]
+    world.image(1)
+    founded = world.waiting.pop()[1]
+    assert world.sets[1] == {3, 5}
+    # Unit 0 knows by now that unit 1 sees no more than itself, and not yet that it founded the tree.
+    world.inbox[0][1] = replace(founded, controlled_ids=NONE, secure_ids=NONE, tree=no_tree())
+    world.time_s += RULE.dwell_s
+    world.image(0)
+    assert not world.rosters[0].unit.is_member
+    world.inbox[0][1] = founded
+    world.quiet(3 * RULE.dwell_s, STEP_S)
+    assert world.holders().keys() == {3, 5}
+
+
+# --- succession ---
+
+
+@pytest.mark.parametrize("units", [2, 3])
+@pytest.mark.parametrize("when", range(8))
+def test_one_crash_costs_a_silence_and_two_images(units, when) -> None:
+    """Any unit, at any image of two dwell times: all else being well, TC1-TC5 hold again that soon, and stay.
+
+    The heir takes over all that was the dead unit's at its first image after the silence, and the others turn
+    to the heir at theirs.
+    """
+    for dead in range(units):
+        world = formed(units, 4 * units)
+        world.quiet(when * STEP_S, STEP_S)
+        world.crash(dead)
+        world.quiet(RULE.silence_s + 2 * STEP_S, STEP_S)
+        for _ in range(20):
+            assert world.in_p() and not world.edge_faults()
+            world.quiet(STEP_S, STEP_S)
+
+
+@pytest.mark.parametrize("dead", range(3))
+def test_a_unit_back_before_it_was_missed_is_succeeded_and_admitted(dead) -> None:
+    """It knows nothing of its edges. Its neighbours go by its last will, not by what it says now.
+
+    They took its pairs as their own, and its neighbours had no edge between them ever after.
+    """
+    world = formed(3, 12)
+    world.crash(dead)
+    world.quiet(2 * STEP_S, STEP_S)
+    world.revive(dead)
+    world.quiet(3 * RULE.dwell_s, STEP_S)
+    for _ in range(20):
+        assert world.in_p() and len(world.rosters[dead].unit.edges) >= 1
+        world.quiet(STEP_S, STEP_S)
+
+
+@pytest.mark.parametrize("one", range(3))
+@pytest.mark.parametrize("both_ways", [True, False])
+def test_parts_that_did_not_hear_each_other_come_together(one, both_ways) -> None:
+    """A unit and all others are deaf to each other, or it alone is, for three silences; then all is well.
+
+    Each side goes on without the other and both have all robots. They stayed two trees of one number.
+    """
+    world = formed(3, 12)
+    for _ in range(round(3 * RULE.silence_s / STEP_S)):
+        world.time_s += STEP_S
+        for unit in range(3):
+            world.waiting = [
+                (to, report)
+                for to, report in world.waiting
+                if to != one and (report.unit_id != one or not both_ways)
+            ]
+            world.deliver_all()
+            world.image(unit)
+    assert not world.in_p()
+    world.quiet(2 * RULE.silence_s + 3 * RULE.dwell_s, STEP_S)
+    for _ in range(20):
+        assert world.in_p() and not world.edge_faults()
+        world.quiet(STEP_S, STEP_S)
+
+
+def test_with_a_neighbour_that_has_nothing_left_no_pair_is_weighed() -> None:
+    """It has left the tree while the turn was here: its empty set is no fit to compare pairs by."""
+    world = formed(2, 6)
+    unit = world.rosters[0].unit
+    while not unit.edges[1].mine:
+        world.time_s += STEP_S
+        for index in (1, 0):
+            world.deliver_all()
+            world.image(index)
+            if unit.edges[1].mine:
+                break
+        if not unit.edges[1].mine:  # handed over at once: hold it as one that waits for a slot
+            unit.edges[1].turn += 1
+    world.deliver_all()
+    report = world.latest[1]
+    gone = replace(report.tree, tree_id=NOBODY, neighbor_ids=NONE, turns=NONE, pairs=np.zeros((0, 2)))
+    lost = replace(report, time_s=world.time_s + 1.9, controlled_ids=NONE, secure_ids=NONE)
+    lost = replace(lost, tree=replace(gone, lent_ids=NONE, lent_to_ids=NONE, wished_ids=NONE))
+    world.time_s += RULE.dwell_s
+    world.inbox[0][1] = lost
+    world.image(0)
+    assert world.sets[0] == set(range(6))
+
+
+# --- adoption ---
+
+
+@pytest.mark.parametrize("seers", [{0}, {2}, {0, 1, 2}])
+@pytest.mark.parametrize("when", range(4))
+def test_a_robot_that_appears_is_one_units_within_a_dwell_time_and_a_half(seers, when) -> None:
+    """Half a dwell time of nobody's claim, the next slot after that, and an image."""
+    world = formed(3, 12)
+    for unit in range(3):
+        del world.views[unit][11]
+    for roster in world.rosters.values():
+        roster.unit.own.discard(11)
+    world.quiet(RULE.silence_s + when * STEP_S, STEP_S)
+    assert not world.holders()[11]
+    for unit in seers:
+        world.views[unit][11] = 0.2 + 0.1 * unit
+    world.quiet(1.5 * RULE.dwell_s + STEP_S, STEP_S)
+    assert {unit for unit in range(3) if 11 in world.sets[unit]} == {min(seers)}
+    world.quiet(STEP_S, STEP_S)
+    assert world.in_p()
+
+
+@pytest.mark.parametrize("when", range(4))
+def test_a_robot_that_was_carried_off_changes_hands_within_a_silence_and_two_slots(when) -> None:
+    """Its unit leaves it at the first slot after a silence, and at the next one who sees it adopts it."""
+    world = formed(2, 9)
+    world.quiet(when * STEP_S, STEP_S)
+    robot = max(world.rosters[0].unit.own - world.rosters[1].unit.controlled)
+    for unit in (0, 1):
+        del world.views[unit][robot]
+    world.quiet(STEP_S, STEP_S)
+    holder = next(unit for unit in (0, 1) if robot in world.sets[unit])
+    world.views[1 - holder][robot] = 0.3
+    world.quiet(RULE.silence_s + 2 * RULE.dwell_s + STEP_S, STEP_S)
+    assert robot in world.sets[1 - holder] and robot not in world.rosters[holder].unit.own
+    assert world.in_p()

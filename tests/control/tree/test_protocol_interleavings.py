@@ -1,0 +1,257 @@
+"""The tree protocol under any interleaving of images, messages, losses, crashes and views.
+
+Two machines drive two and three units through a radio that delivers what hypothesis chooses, when and as
+often as it chooses, while robots enter and leave the views.
+
+`Faithful`: no unit dies, every two hear each other once in a silence, and a unit sees each robot of its set
+once in a silence. Then at every instant
+
+- nobody loses a robot: what is controlled stays controlled;
+- two units share the pair of their edge, as the end with the later turn knows it, or nothing; so no robot is
+  controlled by three;
+- the two ends of an edge are at most one turn apart, at the same turn they have the same pair, and never do
+  both have the turn: the two believe different pairs only until the first report handed over arrives.
+
+Only a robot that nobody had, and that units which could not yet know of each other adopted, may be held by
+all of these for `SETTLING_S`: adopters do so in the same slot (a dwell time), and the higher one drops it on
+the first report of the lower one that it hears (a silence, and its own next image).
+
+`Faulty`: units crash, come back knowing nothing, and are deaf to each other for as long as it takes. Once all
+letters arrive and every unit sees all robots, TC1-TC5 hold after `healing_s`, and from then on: two silences
+and one more until a unit that was given up, or that belongs to the smaller part, has resigned; and for each
+unit, since they may have to join one by one, a slot for its first turn and one for adopting what it left.
+"""
+
+from typing import ClassVar
+
+import pytest
+from hypothesis import HealthCheck, Phase, settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, initialize, rule, run_state_machine_as_test
+from protocol_world import ProtocolWorld
+
+from skyherd.control.tree.failover import GRACE
+from skyherd.control.tree.node_state import TreeRule
+from skyherd.control.tree.protocol import Roster
+
+IMAGE_S = 0.9
+"""The longest time between two images of a unit."""
+RULE = TreeRule(gain=1.05)
+SETTLING_S = RULE.dwell_s + RULE.silence_s + 2 * IMAGE_S
+
+DISTANCES = st.sampled_from([None, 0.1, 0.3, 0.5, 0.7, 0.9, 1.0, 1.2])
+"""Where a unit sees a robot, in half images; None: not at all."""
+NUMBERS = st.integers(0, 1000)
+TICKS = st.lists(st.tuples(st.sampled_from("dkdkl"), NUMBERS), max_size=8)
+"""Fates of letters: delivered, delivered and kept to come again, lost."""
+
+
+def healing_s(units: int) -> float:
+    """How long after all faults the units agree on a tree again."""
+    return (GRACE + 1) * RULE.silence_s + 2 * units * RULE.dwell_s
+
+
+class Machine(RuleBasedStateMachine):
+    """Images, letters and views; what holds is checked after every image."""
+
+    make: ClassVar[type[Roster]] = Roster
+
+    @initialize(
+        units=st.integers(2, 3),
+        spare=st.integers(0, 4),
+        distances=st.lists(DISTANCES, min_size=30, max_size=30),
+        calm_s=st.sampled_from([0.0, 9.0]),
+    )
+    def begin(self, units: int, spare: int, distances: list[float | None], calm_s: float) -> None:
+        robots = 2 * units + spare
+        rows = [distances[unit * 10 : unit * 10 + robots] for unit in range(units)]
+        views = [{robot: at for robot, at in enumerate(row) if at is not None} for row in rows]
+        self.world = ProtocolWorld(units, robots, RULE, views, self.make)
+        self.world.image(0)
+        self.world.deliver_all()
+        self.adopted_s: dict[int, float] = {}
+        for _ in range(round(calm_s / 0.5)):
+            self.world.time_s += 0.5
+            for unit in range(units):
+                self.world.deliver_all()
+                self.image(unit)
+
+    @rule(
+        dt=st.sampled_from([0.1, 0.3, 0.6, 0.9]),
+        fates=TICKS,
+        order=st.permutations([0, 1, 2]),
+        idle=st.sampled_from([None, None, 0, 1, 2]),
+    )
+    def tick(self, dt: float, fates: list[tuple[str, int]], order: list[int], idle: int | None) -> None:
+        """Time passes, letters meet their fates, units take images one by one."""
+        world = self.world
+        world.time_s = round(world.time_s + dt, 3)
+        for turn, unit in enumerate(order):
+            for fate, pick in fates[turn::3]:
+                if world.waiting:
+                    index = (len(world.waiting) - 1 - pick % 12) % len(world.waiting)
+                    if fate == "l":
+                        del world.waiting[index]
+                    else:
+                        world.deliver(index, keep=fate == "k")
+            late = world.time_s - world.imaged_s.get(unit, world.time_s) > IMAGE_S - 0.01
+            if unit in world.rosters and (unit != idle or late):
+                self.image(unit)
+        del world.waiting[:-40]
+
+    @rule(unit=NUMBERS, robot=NUMBERS, distance=DISTANCES)
+    def look(self, unit: int, robot: int, distance: float | None) -> None:
+        """A robot moves in the view of a unit, or out of it."""
+        view, robot = self.world.views[unit % self.world.units], robot % self.world.robots
+        view.pop(robot, None)
+        if distance is not None:
+            view[robot] = distance
+
+    def image(self, unit: int) -> None:
+        self.world.image(unit)
+
+
+class Faithful(Machine):
+    """Without faults: TC3-TC5 hold and nobody loses a robot, at every instant."""
+
+    def image(self, unit: int) -> None:
+        world = self.world
+        self._keep_faith(unit)
+        before = world.holders()
+        world.image(unit)
+        after = world.holders()
+        lost = before.keys() - after.keys()
+        assert not lost, f"at {world.time_s} s nobody controls {sorted(lost)} any more"
+        self.adopted_s |= dict.fromkeys(after.keys() - before.keys(), world.time_s)
+        young = {r for r, since_s in self.adopted_s.items() if world.time_s - since_s <= SETTLING_S}
+        assert not world.edge_faults(but=young), f"at {world.time_s} s {world.edge_faults(but=young)}"
+        shared = {robot: count for robot, count in after.items() if count > 2 and robot not in young}
+        assert not shared, f"at {world.time_s} s controlled by three: {shared}"
+
+    def _keep_faith(self, unit: int) -> None:
+        """No silence is longer than the rule's: between two units, nor of a robot to the unit that has it."""
+        world, roster = self.world, self.world.rosters[unit].unit
+        longest_s = RULE.silence_s - 0.01
+        for other, report in world.latest.items():
+            heard = [h.report for h in (roster.heard.newest.get(other),) if h is not None]
+            last_s = max((r.time_s for r in [*heard, *world.inbox_of(unit, other)]), default=-10.0)
+            if other != unit and world.time_s - last_s > longest_s:
+                world.inbox[unit][other] = report
+        for robot in world.sets[unit] - world.views[unit].keys():
+            if world.time_s - roster.seen_s.get(robot, world.time_s) > longest_s:
+                world.views[unit][robot] = 1.2
+
+
+class Faulty(Machine):
+    """With faults: what they break is whole again, a bounded time after the last one."""
+
+    @rule(unit=NUMBERS)
+    def crash(self, unit: int) -> None:
+        if len(self.world.rosters) > 1:
+            self.world.crash(sorted(self.world.rosters)[unit % len(self.world.rosters)])
+
+    @rule()
+    def revive(self) -> None:
+        for unit in range(self.world.units):
+            if unit not in self.world.rosters:
+                self.world.revive(unit)
+                return
+
+    @rule(seconds=st.sampled_from([1.0, 4.0, 8.0]), deaf=NUMBERS, dumb=NUMBERS)
+    def be_deaf(self, seconds: float, deaf: int, dumb: int) -> None:
+        """One unit hears nothing of another one, or of anybody, while all else is well."""
+        world = self.world
+        deaf, dumb = deaf % world.units, dumb % world.units
+        for _ in range(round(seconds / 0.5)):
+            world.time_s += 0.5
+            for unit in list(world.rosters):
+                world.waiting = [
+                    (to, report)
+                    for to, report in world.waiting
+                    if to != deaf or dumb not in (deaf, report.unit_id)
+                ]
+                world.deliver_all()
+                world.image(unit)
+
+    @rule(seconds=st.sampled_from([2.0, 6.0]))
+    def be_well(self, seconds: float) -> None:
+        self.world.quiet(seconds)
+
+    def teardown(self) -> None:
+        if not hasattr(self, "world"):
+            return
+        world = self.world
+        seen = {robot: 0.1 + 0.8 * robot / world.robots for robot in range(world.robots)}
+        world.views[:] = [dict(seen) for _ in range(world.units)]
+        world.quiet(healing_s(len(world.rosters)))
+        for _ in range(12):
+            world.quiet(0.5)
+            assert world.in_p(), f"{world.sets} at {world.time_s} s"
+            assert not world.edge_faults()
+
+
+class Hasty(Roster):
+    """Exchanges whenever it likes, without the turn: the rule that keeps TC3 and TC4, broken on purpose."""
+
+    def update(self, seen, reports):
+        for edge in self.unit.edges.values():
+            heard = self.unit.heard.newest.get(edge.neighbor_id)
+            if not edge.mine and edge.pair and heard is not None:
+                edge.turn += 1
+                edge.reach = heard.controlled - heard.paired
+        return super().update(seen, reports)
+
+
+class FaithfulHasty(Faithful):
+    make = Hasty
+
+
+class Careless(Roster):
+    """Forgets what it has lent, and lends it to others: the promise that keeps a robot from a third unit."""
+
+    def update(self, seen, reports):
+        for edge in self.unit.edges.values():
+            edge.lent = frozenset()
+        return super().update(seen, reports)
+
+
+class FaithfulCareless(Faithful):
+    make = Careless
+
+
+def run(machine: type[Machine], examples: int, steps: int, **extra) -> None:
+    """Drive a machine. Draws depend on the modules loaded: hypothesis takes constants from them."""
+    run_state_machine_as_test(
+        machine,
+        settings=settings(
+            max_examples=examples,
+            stateful_step_count=steps,
+            deadline=None,
+            derandomize=True,
+            database=None,
+            suppress_health_check=list(HealthCheck),
+            **extra,
+        ),
+    )
+
+
+@pytest.mark.parametrize("machine", [Faithful, Faulty])
+def test_any_interleaving(machine) -> None:
+    run(machine, 8, 40)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("machine", [Faithful, Faulty])
+def test_very_many_interleavings(machine) -> None:
+    run(machine, 600, 80)
+
+
+def test_without_turns_the_machine_finds_a_violation() -> None:
+    with pytest.raises(AssertionError, match=r"share|turn"):
+        run(FaithfulHasty, 400, 40, phases=[Phase.generate])
+
+
+@pytest.mark.slow
+def test_with_broken_promises_the_machine_finds_a_violation() -> None:
+    with pytest.raises(AssertionError, match=r"share|turn|three"):
+        run(FaithfulCareless, 400, 60, phases=[Phase.generate])

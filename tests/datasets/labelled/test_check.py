@@ -1,0 +1,252 @@
+"""`skyherd dataset`: its check finds each kind of damage, and what a user gets wrong is one line."""
+
+import json
+import shutil
+
+import cv2
+import numpy as np
+import pytest
+from command_line import assert_refused, call
+from label_specs import spec_of
+
+from skyherd.datasets.labelled.check import check_dataset
+from skyherd.datasets.labelled.make import make_dataset
+
+IMAGE = "images/train/000000.png"
+
+
+@pytest.fixture(scope="module")
+def good(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("sets") / "good"
+    return make_dataset(spec_of(), folder).path
+
+
+@pytest.fixture
+def copy(good, tmp_path):
+    return shutil.copytree(good, tmp_path / "copy")
+
+
+def test_a_good_set_passes(good):
+    verdict = check_dataset(good)
+    assert verdict.problems == []
+    assert verdict.images == 10
+    found = verdict.agreement
+    assert found.images == 10
+    assert found.clear > 10
+    assert found.recall > 0.9
+    assert found.rmse_px < 0.5 and found.rmse_deg < 1.0
+
+
+def _missing(folder):
+    (folder / IMAGE).unlink()
+
+
+def _truncated(folder):
+    data = (folder / IMAGE).read_bytes()
+    (folder / IMAGE).write_bytes(data[: len(data) // 2])
+
+
+def _wrong_size(folder):
+    cv2.imwrite(str(folder / IMAGE), np.zeros((240, 319), np.uint8))
+
+
+def _another_image(folder):
+    shutil.copy(folder / "images/train/000001.png", folder / IMAGE)
+
+
+def _moved_yolo(folder):
+    file = folder / "labels/train/000000.txt"
+    words = file.read_text().split(" ")
+    words[1] = str(float(words[1]) + 0.01)
+    file.write_text(" ".join(words))
+
+
+def _missing_yolo(folder):
+    (folder / "labels/train/000000.txt").unlink()
+
+
+def _short_yolo(folder):
+    file = folder / "labels/train/000000.txt"
+    file.write_text("".join(file.read_text().splitlines(keepends=True)[:-1]))
+
+
+def _garbled_yolo(folder):
+    (folder / "labels/train/000000.txt").write_text("0 a b\n")
+
+
+def _no_yaml(folder):
+    (folder / "data.yaml").unlink()
+
+
+def _change_coco(folder, change):
+    file = folder / "annotations/train.json"
+    document = json.loads(file.read_text())
+    change(document)
+    file.write_text(json.dumps(document))
+
+
+def _moved_coco(folder):
+    def change(document):
+        document["annotations"][1]["keypoints"][0] += 0.5
+
+    _change_coco(folder, change)
+
+
+def _short_coco(folder):
+    _change_coco(folder, lambda document: document["annotations"].pop())
+
+
+def _garbled_coco(folder):
+    _change_coco(folder, lambda document: document.update(images=[7], annotations="?"))
+
+
+def _cut_coco(folder):
+    file = folder / "annotations/train.json"
+    file.write_text(file.read_text()[:200])
+
+
+def _moved_truth(folder):
+    """In the table alone: layouts and seed both tell."""
+    file = folder / "truth.csv"
+    lines = file.read_text().splitlines()
+    words = lines[1].split(",")
+    words[2] = str(float(words[2]) + 3)
+    file.write_text("\n".join([lines[0], ",".join(words), *lines[2:]]))
+
+
+def _short_truth(folder):
+    file = folder / "truth.csv"
+    file.write_text("\n".join(file.read_text().splitlines()[:-1]) + "\n")
+
+
+def _no_number(folder):
+    file = folder / "truth.csv"
+    lines = file.read_text().splitlines()
+    file.write_text("\n".join([lines[0], lines[1] + "x", *lines[2:]]))
+
+
+def _no_table(folder):
+    (folder / "images.csv").unlink()
+
+
+DAMAGES = {
+    _missing: (IMAGE, "no such file"),
+    _truncated: (IMAGE, "damaged or cut short"),
+    _wrong_size: (IMAGE, "319x240 px, its spec says 320x240"),
+    _another_image: (IMAGE, "not those of its seed"),
+    _moved_yolo: ("000000.txt", "line 1 is off by 0.01"),
+    _missing_yolo: ("000000.txt", "No such file"),
+    _short_yolo: ("000000.txt", "by the truth table"),
+    _garbled_yolo: ("000000.txt", "not all of it is numbers"),
+    _no_yaml: ("data.yaml", "not there"),
+    _moved_coco: ("train.json", "keypoints of id 2"),
+    _short_coco: ("train.json", "annotations, of"),
+    _garbled_coco: ("train.json", "no images"),
+    _cut_coco: ("train.json", "cut short"),
+    _moved_truth: ("truth.csv", "not as its seed puts them"),
+    _short_truth: ("truth.csv", "by its seed"),
+    _no_number: ("truth.csv", "line 2: not all of its values are numbers"),
+    _no_table: ("images.csv", "No such file"),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGES, ids=lambda damage: damage.__name__.strip("_"))
+def test_each_damage_is_found(copy, damage, capsys):
+    damage(copy)
+    code, _, said = call(capsys, "dataset", "check", copy)
+    assert code == 1
+    file, words = DAMAGES[damage]
+    lines = said.splitlines()
+    assert any(file in line and words in line for line in lines), said
+    assert all(line.startswith("error: ") for line in lines)
+
+
+def test_labels_that_agree_with_each_other_but_not_with_the_pixels_are_found(good, tmp_path):
+    """Labels, spec and all of another seed: only the pixels tell."""
+    other = make_dataset(spec_of(seed=6), tmp_path / "other").path
+    shutil.rmtree(other / "images")
+    shutil.copytree(good / "images", other / "images")
+    problems = check_dataset(other).problems
+    for words in ("not those of its seed", "which have no label"):
+        assert any("images/" in problem and words in problem for problem in problems)
+
+
+def test_make_and_check_by_the_command_line(tmp_path, capsys):
+    folder = tmp_path / "new/set"
+    options = ("--out", folder, "--jobs", 1, "--images", 3)
+    code, said, complaints = call(capsys, "dataset", "make", "small", *options)
+    assert (code, complaints) == (0, "")
+    assert "3 images" in said
+    assert {path.name for path in folder.iterdir()} >= {"preview.png", "truth.csv", "images.csv", "data.yaml"}
+    code, said, _ = call(capsys, "dataset", "check", folder)
+    assert code == 0
+    assert "good" in said and "RMS error" in said
+
+
+def test_a_folder_of_another_spec_is_refused(copy, tmp_path, capsys):
+    assert_refused(
+        call(capsys, "dataset", "make", "small", "--out", copy), str(copy), "another spec", "--out"
+    )
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full/thing").touch()
+    assert_refused(call(capsys, "dataset", "make", "small", "--out", tmp_path / "full"), "something else")
+    assert_refused(call(capsys, "dataset", "make", "small", "--out", tmp_path / "full/thing"), "is a file")
+    assert [path.name for path in (tmp_path / "full").iterdir()] == ["thing"]
+
+
+def test_a_folder_that_is_no_dataset_is_refused(copy, tmp_path, capsys):
+    assert_refused(call(capsys, "dataset", "check", tmp_path / "nowhere"), "spec.json")
+    (copy / "spec.json").write_text("{")
+    assert_refused(call(capsys, "dataset", "check", copy), "spec.json", "damaged")
+    assert_refused(call(capsys, "dataset", "check", copy, "--sample", "-1"), "--sample")
+
+
+BAD = {
+    "images = 0": "images",
+    "": "images",
+    "images = 3\nhello = 1": "hello",
+    "images = 3\nseed = -1": "seed",
+    "images = 3\nsize_px = [640]": "size_px",
+    "images = 3\nvalidation = 1": "validation",
+    "images = 3\nmarkers.count = [5, 2]": "least to greatest",
+    "images = 3\nmarkers.count = [5, 200]": "50 different markers",
+    "images = 3\nmarkers.count = 2.5": "markers.count",
+    "images = 3\nmarkers.ids = [1, 50]": "ids must be from 0 to 49",
+    "images = 3\nmarkers.dictionary = 'x'": "no dictionary 'x'",
+    "images = 3\nmarkers.side_px = [20, 1000]": "fits",
+    "images = 3\nmarkers.white = 20": "black must be darker",
+    "images = 3\ncamera.tilt_deg = 50": "at most 80",
+    "images = 3\ncamera.distortion.k1 = -2": "folds the image",
+    "images = 3\nsensor.noise = 'much'": "sensor.noise",
+    "images = 3\nsensor.jpeg_quality = [0, 90]": "jpeg_quality",
+    "images = 3\nground.kinds = []": "at least one of kinds and images",
+    "images = 3\nground.kinds = ['grass']": "ground.kinds",
+    "images = 3\nground.images = ['none.png']": "none.png",
+    "images = 3\noccluders.share = 2": "occluders.share",
+    "images = ": "malformed TOML",
+}
+
+
+@pytest.mark.parametrize("text", BAD)
+def test_bad_specs_are_one_line_each_and_leave_nothing(tmp_path, text, capsys):
+    file = tmp_path / "bad.toml"
+    file.write_text(text)
+    result = call(capsys, "dataset", "make", file, "--out", tmp_path / "out")
+    assert_refused(result, "bad.toml" if "none.png" not in text else "none.png", BAD[text])
+    assert not (tmp_path / "out").exists()
+
+
+def test_unknown_specs_and_jobs_are_refused(tmp_path, capsys):
+    assert_refused(call(capsys, "dataset", "make", "nothing", "--out", tmp_path / "x"), "small, varied")
+    assert_refused(call(capsys, "dataset", "make", tmp_path / "x.toml"), "x.toml", "No such file")
+    assert_refused(call(capsys, "dataset", "make", "small", "--jobs", 0), "--jobs")
+
+
+def test_list_show_and_schema(tmp_path, capsys):
+    assert "varied" in call(capsys, "dataset", "list")[1]
+    code, text, _ = call(capsys, "dataset", "show", "small")
+    assert code == 0 and 'description = "' in text
+    schema = json.loads(call(capsys, "dataset", "schema")[1])
+    noise = schema["$defs"]["SensorSpec"]["properties"]["noise"]
+    assert [form["type"] for form in noise["anyOf"]] == ["number", "array"]
+    assert "grey levels" in noise["description"]

@@ -1,0 +1,21 @@
+"""A small labelled set that tests vary."""
+
+from skyherd.datasets.labelled.spec import SpecFile, make_spec
+
+TREE = {
+    "seed": 5,
+    "images": 10,
+    "size_px": (320, 240),
+    "validation": 0.3,
+    "cameras": 3,
+    "markers": {"count": (2, 5), "side_px": (24, 40), "cut": 0.15},
+    "camera": {"tilt_deg": (0, 15), "psf_px": (0.6, 1.1), "distortion": {"k1": (-0.1, 0.05)}},
+    "sensor": {"noise": (1, 5), "gain": (0.7, 1), "gradient": (0, 0.3), "shot": (0, 0.05)},
+    "ground": {"kinds": ["plain", "tiles"], "clutter": (0, 4)},
+    "occluders": {"share": 0.2},
+}
+
+
+def spec_of(**changes):
+    """The small set with some keys changed."""
+    return SpecFile(make_spec(TREE | changes))

@@ -1,0 +1,175 @@
+"""A small world for the tree protocol: units that see made robots, and a radio at one's will.
+
+Nothing in it moves of itself. Whoever drives it says when time passes, which unit takes an image, what each
+sees, and what becomes of every message; `agreement`, `holders` and `edge_faults` say what holds at that
+instant. Nothing is known here of how the units decide.
+"""
+
+from collections import Counter
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from skyherd.control import Template
+from skyherd.control.topology.conditions import check_conditions, control_matrix
+from skyherd.control.tree.node_state import TreeRule
+from skyherd.control.tree.protocol import Roster
+from skyherd.messages import Detections, UnitReport
+
+SIZE_PX = np.array([800, 800])
+Letter = tuple[int, UnitReport]
+"""A receiver and what is on its way to it."""
+
+
+@dataclass
+class ProtocolWorld:
+    """Units, robots, clock and radio.
+
+    Attributes:
+        units: how many units,
+        robots: and robots there are.
+        rule: settings of the protocol.
+        views: for each unit the robots that it sees, by distance from its image centre in half images.
+        make: what decides for a unit.
+        rosters: the living units.
+        waiting: letters on their way; a copy of one that was delivered may stay, and come again.
+        inbox: the last report to arrive at each unit from each other, new or old.
+    """
+
+    units: int
+    robots: int
+    rule: TreeRule
+    views: list[dict[int, float]]
+    make: Callable[[TreeRule, Template], Roster] = Roster
+    time_s: float = 0.0
+    rosters: dict[int, Roster] = field(default_factory=dict)
+    waiting: list[Letter] = field(default_factory=list)
+    inbox: list[dict[int, UnitReport]] = field(default_factory=list)
+    sets: dict[int, set[int]] = field(default_factory=dict)
+    imaged_s: dict[int, float] = field(default_factory=dict)
+    latest: dict[int, UnitReport] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        rng = np.random.default_rng(self.robots)
+        points = rng.normal(size=self.robots) + 1j * rng.normal(size=self.robots)
+        self.template = Template(np.arange(self.robots), 100 * points)
+        self.inbox = [{} for _ in range(self.units)]
+        for unit in range(self.units):
+            self.revive(unit)
+
+    def revive(self, unit: int) -> None:
+        """A unit that knows nothing."""
+        self.rosters[unit] = self.make(self.rule, self.template)
+        self.sets[unit], self.imaged_s[unit] = set(), self.time_s
+
+    def crash(self, unit: int) -> None:
+        """A unit falls silent; what it said is still on its way."""
+        del self.rosters[unit], self.imaged_s[unit]
+        self.sets[unit] = set()
+        self.inbox[unit].clear()
+        self.waiting = [letter for letter in self.waiting if letter[0] != unit]
+
+    def image(self, unit: int) -> None:
+        """A unit takes an image, decides, and reports to all others."""
+        seen = self._detections(unit)
+        roster = self.rosters[unit]
+        controlled = roster.update(seen, list(self.inbox[unit].values()))
+        report = UnitReport(
+            unit_id=unit,
+            time_s=seen.time_s,
+            image_size_px=seen.image_size_px,
+            ids=seen.ids,
+            points_px=seen.centers_px,
+            controlled_ids=controlled,
+            secure_ids=roster.secure(seen),
+            tree=roster.word(seen.time_s),
+        )
+        self.sets[unit], self.imaged_s[unit] = set(controlled.tolist()), self.time_s
+        self.latest[unit] = report
+        self.waiting += [(other, report) for other in self.rosters if other != unit]
+
+    def deliver(self, index: int, *, keep: bool = False) -> None:
+        """A letter arrives, be it late; kept, it will come again."""
+        receiver, report = self.waiting[index]
+        if not keep:
+            del self.waiting[index]
+        if receiver in self.rosters:
+            self.inbox[receiver][report.unit_id] = report
+
+    def deliver_all(self) -> None:
+        """All letters arrive, in the order in which they were sent."""
+        while self.waiting:
+            self.deliver(0)
+
+    def deliver_to(self, unit: int) -> None:
+        """All letters to one unit arrive; those to others wait."""
+        for letter in [letter for letter in self.waiting if letter[0] == unit]:
+            self.deliver(self.waiting.index(letter))
+
+    def inbox_of(self, unit: int, other: int) -> list[UnitReport]:
+        """What arrived of one unit at another and was not overtaken."""
+        return [report for sender, report in self.inbox[unit].items() if sender == other]
+
+    def quiet(self, seconds: float, step_s: float = 0.5) -> None:
+        """Time passes without trouble: every unit takes its images, every letter arrives."""
+        for _ in range(round(seconds / step_s)):
+            self.time_s += step_s
+            for unit in list(self.rosters):
+                self.deliver_all()
+                self.image(unit)
+
+    def _detections(self, unit: int) -> Detections:
+        ids = np.array(sorted(self.views[unit]), dtype=np.int64)
+        radius = np.array([self.views[unit][robot] for robot in ids.tolist()])
+        middle, turn = (SIZE_PX - 1) / 2, np.stack([np.cos(ids), np.sin(ids)], axis=1)
+        centers = middle + SIZE_PX.min() / 2 * radius[:, None] * turn
+        return Detections(
+            unit_id=unit,
+            time_s=self.time_s,
+            image_size_px=SIZE_PX,
+            ids=ids,
+            centers_px=centers,
+            headings_rad=np.zeros(ids.size),
+            sides_px=np.full(ids.size, 20.0),
+            corners_px=np.zeros((ids.size, 4, 2)),
+            covariances=np.zeros((ids.size, 3, 3)),
+        )
+
+    # --- what holds now ---
+
+    def holders(self) -> Counter[int]:
+        """How many units control each robot."""
+        return Counter(robot for members in self.sets.values() for robot in members)
+
+    def in_p(self) -> bool:
+        """TC1-TC5 for the living units."""
+        sets = {unit: np.array(sorted(self.sets[unit]), dtype=np.int64) for unit in self.rosters}
+        return check_conditions(control_matrix(sets, self.template.ids)).in_p
+
+    def edge_faults(self, but: Iterable[int] = ()) -> list[str]:
+        """Ends of an edge that disagree by more than the turn under way, sets that share anything else."""
+        faults = []
+        for one in sorted(self.rosters):
+            for two in sorted(self.rosters):
+                if one < two:
+                    faults += self._faults_between(one, two, set(but))
+        return faults
+
+    def _faults_between(self, one: int, two: int, but: set[int]) -> list[str]:
+        here = self.rosters[one].unit.edges.get(two)
+        there = self.rosters[two].unit.edges.get(one)
+        common = self.sets[one] & self.sets[two]
+        ends = [end for end in (here, there) if end is not None]
+        agreed = max(ends, key=lambda end: end.turn).pair if ends else frozenset()
+        faults = []
+        if common - but != agreed - but:
+            faults.append(f"units {one} and {two} share {sorted(common)}, their edge has {sorted(agreed)}")
+        if here is not None and there is not None:
+            if abs(here.turn - there.turn) > 1:
+                faults.append(f"units {one} and {two} are at turns {here.turn} and {there.turn}")
+            elif here.turn == there.turn and here.pair != there.pair:
+                faults.append(f"units {one} and {two} have {here.pair} and {there.pair} at turn {here.turn}")
+            if here.mine and there.mine:
+                faults.append(f"units {one} and {two} both have the turn")
+        return faults

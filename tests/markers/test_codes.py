@@ -1,0 +1,133 @@
+"""Generated dictionaries: distances by brute force over every pair, turn and mirror image, not by the code's
+theory."""
+
+import cv2
+import numpy as np
+import pytest
+
+from skyherd.errors import InputError
+from skyherd.markers.codes import CODES, MarkerCode, code_bits, span
+from skyherd.markers.dictionary import (
+    cells_per_side,
+    dictionary_names,
+    dictionary_size,
+    load_dictionary,
+    marker_cells,
+)
+from skyherd.vision import create_detector, explain_mirrored
+
+FROZEN = [
+    ("5X5_1900", 0x554AAB, 0xBFBFE),
+    ("6X6_1900", 0x256852A76, 0xF3CC3974),
+    ("6X6_7900", 0x8EC56A56, 0x3E4FFDFDF),
+    ("7X7_8000", 0x2A9096BAAAE8, 0xE1C58F5EDF2),
+]
+
+
+def images_of(bits: np.ndarray, mirrored: bool) -> list[np.ndarray]:
+    """Four quarter turns (N, n²), as -1 and 1."""
+    side = bits[:, :, ::-1] if mirrored else bits
+    return [np.rot90(side, k, (1, 2)).reshape(len(bits), -1) * np.float32(2) - 1 for k in range(4)]
+
+
+def least_distance(bits: np.ndarray, *, mirrored: bool) -> int:
+    """Over all pairs and turns; a marker to itself unturned is left out."""
+    n = bits[0].size
+    own, least = images_of(bits, False)[0], n
+    for turn, other in enumerate(images_of(bits, mirrored)):
+        for first in range(0, len(own), 1000):
+            distance = (n - own[first : first + 1000] @ other.T) / 2
+            if turn == 0 and not mirrored:
+                distance[np.arange(len(distance)), first + np.arange(len(distance))] = n
+            least = min(least, int(distance.min()))
+    return least
+
+
+@pytest.mark.parametrize("name", CODES)
+def test_markers_differ_by_the_stated_distance_however_turned_or_mirrored(name: str) -> None:
+    code = CODES[name]
+    bits = code_bits(code)
+    assert bits.shape == (code.size, code.cells, code.cells)
+    assert least_distance(bits, mirrored=False) == code.distance
+    assert least_distance(bits, mirrored=True) >= code.distance
+
+
+def test_a_dictionary_with_a_turned_copy_in_it_is_caught() -> None:
+    """Negative control of the brute force: OpenCV's 6X6_1000 has mirror images, and a copy has distance 0."""
+    bits = code_bits(CODES["6X6_1900"])[:50]
+    copied = np.concatenate([bits, np.rot90(bits[7:8], 1, (1, 2))])
+    assert least_distance(copied, mirrored=False) == 0
+    theirs = np.stack([marker_cells("6X6_1000", k)[1:-1, 1:-1] for k in range(1000)])
+    assert least_distance(theirs, mirrored=False) == 9
+    assert least_distance(theirs, mirrored=True) == 0
+
+
+@pytest.mark.parametrize(("name", "first", "last"), FROZEN)
+def test_ids_never_change(name: str, first: int, last: int) -> None:
+    """Printed markers outlive versions: the first and the last word of each dictionary, as hexadecimals."""
+    words = [int("".join(str(int(b)) for b in bits.ravel()), 2) for bits in code_bits(CODES[name])[[0, -1]]]
+    assert words == [first, last]
+
+
+def test_span_is_closed_under_exclusive_or() -> None:
+    words = span((0b0011, 0b0101, 0b1000))
+    assert np.unique(words).size == 8
+    assert np.isin(words[:, None] ^ words[None, :], words).all()
+
+
+def test_names_are_new_and_listed() -> None:
+    theirs = {name.removeprefix("DICT_") for name in dir(cv2.aruco) if name.startswith("DICT_")}
+    assert not theirs & set(CODES)
+    assert theirs | set(CODES) == set(dictionary_names())
+    with pytest.raises(InputError, match=r"no dictionary '6X6_4001'.*6X6_7900"):
+        load_dictionary("6X6_4001")
+
+
+@pytest.mark.parametrize("name", CODES)
+def test_opencv_takes_them_with_half_the_distance_to_correct(name: str) -> None:
+    dictionary, code = load_dictionary(name), CODES[name]
+    assert isinstance(code, MarkerCode)
+    assert dictionary_size(name) == code.size and cells_per_side(name) == code.cells + 2
+    assert dictionary.maxCorrectionBits == (code.distance - 1) // 2
+    np.testing.assert_array_equal(marker_cells(name, code.size - 1)[1:-1, 1:-1], code_bits(code)[-1])
+    with pytest.raises(InputError, match=f"0 to {code.size - 1}"):
+        marker_cells(name, code.size)
+
+
+def sheet_of(name: str, ids: list[int]) -> np.ndarray:
+    """Markers of 60 px side by side, each turned once more than the one before."""
+    n = cells_per_side(name)
+    image = np.full((100, 100 * len(ids)), 255, np.uint8)
+    for k, marker_id in enumerate(ids):
+        marker = np.where(marker_cells(name, marker_id), 255, 0).astype(np.uint8)
+        marker = cv2.resize(np.rot90(marker, k).copy(), (60, 60), interpolation=cv2.INTER_NEAREST)
+        image[20:80, 100 * k + 20 : 100 * k + 80] = marker
+    assert n * 6 <= 60
+    return image
+
+
+@pytest.mark.parametrize("name", CODES)
+def test_drawn_markers_are_detected_and_their_mirror_images_are_not(name: str) -> None:
+    ids = [0, 1, CODES[name].size // 2, CODES[name].size - 1]
+    image = sheet_of(name, ids)
+    for detector in ("aruco", "photometric"):
+        seen = create_detector(detector, dictionary=name).detect(image)
+        assert seen.ids.tolist() == ids
+        turns = np.angle(np.exp(1j * (seen.headings_rad + np.pi / 2 * (1 + np.arange(4)))))
+        np.testing.assert_allclose(turns, 0, atol=0.02)
+    mirrored = np.ascontiguousarray(image[:, ::-1])
+    assert len(create_detector("aruco", dictionary=name).detect(mirrored)) == 0
+    assert "mirrored" in (explain_mirrored(mirrored, name) or "")
+
+
+def test_apriltag_36h11_is_theirs_by_order_and_orientation() -> None:
+    """Ids 0, 1 and 2 of the tag family's published codes, 0xd5d628584, 0xd97f18b49, 0xdd280910e.
+
+    AprilTag lists the first releases' codes row by row from the tag's upper left corner; OpenCV stores the
+    tag half a turn round, which turns headings, not ids.
+    """
+    for marker_id, code in enumerate((0xD5D628584, 0xD97F18B49, 0xDD280910E)):
+        published = np.array([code >> k & 1 for k in range(35, -1, -1)], dtype=bool).reshape(6, 6)
+        ours = marker_cells("APRILTAG_36h11", marker_id)[1:-1, 1:-1]
+        same = [turn for turn in range(4) if (np.rot90(published, turn) == ours).all()]
+        assert same == [2]

@@ -1,0 +1,459 @@
+"""Property 1 and Remark 1: what the camera is, and where it hangs, does not matter - and when it does."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from skyherd.control import (
+    AerialController,
+    Hover,
+    Inboxes,
+    MarkerGains,
+    PixelGains,
+    SafetyRadius,
+    Template,
+    robot_commands,
+)
+from skyherd.datasets import Mission, make_mission
+from skyherd.loop import run_steps
+from skyherd.render import homography_image_ground
+from skyherd.sim.perception import Projected, Rendered, Sight, make_perception
+from skyherd.sim.world import World
+from skyherd.vision.detectors.accuracy import load_accuracy
+
+SIDE_M = 0.5
+EXACT = 1e-9
+"""Points of 1e3 px carry rounding of 1e-13 px; the fit and the way back to metres leave 1e-12 m. The
+tolerance is the issue's, three orders above rounding and ten below the formation's size."""
+
+SETS = [np.array([0, 1, 2, 3]), np.array([2, 3, 4, 5]), np.array([4, 5, 0])]
+"""S_j^c of three units; fixed here, so that cameras differ in nothing else."""
+
+
+# --- cameras and the robots' world ---
+
+
+@st.composite
+def cameras(draw: st.DrawFn, positions_m: np.ndarray) -> dict[str, Any]:
+    """A unit's table with any intrinsics and pose from which all robots are in view."""
+    return camera_of(positions_m, [draw(st.floats(0, 1)) for _ in range(10)])
+
+
+def camera_of(
+    positions_m: np.ndarray, unit_interval: Any, size_px: tuple[int, int] | None = None
+) -> dict[str, Any]:
+    w, h, du, dv, x, y, height, yaw, fill, zoom = unit_interval
+    size = size_px or (int(200 + 1800 * w), int(200 + 1800 * h))
+    offset = 0.2 * min(size) * (np.array([du, dv]) - 0.5)
+    principal = (np.array(size) - 1) / 2 + offset
+    position = positions_m.mean(axis=0) + 4 * (np.array([x, y]) - 0.5)
+    height_m, zoom = 4 + 50 * height, 0.5 + 1.5 * zoom
+    reach_m = np.linalg.norm(positions_m - position, axis=1).max() + SIDE_M
+    room_px = min(size) / 2 - np.abs(offset).max() - 1
+    focal_px = (0.3 + 0.7 * fill) * room_px / reach_m * height_m / zoom
+    return {
+        "position_m": position.tolist(),
+        "height_m": height_m,
+        "yaw_deg": 360 * yaw - 180,
+        "camera": {"size_px": size, "focal_px": focal_px, "principal_point_px": principal.tolist()},
+        "zoom": [[0.0, zoom]],
+        "flight": {"kind": "hover"},
+    }
+
+
+def pixels_per_metre(unit: dict[str, Any]) -> float:
+    """r_j, from the thin-lens geometry alone."""
+    return unit["camera"]["focal_px"] * unit["zoom"][0][1] / unit["height_m"]
+
+
+@pytest.fixture(scope="module")
+def mission_with(scenario_tree: Callable[[str], dict[str, Any]]) -> Callable[..., Mission]:
+    """The paper's triangle seen by other cameras: missions that differ in nothing but `units`."""
+
+    def make(units: list[dict[str, Any]], name: str = "triangle", **changes: Any) -> Mission:
+        tree = scenario_tree(name)
+        tree["units"] = units
+        tree["perception"] = "ideal"
+        tree["selection"] = {"radius": 1.5}
+        tree["autopilot"] = {"min_height_m": 1.0}
+        for key, value in changes.items():
+            tree[key] = {**tree[key], **value} if isinstance(value, dict) and key in tree else value
+        return make_mission(tree)
+
+    return make
+
+
+class FixedSets:
+    """Ideal or any other perception that shows each unit only the robots it is to control."""
+
+    def __init__(self, perception: Any, sets: list[np.ndarray] = SETS) -> None:
+        self.perception, self.sets = perception, sets
+
+    def look(self, world: World, units: Sequence[int], time_s: float) -> list[Sight]:
+        sights = self.perception.look(world, units, time_s)
+        return [self._choose(sight, self.sets[unit]) for unit, sight in zip(units, sights, strict=True)]
+
+    def _choose(self, sight: Sight, members: np.ndarray) -> Sight:
+        chosen = sight.detections.select(members)
+        assert chosen.ids.tolist() == sorted(members.tolist()), "a robot left the view"
+        return replace(sight, detections=chosen)
+
+
+def ground_goals(mission: Mission, unit: int = 0, perception: Any = None) -> np.ndarray:
+    """Ground points x^d that the wire message of a unit stands for, through the true camera's inverse."""
+    world = World(mission)
+    seen = (perception or Projected(SIDE_M, "4X4_50")).look(world, [unit], 0.0)[0].detections
+    goals = AerialController(mission.template, SafetyRadius(1.5), Hover()).step(seen).goals
+    assert goals is not None and goals.ids.tolist() == mission.ids.tolist()
+    image_direction = np.exp(1j * (seen.headings_rad - goals.bearings_rad))
+    desired_px = seen.centers_px[:, 0] + 1j * seen.centers_px[:, 1] + goals.rho_px * image_direction
+    inverse = np.linalg.inv(homography_image_ground(world.cameras[unit], world.camera_pose(unit)))
+    homogeneous = inverse @ np.stack([desired_px.real, desired_px.imag, np.ones(desired_px.size)])
+    return (homogeneous[0] + 1j * homogeneous[1]) / homogeneous[2]
+
+
+def as_complex(points: np.ndarray) -> np.ndarray:
+    return points[:, 0] + 1j * points[:, 1]
+
+
+TRIANGLE_START = np.array(
+    [[2.006, 5.770], [-3.285, 1.806], [-2.490, 0.412], [1.084, 2.959], [1.833, 1.853], [5.960, -0.094]]
+)
+
+
+@pytest.fixture(scope="module")
+def camera_free_goals(mission_with: Callable[..., Mission], reference_fit: Callable[..., Any]) -> np.ndarray:
+    """x^d from the ground positions and the template as a map: no camera anywhere."""
+    mission = mission_with([camera_of(TRIANGLE_START, [0.5] * 10)])
+    template = mission.template.points_px.conj()
+    a, b = reference_fit(template, as_complex(mission.positions_m))
+    return a * template + b
+
+
+# --- Property 1 and the direction of motion ---
+
+
+@settings(max_examples=100, deadline=None, derandomize=True)
+@given(unit=cameras(TRIANGLE_START))
+def test_desired_ground_points_do_not_depend_on_the_camera(mission_with, camera_free_goals, unit) -> None:
+    np.testing.assert_allclose(ground_goals(mission_with([unit])), camera_free_goals, rtol=0, atol=EXACT)
+
+
+def command_of(mission: Mission, gains: PixelGains | MarkerGains) -> Any:
+    """One round of the loop: all units look, decide and send; the robots fuse."""
+    world, perception = World(mission), FixedSets(Projected(SIDE_M, "4X4_50"))
+    inboxes = Inboxes(mission.ids, np.arange(len(SETS)), 1.0)
+    crew = [AerialController(mission.template, SafetyRadius(1.5), Hover()) for _ in SETS]
+    seen = [sight.detections for sight in perception.look(world, range(len(SETS)), 0.0)]
+    reports = [unit.step(image).report for unit, image in zip(crew, seen, strict=True)]
+    for j, (unit, image) in enumerate(zip(crew, seen, strict=True)):
+        decision = unit.step(image, [report for report in reports if report.unit_id != j])
+        np.testing.assert_array_equal(np.sort(decision.report.controlled_ids), np.sort(SETS[j]))
+        inboxes.receive(decision.goals, 0.0)
+    return robot_commands(inboxes, gains, 0.0)
+
+
+three_cameras = st.tuples(*[cameras(TRIANGLE_START)] * 3)
+
+
+@settings(max_examples=50, deadline=None, derandomize=True)
+@given(one=three_cameras, other=three_cameras)
+def test_in_marker_units_the_command_does_not_depend_on_the_cameras(mission_with, one, other) -> None:
+    gains = MarkerGains(0.1, 0.4, 0.0, SIDE_M)
+    first, second = command_of(mission_with(list(one)), gains), command_of(mission_with(list(other)), gains)
+    assert np.abs(first.v_mps).min() > 1e-3, "all robots move, so that there is a direction to compare"
+    np.testing.assert_allclose(first.v_mps, second.v_mps, rtol=0, atol=EXACT)
+    np.testing.assert_allclose(first.omega_radps, second.omega_radps, rtol=0, atol=EXACT)
+
+
+@settings(max_examples=50, deadline=None, derandomize=True)
+@given(one=three_cameras, other=three_cameras)
+def test_in_pixel_gains_the_cameras_are_a_gain_on_v_alone(mission_with, one, other) -> None:
+    """Remark 1: direction and omega agree; v is in proportion to the mean scale of a robot's cameras."""
+    gains = PixelGains(0.001, 0.4, 0.0)
+    results = []
+    for units in (one, other):
+        command = command_of(mission_with(list(units)), gains)
+        scales = np.array([pixels_per_metre(unit) for unit in units])
+        heard = np.array([[robot in members for members in SETS] for robot in range(6)])
+        mean_scale = (heard * scales).sum(axis=1) / heard.sum(axis=1)
+        results.append((command.v_mps / mean_scale, command.omega_radps))
+    (speed, turn), (other_speed, other_turn) = results
+    np.testing.assert_allclose(turn, other_turn, rtol=0, atol=EXACT)
+    # v / rbar is k_v |Σ_j (x^d - x)|, signed: under 1e-2 here, so that 1e-9 of it is 1e-11.
+    np.testing.assert_allclose(speed, other_speed, rtol=EXACT, atol=1e-14)
+    np.testing.assert_array_equal(np.sign(speed), np.sign(other_speed))
+
+
+# --- whole trajectories ---
+
+
+def run_with_fixed_sets(mission: Mission) -> tuple[np.ndarray, np.ndarray]:
+    """Positions (T, N, 2) and headings (T, N), with the control sets asserted at each step."""
+    positions, headings = [], []
+    for step in run_steps(mission, FixedSets(Projected(SIDE_M, "4X4_50"))):
+        for unit, members in enumerate(SETS):
+            np.testing.assert_array_equal(np.sort(step.control_sets[unit]), np.sort(members))
+        positions.append(step.positions_m)
+        headings.append(step.headings_rad)
+    return np.array(positions), np.array(headings)
+
+
+def random_units(seed: int, zoom: bool) -> list[dict[str, Any]]:
+    rng = np.random.default_rng(seed)
+    units = []
+    for _ in SETS:
+        unit = camera_of(TRIANGLE_START, rng.random(10))
+        unit["camera"]["focal_px"] *= 0.5  # room for robots to move, and for the zoom
+        unit["flight"]["yaw_rate_degps"] = float(rng.uniform(-20, 20))
+        if zoom:
+            start = unit["zoom"][0][1]
+            unit["zoom"] = [[0.0, start], [7.0, 0.5 * start], [16.0, 1.3 * start], [16.1, 0.8 * start]]
+        units.append(unit)
+    return units
+
+
+@pytest.mark.parametrize("zoom", [False, True], ids=["fixed zoom", "zooming"])
+def test_in_marker_units_whole_trajectories_are_the_same(mission_with, zoom) -> None:
+    """1e-9 m over the run (the issue's figure); rounding of 1e-13 m a step dies out."""
+    runs = [
+        run_with_fixed_sets(
+            mission_with(random_units(seed, zoom), duration_s=30.0, control={"k": 0.2, "k_omega": 0.8})
+        )
+        for seed in (1, 2)
+    ]
+    (one, _), (other, _) = runs
+    assert np.linalg.norm(one[-1] - one[0], axis=1).max() > 1.0, "the robots went somewhere"
+    np.testing.assert_allclose(one, other, rtol=0, atol=EXACT)
+    turn = np.exp(1j * runs[0][1]) - np.exp(1j * runs[1][1])
+    assert np.abs(turn).max() < EXACT
+
+
+def test_in_pixel_gains_the_focal_length_sets_the_final_size_yet_all_converge(mission_with) -> None:
+    """numbers.md: from the Fig. 4 start the scale ends at 2.88, 3.0, 3.77 with k_omega/(k_v r) = 4, 3, 1.
+
+    Tolerance 0.03: those are given to two or three digits, and the step of 0.1 s shifts the end by 0.01.
+    """
+    height, k_omega, k_v = 12.0, 0.4, 0.002
+    ends = {}
+    for ratio in (4.0, 3.0, 1.0):
+        scale_px_m = k_omega / (ratio * k_v)
+        unit = {
+            "position_m": [1.0, 2.0],
+            "height_m": height,
+            "camera": {"focal_px": scale_px_m * height, "size_px": [4000, 4000]},
+            "flight": {"kind": "hover"},
+        }
+        *_, last = run_steps(
+            mission_with(
+                [unit],
+                duration_s=150.0,
+                control={"gains": "pixel", "k_v": k_v, "k_omega": k_omega},
+                robots={"max_speed_mps": 10.0, "max_turn_radps": 10.0},  # no limit may shape the paths here
+            )
+        )
+        assert last.control_sets[0].tolist() == list(range(6))
+        assert last.observation.shape.error < 1e-3, "converged: a thousandth of the formation's radius"
+        ends[ratio] = last.observation.shape.scale
+    assert ends == pytest.approx({4.0: 2.88, 3.0: 3.0, 1.0: 3.77}, abs=0.03)
+
+
+# --- rendered: within what the measured noise explains ---
+
+
+def test_rendered_goals_agree_within_the_measured_noise(mission_with, camera_free_goals) -> None:
+    """x^d is linear in the image points: x^d = P p / r, P = 11'/N + t t^H/|t|², a projection.
+
+    Noise of standard deviation sigma on each image axis so gives sigma sqrt(P_ii) / r. What the measured
+    covariance claims is the second moment: the RMS of errors over this is 1. P has rank 2, so a view gives 4
+    degrees of freedom, 40 views 160; with the kurtosis K = 10 at most that contour-fitted corners were
+    measured to have at 19-36 px, the mean square is known to sqrt((K - 1)/160) = 0.24; at 4 of these
+    the RMS is 1.4. Single errors: Chebyshev's fourth moment leaves K/4^4 = 4 % beyond 4 sigma at most; the
+    12 sigma that none may pass have a chance of 480 K/12^4 < 0.24 at most, and are 5 mm.
+    """
+    rng = np.random.default_rng(7)
+    normalised = []
+    rendered = None
+    for _ in range(40):
+        unit = camera_of(TRIANGLE_START, [*rng.random(8), 0.9 + 0.1 * rng.random(), rng.random()], (900, 800))
+        mission = mission_with([unit])
+        rendered = rendered or Rendered(mission, rng)  # knows markers, ground and sensor, not the camera
+        measured = ground_goals(mission, perception=rendered)
+        accuracy = load_accuracy(mission.scenario.detector)
+        t = mission.template.points_px - mission.template.points_px.mean()
+        projection = 1 / t.size + np.abs(t) ** 2 / np.sum(np.abs(t) ** 2)
+        scale = pixels_per_metre(unit)
+        sigma_px = np.sqrt(accuracy.covariances(np.full(t.size, SIDE_M * scale))[:, 0, 0])
+        sigma_m = sigma_px * np.sqrt(projection) / scale
+        assert sigma_m.max() < 0.002, "a bound worth having: well under a hundredth of a marker's side"
+        error = measured - camera_free_goals
+        normalised.append(np.stack([error.real, error.imag]) / sigma_m)
+    assert 0.7 < np.sqrt(np.mean(np.square(normalised))) < 1.4
+    assert np.mean(np.abs(normalised) > 4.0) < 0.04
+    assert np.abs(normalised).max() < 12.0
+
+
+# --- negative controls: what must move the goals, and by how much ---
+
+
+def fig5_start(scenario_tree: Callable[[str], dict[str, Any]]) -> np.ndarray:
+    return np.array(scenario_tree("star")["robots"]["positions_m"])
+
+
+def linear_map(focal_over_height: float, yaw_rad: float, aspect: float, mirrored: bool) -> np.ndarray:
+    """A (2, 2) from ground metres to pixels, from the frames as they are defined, not from the renderer."""
+    u = np.array([np.cos(yaw_rad), np.sin(yaw_rad)])
+    v = np.array([np.sin(yaw_rad), -np.cos(yaw_rad)])
+    return focal_over_height * np.stack([-u if mirrored else u, aspect * v])
+
+
+@pytest.mark.parametrize(
+    ("aspect", "mirrored", "least_rms"),
+    [(640 / 480, False, 0.03), (1.1, False, 0.01), (1.0, True, 0.2)],
+    ids=["pixels 640/480", "pixels 1.1", "mirrored"],
+)
+@pytest.mark.parametrize("yaw_deg", [0.0, 33.0, -120.0])
+def test_a_distorting_image_moves_the_goals_as_geometry_predicts(
+    mission_with, scenario_tree, reference_fit, aspect, mirrored, least_rms, yaw_deg
+) -> None:
+    """Fit the similarity to A x, map back by A's inverse; the displacement is a good part of the span."""
+    unit = {
+        "position_m": [1.0, 0.0],
+        "height_m": 30.0,
+        "yaw_deg": yaw_deg,
+        "camera": {"focal_px": 900.0, "size_px": [1600, 1600], "aspect": aspect, "mirrored": mirrored},
+        "flight": {"kind": "hover"},
+    }
+    mission = mission_with([unit], "star")
+    start = mission.positions_m
+    template = mission.template.points_px
+    matrix = linear_map(900.0 / 30.0, np.radians(yaw_deg), aspect, mirrored)
+    a, b = reference_fit(template, as_complex(start @ matrix.T))
+    desired = a * template + b
+    predicted = as_complex(np.column_stack([desired.real, desired.imag]) @ np.linalg.inv(matrix).T)
+    a, b = reference_fit(template.conj(), as_complex(start))
+    undistorted = a * template.conj() + b
+
+    displacement = ground_goals(mission) - undistorted
+    np.testing.assert_allclose(displacement, predicted - undistorted, rtol=0, atol=EXACT)
+    span = np.ptp(start, axis=0).max()
+    assert np.sqrt(np.mean(np.abs(displacement) ** 2)) / span > least_rms
+
+
+@pytest.mark.parametrize("tilt_deg", [(15.0, 0.0), (0.0, 15.0), (-8.0, 12.0)])
+def test_tilt_moves_the_goals_as_geometry_predicts(mission_with, reference_fit, tilt_deg) -> None:
+    """Rays, not homographies: a camera turned about its own axes, points and goals on the plane z = 0."""
+    focal, height, yaw, at = 700.0, 14.0, 0.5, np.array([1.0, 2.0])
+    unit = {
+        "position_m": at.tolist(),
+        "height_m": height,
+        "yaw_deg": float(np.degrees(yaw)),
+        "tilt_deg": tilt_deg,
+        "camera": {"focal_px": focal, "size_px": [1400, 1400]},
+        "flight": {"kind": "hover"},
+    }
+    mission = mission_with([unit])
+    tilt_u, tilt_v = np.radians(tilt_deg)
+
+    def tilted(ray: np.ndarray) -> np.ndarray:
+        """Turn rays (N, 3), in camera axes, about u and then about v."""
+        u, v, w = ray.T
+        v, w = v * np.cos(tilt_u) - w * np.sin(tilt_u), v * np.sin(tilt_u) + w * np.cos(tilt_u)
+        u, w = u * np.cos(tilt_v) + w * np.sin(tilt_v), -u * np.sin(tilt_v) + w * np.cos(tilt_v)
+        return np.column_stack([u, v, w])
+
+    level = np.conj((as_complex(mission.positions_m) - complex(*at)) * np.exp(-1j * yaw))
+    rays = tilted(np.column_stack([level.real, level.imag, np.full(level.size, height)]))
+    image = focal * (rays[:, 0] + 1j * rays[:, 1]) / rays[:, 2]
+    template = mission.template.points_px
+    a, b = reference_fit(template, image)
+    desired = a * template + b
+    # Back to the ground: each ray, turned back axis by axis, is lengthened until it is `height` deep.
+    u, v, w = desired.real, desired.imag, np.full(desired.size, focal)
+    u, w = u * np.cos(tilt_v) - w * np.sin(tilt_v), u * np.sin(tilt_v) + w * np.cos(tilt_v)
+    v, w = v * np.cos(tilt_u) + w * np.sin(tilt_u), -v * np.sin(tilt_u) + w * np.cos(tilt_u)
+    predicted = complex(*at) + np.conj((u + 1j * v) / w * height) * np.exp(1j * yaw)
+    a, b = reference_fit(template.conj(), as_complex(mission.positions_m))
+    undistorted = a * template.conj() + b
+
+    displacement = ground_goals(mission) - undistorted
+    np.testing.assert_allclose(displacement, predicted - undistorted, rtol=0, atol=EXACT)
+    span = np.ptp(mission.positions_m, axis=0).max()
+    assert np.sqrt(np.mean(np.abs(displacement) ** 2)) / span > 0.01
+
+
+# --- truth as data ---
+
+
+class Replay:
+    """Eyes that are shown recorded images, whatever the world is."""
+
+    def __init__(self, detector: Any, images: dict[tuple[int, int], np.ndarray]) -> None:
+        self.detector, self.images = detector, images
+
+    def look(self, world: World, units: Sequence[int], time_s: float) -> list[Sight]:
+        return [self._look(unit, time_s) for unit in units]
+
+    def _look(self, unit: int, time_s: float) -> Sight:
+        image = self.images[unit, round(10 * time_s)]
+        seen = self.detector.detect(image.copy(), time_s=time_s, unit_id=unit)
+        return Sight(seen, seen.ids, seen.ids, 0, None)
+
+
+def test_with_the_images_held_fixed_scrambling_the_truth_changes_no_command(scenario_tree) -> None:
+    """The whole loop runs again on recorded images in a world where robots and cameras are elsewhere."""
+    tree = scenario_tree("star") | {"duration_s": 0.5}
+    mission = make_mission(tree)
+    perception = make_perception(mission, np.random.default_rng(3))
+    recorded = list(run_steps(mission, perception))
+    images = {
+        (unit, tick): frame.sight.image
+        for tick, step in enumerate(recorded)
+        for unit, frame in step.frames.items()
+    }
+
+    rng = np.random.default_rng(11)
+    scrambled = scenario_tree("star") | {"duration_s": 0.5}
+    scrambled["robots"]["positions_m"] = rng.uniform(-50, 50, (16, 2)).tolist()
+    scrambled["robots"]["headings_deg"] = rng.uniform(-180, 180, 16).tolist()
+    for unit in scrambled["units"]:
+        unit |= {
+            "position_m": rng.uniform(-90, 90, 2).tolist(),
+            "height_m": 55.0,
+            "yaw_deg": rng.uniform(-180, 180),
+        }
+        unit["camera"] = {"half_angle_deg": 12.0, "size_px": [640, 480], "aspect": 1.3}
+        unit["zoom"] = [[0.0, 3.0]]
+    replayed = list(
+        run_steps(make_mission(scrambled), Replay(make_perception(mission, rng).detector, images))
+    )
+
+    assert len(recorded) == len(replayed) == 6
+    assert all(np.abs(step.command.v_mps).min() > 0 for step in recorded), "every robot is commanded"
+    for one, other in zip(recorded, replayed, strict=True):
+        assert np.abs(one.positions_m - other.positions_m).max() > 1.0, "the truth is another"
+        np.testing.assert_array_equal(one.command.v_mps, other.command.v_mps)
+        np.testing.assert_array_equal(one.command.omega_radps, other.command.omega_radps)
+        for unit in one.frames:
+            ours, theirs = one.frames[unit].decision, other.frames[unit].decision
+            np.testing.assert_array_equal(ours.goals.rho_px, theirs.goals.rho_px)
+            np.testing.assert_array_equal(ours.goals.bearings_rad, theirs.goals.bearings_rad)
+            np.testing.assert_array_equal(ours.report.controlled_ids, theirs.report.controlled_ids)
+            np.testing.assert_array_equal(ours.flight.lateral_mps, theirs.flight.lateral_mps)
+            assert ours.flight.climb_mps == theirs.flight.climb_mps
+
+
+def test_a_template_of_another_size_turn_and_place_sets_the_same_goals(
+    mission_with, camera_free_goals
+) -> None:
+    """The template image is a camera's image too: its scale, rotation and origin are arbitrary."""
+    mission = mission_with([camera_of(TRIANGLE_START, [0.4] * 10)])
+    moved = Template(mission.template.ids, 37.0 * np.exp(0.7j) * mission.template.points_px + (400 - 90j))
+    np.testing.assert_allclose(
+        ground_goals(replace(mission, template=moved)), camera_free_goals, rtol=0, atol=EXACT
+    )

@@ -1,0 +1,148 @@
+"""Self-rectification in the loop: bad cameras with it and without, recordings, pictures."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from seen_squares import random_view
+
+from skyherd.analysis.goal_points import desired_points_px
+from skyherd.control import AerialController, Hover, Rectifier, SafetyRadius
+from skyherd.datasets import make_mission
+from skyherd.loop import Step, run_steps
+from skyherd.recording.reader import read_recording
+from skyherd.recording.writer import Recorder
+from skyherd.render import project
+from skyherd.sim.truth_metrics import fit_shape
+
+
+def bad_camera(seed: int) -> dict[str, Any]:
+    """Tilt, oblong pixels, skew and lens, as in `random_view`."""
+    view = random_view(seed)
+    return {
+        "position_m": list(view.pose.position_m),
+        "height_m": view.pose.height_m,
+        "tilt_deg": list(view.tilt_deg),
+        "yaw_deg": float(np.degrees(view.yaw_rad)),
+        "camera": {
+            "size_px": [800, 800],
+            "focal_px": view.camera.focal_px,
+            "aspect": view.camera.aspect,
+            "skew": view.camera.skew,
+            "distortion": {"k1": view.camera.distortion.k1},
+        },
+        "flight": {"kind": "hover"},
+    }
+
+
+def flight(
+    scenario_tree: Any, unit: dict[str, Any], *, rectify: bool, perception: str = "ideal"
+) -> list[Step]:
+    """The triangle of six, smaller, and quick; the robots never stop."""
+    tree = scenario_tree("triangle") | {"duration_s": 20.0, "units": [unit], "perception": perception}
+    tree["robots"] = {"scatter": {"scale_m": 1.7, "jitter_m": 0.3, "spacing_m": 0.8}}
+    tree["selection"] = {"radius": 1.5}
+    tree["control"] |= {"k": 0.6, "k_omega": 2.4, "b_th": 0.0, "rectify": rectify}
+    return list(run_steps(make_mission(tree)))
+
+
+@pytest.mark.parametrize("seed", [3, 5, 8])
+def test_a_bad_camera_forms_the_shape_with_it_and_the_predicted_error_without(scenario_tree, seed):
+    """Without: the robots form the template in the *image*, to what ten time constants leave, and the error
+    on the ground is that of the template seen through the camera, from geometry. With: a hundredth of it."""
+    unit = bad_camera(seed)
+    plain, ours = (flight(scenario_tree, unit, rectify=rectify)[-1] for rectify in (False, True))
+    seen = plain.frames[0].sight.detections.centers_px @ np.array([1, 1j])
+    mission = make_mission(scenario_tree("triangle"))
+    template = mission.template.points_of(mission.ids)
+    assert fit_shape(template, seen).error < 1e-3
+    view = random_view(seed)
+    from_image = view.ideal_px(plain.frames[0].sight.detections.centers_px)
+    predicted = fit_shape(template, from_image @ np.array([1, 1j])).error
+    assert plain.observation.shape.error == pytest.approx(predicted, abs=1e-6)
+    assert plain.observation.shape.error > 0.02
+    assert ours.observation.shape.error < 1e-3
+    assert ours.observation.shape.error < plain.observation.shape.error / 20
+
+
+def test_goals_on_the_ground_are_those_of_no_camera_at_all(scenario_tree, reference_fit):
+    """Property 1 for a camera that it excludes: where the desired points lie on the ground, from the first
+    image alone, to 1e-3 of the formation's span; without rectification off by 20 times as much."""
+    unit = bad_camera(5)
+    view = random_view(5)
+    off = []
+    for rectify in (False, True):
+        step = flight(scenario_tree, unit, rectify=rectify)[0]
+        frame = step.frames[0]
+        mission = make_mission(scenario_tree("triangle"))
+        template = mission.template.points_of(mission.ids)
+        positions = step.positions_m @ np.array([1, 1j])
+        a, b = reference_fit(template.conj(), positions)
+        wanted = a * template.conj() + b
+        wanted_px = project(view.camera, view.pose, np.column_stack([wanted.real, wanted.imag]))
+        # In the image of an ideal camera, where pixels are in proportion to metres.
+        ideal = [view.ideal_px(points) for points in (desired_points_px(frame), wanted_px)]
+        span = np.ptp(ideal[1], axis=0).max()
+        off.append(np.linalg.norm(ideal[0] - ideal[1], axis=1).max() / span)
+    assert off[1] < 1e-3
+    assert off[0] > 20 * off[1]
+
+
+def test_speed_in_marker_units_knows_the_local_scale(scenario_tree):
+    """Under tilt each goal is in the robot's own marker sides: from the same start a tilted, distorting
+    camera and an ideal one drive the robots along the same paths, to a fiftieth of a marker's side."""
+    unit = bad_camera(5)
+    ideal = unit | {"tilt_deg": [0, 0], "position_m": [0, 0], "height_m": 14.0}
+    ideal["camera"] = {"size_px": [800, 800], "focal_px": 800.0}
+    paths = [
+        np.array([step.positions_m for step in flight(scenario_tree, camera, rectify=True)])
+        for camera in (unit, ideal)
+    ]
+    assert np.linalg.norm(paths[0][-1] - paths[0][0], axis=1).max() > 0.2
+    assert np.abs(paths[0] - paths[1]).max() < 0.02 * 0.5
+
+
+def test_an_ideal_cameras_flight_is_the_same_to_the_bit(scenario_tree):
+    """With measured noise, and three units that hand robots over: nothing is learned that is not there."""
+    tree = scenario_tree("star") | {"duration_s": 8.0, "perception": "noisy"}
+    runs = []
+    for rectify in (False, True):
+        tree["control"]["rectify"] = rectify
+        runs.append(list(run_steps(make_mission(tree))))
+    for one, other in zip(*runs, strict=True):
+        np.testing.assert_array_equal(one.positions_m, other.positions_m)
+        np.testing.assert_array_equal(one.command.v_mps, other.command.v_mps)
+
+
+def test_the_controller_is_given_what_the_rectifier_makes_of_the_detections(scenario_tree):
+    """The loop's decision is that of a controller that never heard of rectification."""
+    mission_tree = scenario_tree("triangle")
+    steps = flight(scenario_tree, bad_camera(3), rectify=True)[:5]
+    rectifier, mission = Rectifier(), make_mission(mission_tree)
+    crew = AerialController(mission.template, SafetyRadius(1.5), Hover())
+    for step in steps:
+        goals = crew.step(rectifier.rectify(step.frames[0].sight.detections)).goals
+        np.testing.assert_array_equal(goals.rho_px, step.frames[0].decision.goals.rho_px)
+
+
+def test_maps_are_recorded_and_read_back(scenario_tree, tmp_path):
+    """The video drawn from the file shows the same goals; a camera that needs no map has no such topic."""
+    tree = scenario_tree("triangle") | {"duration_s": 3.0, "perception": "ideal"}
+    tree["units"] = [bad_camera(3)]
+    tree["robots"] = {"scatter": {"scale_m": 1.7, "jitter_m": 0.3, "spacing_m": 0.8}}
+    mission = make_mission(tree)
+    steps = list(run_steps(mission))
+    with Recorder(tmp_path / "run.mcap", mission) as recorder:
+        for step in steps:
+            recorder.write(step)
+        recorder.finish(3.0, 1.0)
+    for one, other in zip(steps, read_recording(tmp_path / "run.mcap").steps, strict=True):
+        assert not one.frames[0].ground_map.ideal
+        np.testing.assert_array_equal(one.frames[0].ground_map.unknowns, other.frames[0].ground_map.unknowns)
+        np.testing.assert_array_equal(desired_points_px(one.frames[0]), desired_points_px(other.frames[0]))
+
+
+def test_points_asked_for_are_drawn_where_the_camera_sees_them(scenario_tree):
+    """Once the shape is formed they lie on the robots, in the raw image."""
+    frame = flight(scenario_tree, bad_camera(8), rectify=True)[-1].frames[0]
+    np.testing.assert_allclose(desired_points_px(frame), frame.sight.detections.centers_px, atol=0.5)

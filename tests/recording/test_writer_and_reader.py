@@ -1,0 +1,200 @@
+"""A recording gives back what was written, as far as it goes."""
+
+import io
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap.records import Message
+from mcap.stream_reader import StreamReader
+
+from skyherd.analysis.history import make_history
+from skyherd.analysis.summary import held_to_the_end, reached_s, summarize
+from skyherd.datasets import load_mission
+from skyherd.errors import InputError
+from skyherd.loop import run_steps
+from skyherd.recording.reader import read_messages, read_recording, read_steps
+from skyherd.recording.writer import Recorder
+
+
+@pytest.fixture(scope="module")
+def mission():
+    return load_mission("star", ["duration_s=4.0", "network.frame_loss=0.1", "network.message_loss=0.1"])
+
+
+@pytest.fixture(scope="module")
+def steps(mission):
+    return list(run_steps(mission))
+
+
+def record(path, mission, steps, *, images=False, wall_s=1.5):
+    with Recorder(path, mission, images=images) as recorder:
+        for step in steps:
+            recorder.write(step)
+        recorder.finish(steps[-1].time_s, wall_s)
+    return path
+
+
+def test_reading_back_gives_the_same_history(tmp_path, mission, steps):
+    recording = read_recording(record(tmp_path / "run.mcap", mission, steps))
+    live, read = make_history(mission, steps), make_history(recording.mission, recording.steps)
+    for name in (
+        "positions_m",
+        "omega_radps",
+        "V",
+        "V_units",
+        "scales",
+        "controlled",
+        "conditions",
+        "heights_m",
+    ):
+        np.testing.assert_array_equal(getattr(live, name), getattr(read, name), err_msg=name)
+    for mine, theirs in zip(live.traces, read.traces, strict=True):
+        np.testing.assert_array_equal(mine.points_px, theirs.points_px)
+    assert summarize(live, 1.5) == summarize(read, recording.wall_s)
+
+
+def test_goals_and_detections_come_back_to_the_last_bit(tmp_path, mission, steps):
+    recording = read_recording(record(tmp_path / "run.mcap", mission, steps))
+    for live, read in zip(steps, recording.steps, strict=True):
+        for unit, frame in live.frames.items():
+            theirs = read.frames[unit]
+            np.testing.assert_array_equal(
+                frame.sight.detections.corners_px, theirs.sight.detections.corners_px
+            )
+            np.testing.assert_array_equal(frame.decision.goals.rho_px, theirs.decision.goals.rho_px)
+
+
+def test_images_come_back_as_jpeg_does(tmp_path, mission, steps):
+    path = record(tmp_path / "run.mcap", mission, steps[:2], images=True)
+    assert read_recording(path).has_images
+    unit = next(iter(steps[0].frames))
+    live, read = steps[0].frames[unit].sight.image, next(iter(read_steps(path))).frames[unit].sight.image
+    # JPEG at quality 90 quantises the finest DCT terms to about 20 levels; noise of 2 grey levels passes.
+    assert np.abs(live.astype(int) - read.astype(int)).mean() < 2.5
+
+
+@pytest.mark.parametrize("fraction", [0.35, 0.6, 0.95])
+def test_a_torn_file_reads_up_to_its_last_whole_chunk(tmp_path, mission, steps, fraction):
+    path = record(tmp_path / "run.mcap", mission, steps)
+    with path.open("rb") as stream:
+        chunks = make_reader(stream).get_summary().chunk_indexes
+    end_of_chunks = max(chunk.chunk_start_offset + chunk.chunk_length for chunk in chunks)
+    torn = tmp_path / "torn.mcap"
+    torn.write_bytes(path.read_bytes()[: int(end_of_chunks * fraction)])
+    recording = read_recording(torn)
+    assert recording.wall_s is None
+    assert 0 < len(recording.steps) < len(steps)
+    np.testing.assert_array_equal(
+        recording.steps[-1].positions_m, steps[len(recording.steps) - 1].positions_m
+    )
+    # No more than one chunk of messages is lost: chunks hold 64 KiB before compression.
+    assert len(recording.steps) >= int(len(steps) * fraction) - 12
+
+
+def test_a_run_of_one_chunk_is_read_back_whole(tmp_path, mission, steps):
+    """The wall time, metadata, then stands before the mission."""
+    path = record(tmp_path / "run.mcap", mission, steps[:1])
+    recording = read_recording(path)
+    assert (len(recording.steps), recording.wall_s) == (1, 1.5)
+    assert next(read_messages(path))[0] == "#wall"
+
+
+def test_a_whole_file_is_whole_for_an_indexed_reader(tmp_path, mission, steps):
+    with record(tmp_path / "run.mcap", mission, steps).open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    topics = {channel.topic for channel in summary.channels.values()}
+    assert {"/mission", "/unit/0/detections", "/unit/2/goals", "/robots/command", "/world", "/end"} <= topics
+    messages = [topic for topic, _, _ in read_messages(tmp_path / "run.mcap") if topic != "#wall"]
+    assert summary.statistics.message_count == len(messages)
+
+
+def test_a_damaged_file_is_refused(tmp_path, mission, steps):
+    path = record(tmp_path / "run.mcap", mission, steps)
+    data = bytearray(path.read_bytes())
+    data[len(data) // 3] ^= 0xFF
+    path.write_bytes(data)
+    with pytest.raises(InputError, match="damaged"):
+        read_recording(path)
+
+
+def test_what_is_no_recording_is_refused(tmp_path):
+    text = tmp_path / "run.mcap"
+    text.write_text("not a recording")
+    with pytest.raises(InputError, match="not a recording"):
+        read_recording(text)
+    with pytest.raises(InputError, match="No such file"):
+        read_recording(tmp_path / "absent.mcap")
+
+
+def older_scenario(topic, record):
+    """Before steering had a name it was switched on."""
+    if topic == "/mission":
+        record["scenario"]["avoidance"]["steer"] = True
+
+
+def older_step(topic, record):
+    """A world that did not yet say how high the units fly."""
+    if topic == "/world":
+        del record["fleet"]
+
+
+@pytest.mark.parametrize(("change", "at"), [(older_scenario, "steer"), (older_step, "fleet")])
+def test_a_recording_of_another_version_is_refused_in_one_line(
+    tmp_path, mission, steps, monkeypatch, change, at
+):
+    put = Recorder._put
+
+    def put_changed(self, topic, time_s, record, *schema):
+        change(topic, record)
+        put(self, topic, time_s, record, *schema)
+
+    monkeypatch.setattr(Recorder, "_put", put_changed)
+    path = record(tmp_path / "run.mcap", mission, steps[:3])
+    with pytest.raises(InputError, match=f"another version of skyherd .*{at}") as refusal:
+        read_recording(path)
+    assert "\n" not in str(refusal.value)
+
+
+def messages_of(path):
+    records = StreamReader(io.BytesIO(path.read_bytes())).records
+    return [(r.channel_id, r.log_time, r.data) for r in records if isinstance(r, Message)]
+
+
+def test_the_same_seed_gives_the_same_messages_byte_for_byte(tmp_path, mission, steps):
+    first = messages_of(record(tmp_path / "first.mcap", mission, steps))
+    again = messages_of(record(tmp_path / "again.mcap", mission, list(run_steps(mission)), wall_s=2.5))
+    other_mission = load_mission("star", ["duration_s=4.0"], seed=2)
+    other = messages_of(record(tmp_path / "other.mcap", other_mission, list(run_steps(other_mission))))
+    assert len(first) > 40 * 10
+    assert first == again
+    assert first != other
+
+
+@pytest.mark.parametrize(
+    ("errors", "reached"),
+    [
+        ([9, 2, 0.5, 0.5], 2.0),
+        ([0.5, 2, 0.5, 2], None),
+        ([0.5, 0.5, 0.5, 0.5], 0.0),
+        ([0.5, 2, np.nan, 0.5], 3.0),
+    ],
+)
+def test_the_goal_is_reached_once_the_error_stays_below_it(errors, reached):
+    """Seconds of four images, errors in goals; an error that is not known is not below."""
+    second = ["duration_s=3.0", "step_s=1.0", "units.0.frame_rate_hz=1.0"]
+    mission = load_mission("triangle", ["perception=ideal", *second])
+    history = make_history(mission, run_steps(mission))
+    goal = mission.scenario.goal.shape_error
+    assert reached_s(replace(history, shape_error=goal * np.array(errors))) == reached
+
+
+def test_converged_means_held_to_the_end():
+    mission = load_mission("triangle", ["perception=ideal", "duration_s=80.0", "goal.hold_s=5"])
+    assert held_to_the_end(make_history(mission, run_steps(mission)))
+    short = load_mission("triangle", ["perception=ideal", "duration_s=20.0", "goal.hold_s=5"])
+    assert not held_to_the_end(make_history(short, run_steps(short)))
+    # Reached the threshold, but only just now: not held.
+    late = load_mission("triangle", ["perception=ideal", "duration_s=80.0", "goal.hold_s=60"])
+    assert not held_to_the_end(make_history(late, run_steps(late)))

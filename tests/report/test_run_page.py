@@ -1,0 +1,241 @@
+"""The report's page, as text and as a browser shows it."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+import pytest
+
+from skyherd.analysis.history import History, make_history
+from skyherd.analysis.summary import summarize
+from skyherd.analysis.summary_fields import GROUPS, TREE, Field, number_text, value_text
+from skyherd.datasets import load_mission
+from skyherd.errors import OutputError
+from skyherd.files.video_writer import VideoSink
+from skyherd.loop import run_steps
+from skyherd.plots.panels import PANELS, write_figures
+from skyherd.report.run_page import write_page
+
+WIDTHS = {"desktop": (1280, 900), "phone": (390, 844)}
+VERSIONS = MappingProxyType({"skyherd": "0.1.0", "numpy": np.__version__})
+
+
+@pytest.fixture(scope="module")
+def history() -> History:
+    mission = load_mission("star", ["duration_s=3.0", "perception='ideal'"])
+    return make_history(mission, run_steps(mission))
+
+
+def write_video(path: Path) -> None:
+    """Two seconds, from dark to bright."""
+    with VideoSink(path, (160, 120), 10) as sink:
+        for grey in np.linspace(0, 255, 20).astype(np.uint8):
+            sink.write(np.full((120, 160, 3), grey))
+
+
+@pytest.fixture(scope="module")
+def page(history: History, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("run")
+    write_video(folder / "video.mp4")
+    figures = write_figures(history, folder / "figures")
+    return write_page(
+        folder, history, summarize(history, 1.5), figures, VERSIONS, "[scenario]\n" + "x = 1 " * 80
+    )
+
+
+class Outline(HTMLParser):
+    """Tags in the order met; checks that each is closed where it should be."""
+
+    VOID = frozenset({"meta", "link", "img", "br"})
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.feed(text)
+        self.close()
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+        if tag not in self.VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def all(self, tag: str) -> list[dict[str, str | None]]:
+        return [attributes for name, attributes in self.tags if name == tag]
+
+
+def test_the_page_is_whole_and_refers_to_nothing_outside(page: Path) -> None:
+    text = page.read_text("utf-8")
+    outline = Outline(text)
+    assert text.startswith("<!DOCTYPE html>")
+    assert not outline.open
+    assert not outline.all("script")
+    assert outline.all("html") == [{"lang": "en"}]
+    assert len(outline.all("video")) == 1
+    assert len(outline.all("img")) == len(PANELS)
+    assert all(image["alt"] for image in outline.all("img"))
+    sources = [a[key] or "" for _, a in outline.tags for key in ("src", "href") if key in a]
+    assert all(source.startswith("data:") for source in sources)
+    ids = [a["id"] for _, a in outline.tags if "id" in a]
+    assert len(ids) == len(set(ids))
+
+
+def test_every_value_of_the_summary_is_there(page: Path, history: History) -> None:
+    text = page.read_text("utf-8")
+    summary = summarize(history, 1.5)
+    fields = {field.key: field for name, group in GROUPS.items() if name != TREE for field in group}
+    assert set(summary) == set(fields) | {"final_positions_m"}
+    for key, field in fields.items():
+        assert f"{field.label}</th><td>{value_text(field, summary[key])}</td>" in text
+    for x_m, y_m in summary["final_positions_m"].values():
+        assert f"({x_m:.3f}, {y_m:.3f}) m" in text
+
+
+def test_whatever_is_inserted_is_escaped(history: History, tmp_path: Path) -> None:
+    hostile = "<script>alert('$x')</script>&"
+    summary = {**summarize(history, 1.5), "scenario": hostile, hostile: hostile}
+    scenario = history.mission.scenario.model_copy(update={"name": hostile, "description": hostile})
+    renamed = replace(history, mission=replace(history.mission, scenario=scenario))
+    text = write_page(tmp_path, renamed, summary, [], {hostile: hostile}, hostile).read_text("utf-8")
+    assert "<script" not in text
+    assert not Outline(text).open
+    assert "$x" in text
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"converged": True, "complete": True}, "Converged: the shape was formed"),
+        ({"converged": False, "complete": True}, "Not converged: the shape was not formed"),
+        ({"converged": False, "complete": False, "simulated_s": 1.25}, "Cut short after 1.25 s of 3 s;"),
+    ],
+)
+def test_the_status_says_how_it_went(
+    changes: dict[str, Any], words: str, history: History, tmp_path: Path
+) -> None:
+    summary = {**summarize(history, None), **changes}
+    text = write_page(tmp_path, history, summary, [], VERSIONS, "").read_text("utf-8")
+    assert words in text
+    assert "<video" not in text
+    assert "not known" in text
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (0, "0"), (0.0, "0"), (12345, "12345"), (0.0123456, "0.01235"), (99999.6, "1 × 10⁵"),
+        (1.88668e-8, "1.887 × 10⁻⁸"), (-2.5e12, "−2.5 × 10¹²"), (999.96, "1000"),
+    ],
+)  # fmt: skip
+def test_numbers(value: float, text: str) -> None:
+    assert number_text(value) == text
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "text"),
+    [
+        (Field("x", "x", "m"), None, "not known"),
+        (Field("x", "x", "m"), float("nan"), "not known"),
+        (Field("x", "x"), True, "yes"),
+        (Field("x", "x", "m²"), 2.5, "2.5 m²"),
+        (Field("x", "x", kind="angle"), -np.pi / 2, "−90.0° (−1.571 rad)"),
+        (Field("x", "x", kind="share"), 0.99995, "99.995 %"),
+        (Field("x", "x"), [1, 2], "[1, 2]"),
+        (Field("x", "x", "", "", "ids"), [1, 2], "1, 2"),
+        (Field("x", "x", "", "", "ids"), [], "none"),
+    ],
+)
+def test_values(field: Field, value: object, text: str) -> None:
+    assert value_text(field, value) == text
+
+
+def test_a_page_that_cannot_be_written_is_named(history: History, tmp_path: Path) -> None:
+    (tmp_path / "report.html").mkdir()
+    with pytest.raises(OutputError, match=r"report\.html: cannot be written"):
+        write_page(tmp_path, history, summarize(history, None), [], VERSIONS, "")
+    assert [path.name for path in tmp_path.iterdir()] == ["report.html"]
+
+
+@pytest.fixture(params=[(w, scheme) for w in WIDTHS for scheme in ("light", "dark")], ids="-".join)
+def shown(browser: Any, page: Path, request: pytest.FixtureRequest) -> Iterator[Any]:
+    """The page in a window; checks at the end that it asked for nothing and complained of nothing."""
+    width, scheme = request.param
+    size = dict(zip(("width", "height"), WIDTHS[width], strict=True))
+    window = browser.new_page(viewport=size, color_scheme=scheme)
+    complaints: list[str] = []
+    requests: list[str] = []
+    window.on("console", lambda message: complaints.append(f"{message.type}: {message.text}"))
+    window.on("pageerror", lambda error: complaints.append(str(error)))
+    window.on("request", lambda asked: requests.append(asked.url))
+    window.goto(page.as_uri(), wait_until="load")
+    yield window
+    window.close()
+    assert not complaints
+    assert page.as_uri() in requests
+    assert [url[:80] for url in requests if not url.startswith(("file:", "data:"))] == []
+
+
+COLORS = """place => {
+  const element = document.querySelector(place);
+  let ground = element;
+  while (getComputedStyle(ground).backgroundColor === 'rgba(0, 0, 0, 0)') ground = ground.parentElement;
+  return [getComputedStyle(element).color, getComputedStyle(ground).backgroundColor]
+    .map(color => color.match(/[0-9]+/g).slice(0, 3).map(Number));
+}"""
+
+
+def test_everything_fits_the_window(shown: Any, assert_nothing_overflows: Callable[[Any], None]) -> None:
+    assert_nothing_overflows(shown)
+    shown.evaluate("document.querySelectorAll('details').forEach(e => { e.open = true })")
+    assert_nothing_overflows(shown)
+
+
+def test_every_image_is_decoded(shown: Any) -> None:
+    widths = shown.evaluate(
+        "Promise.all([...document.images].map(async e => { await e.decode(); return e.naturalWidth }))"
+    )
+    assert len(widths) == len(PANELS)
+    assert min(widths) > 0
+
+
+def test_the_video_plays_to_its_end(shown: Any) -> None:
+    shown.evaluate("(v => { v.playbackRate = 16; return v.play() })(document.querySelector('video'))")
+    shown.wait_for_function("document.querySelector('video').ended", timeout=10_000)
+    state = shown.evaluate(
+        "(({error, duration, videoWidth}) => ({error, duration, videoWidth}))"
+        "(document.querySelector('video'))"
+    )
+    assert state == {"error": None, "duration": pytest.approx(2.0, abs=0.05), "videoWidth": 160}
+
+
+def test_a_figure_opens_in_full_width(shown: Any) -> None:
+    card = shown.locator("#cost")
+    before = card.bounding_box()["width"]
+    card.locator("summary").click()
+    image = card.locator("img").bounding_box()["width"]
+    assert image >= 700
+    assert card.bounding_box()["width"] >= before
+    card.locator("summary").click()
+    assert card.bounding_box()["width"] == before
+
+
+def test_text_stands_out_from_its_ground(shown: Any) -> None:
+    """Contrast by WCAG 2: at least 4.5 to 1 for all text styles of the page."""
+    places = ["body", ".lead", ".status", ".tile b", ".tile span", "figcaption p", "td + td", "footer"]
+    for text, ground in (shown.evaluate(COLORS, place) for place in places):
+        light, dark = sorted((luminance(text), luminance(ground)), reverse=True)
+        assert (light + 0.05) / (dark + 0.05) >= 4.5
+
+
+def luminance(rgb: list[int]) -> float:
+    """Relative luminance of an 8-bit sRGB colour (WCAG 2)."""
+    share = np.array(rgb) / 255
+    linear = np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
+    return float(linear @ [0.2126, 0.7152, 0.0722])

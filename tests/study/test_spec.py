@@ -1,0 +1,144 @@
+"""What a study's file means: grids, sweeps, draws, keys."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from skyherd.datasets import load_mission, make_mission
+from skyherd.study.plan import draw_settings, make_plan, mission_key
+from skyherd.study.spec import RandomModel, StudySpec, load_study, study_names
+
+
+def test_every_combination_of_a_grid_is_run_and_the_last_key_goes_fastest(write_study: Any) -> None:
+    runs = make_plan(load_study(str(write_study()))).runs
+    pairs = [(run.parameters["control.k"], run.parameters["units.0.yaw_deg"]) for run in runs]
+    assert pairs == [(k, yaw) for k in (0.1, 0.3) for yaw in (0.0, 90.0, 180.0)]
+    assert len({run.key for run in runs}) == 6
+
+
+def test_a_runs_mission_is_the_one_that_run_would_make(write_study: Any) -> None:
+    plan = make_plan(load_study(str(write_study())))
+    settings = ["perception=ideal", "duration_s=0.4", "control.k=0.3", "units.0.yaw_deg=180"]
+    by_hand = load_mission("triangle", settings)
+    assert plan.mission(plan.runs[-1]).scenario == by_hand.scenario
+    assert plan.runs[-1].key == mission_key(by_hand)
+
+
+def test_quick_puts_its_keys_over_the_study(write_study: Any) -> None:
+    quick = load_study(str(write_study()), quick=True)
+    assert quick.spec.grid == {"control.k": [0.1], "units.0.yaw_deg": [0, 90, 180]}
+    assert len(make_plan(quick).runs) == 3
+
+
+def test_keys_in_quotes_and_keys_as_tables_mean_the_same() -> None:
+    nested = {
+        "grid": {"sensor": {"noise": [1.0]}},
+        "random": {"runs": 2, "draw": {"marker": {"side_m": [1, 2]}}},
+    }
+    quoted = {"grid": {"sensor.noise": [1.0]}, "random": {"runs": 2, "draw": {"marker.side_m": [1, 2]}}}
+    about = {"scenario": "star", "keep": ["scale"]}
+    assert StudySpec.model_validate(about | nested) == StudySpec.model_validate(about | quoted)
+
+
+def test_a_star_is_every_item_of_a_list(write_study: Any) -> None:
+    text = 'scenario = "star"\nkeep = ["scale"]\n[grid]\n"units.*.height_m" = [20, 25]\n'
+    plan = make_plan(load_study(str(write_study(text))))
+    heights = [[unit.height_m for unit in plan.mission(run).scenario.units] for run in plan.runs]
+    assert heights == [[20.0] * 3, [25.0] * 3]
+    assert [run.parameters["units.*.height_m"] for run in plan.runs] == [20.0, 25.0]
+
+
+def test_a_sweep_goes_over_the_top_and_is_crossed_with_its_grid(write_study: Any) -> None:
+    text = """
+    scenario = "triangle"
+    keep = ["scale"]
+    grid = { seed = [1, 2], "control.k" = [0.1] }
+    [[sweeps]]
+    name = "yaw"
+    grid = { "units.0.yaw_deg" = [0, 45, 90] }
+    [[sweeps]]
+    name = "gain"
+    set = { "control.k" = 0.3 }
+    """
+    runs = make_plan(load_study(str(write_study(text)))).runs
+    found = [
+        (run.sweep, *(run.parameters[key] for key in ("seed", "control.k", "units.0.yaw_deg")))
+        for run in runs
+    ]
+    yaw = [("yaw", seed, 0.1, turn) for seed in (1, 2) for turn in (0.0, 45.0, 90.0)]
+    assert found == [*yaw, ("gain", 1, 0.3, 0.0), ("gain", 2, 0.3, 0.0)]
+
+
+def test_draws_follow_from_seed_number_and_key_alone() -> None:
+    """More runs, more keys or another order change none of the values: what was run need not be run again."""
+    some = RandomModel.model_validate({"runs": 2, "seed": 7, "draw": {"a": [0, 1], "b": {"log": [1, 100]}}})
+    more = RandomModel.model_validate(
+        {"runs": 9, "seed": 7, "draw": {"c": {"whole": [1, 6]}, "b": {"log": [1, 100]}, "a": [0, 1]}}
+    )
+    for number in range(2):
+        fewer, all_keys = draw_settings(some, number), draw_settings(more, number)
+        assert fewer == {key: all_keys[key] for key in fewer}
+    assert draw_settings(some, 0) != draw_settings(some, 1)
+    assert draw_settings(some, 0) != draw_settings(some.model_copy(update={"seed": 8}), 0)
+
+
+def test_draws_are_distributed_as_the_file_says() -> None:
+    """Means of N draws within 5 of their standard deviations: range / sqrt(12 N), or 1 / sqrt(4 N) of two."""
+    draw = {"u": [2, 4], "l": {"log": [1, 100]}, "w": {"whole": [1, 6]}, "c": {"choice": ["x", "y"]}}
+    model = RandomModel.model_validate({"runs": 1, "draw": draw})
+    n = 2000
+    rows = [draw_settings(model, number) for number in range(n)]
+    bound = 5 / np.sqrt(12 * n)
+    u, logs = np.array([row["u"] for row in rows]), np.log10([row["l"] for row in rows])
+    whole = np.array([row["w"] for row in rows])
+    assert u.min() >= 2 and u.max() <= 4 and abs(u.mean() - 3) < 2 * bound
+    assert logs.min() >= 0 and logs.max() <= 2 and abs(logs.mean() - 1) < 2 * bound
+    assert set(whole.tolist()) == {1, 2, 3, 4, 5, 6} and abs(whole.mean() - 3.5) < 6 * bound
+    assert abs(np.mean([row["c"] == "x" for row in rows]) - 0.5) < 5 / np.sqrt(4 * n)
+
+
+def test_the_key_is_of_what_a_run_follows_from(scenario_tree: Any, tmp_path: Path) -> None:
+    def key(**changes: Any) -> str:
+        return mission_key(make_mission(scenario_tree("triangle") | changes, folder=tmp_path))
+
+    base = key()
+    assert key(description="another word") == base
+    assert key(seed=2) != base
+    assert key(duration_s=119.9) != base
+    reordered = dict(reversed(scenario_tree("triangle").items()))
+    assert mission_key(make_mission(reordered)) == base
+
+
+def test_the_key_is_of_what_pictures_show_and_not_of_where_they_lie(
+    scenario_tree: Any, tmp_path: Path
+) -> None:
+    def key(name: str, grey: int) -> str:
+        Image.new("L", (64, 64), grey).save(tmp_path / name)
+        ground = {"kind": "image", "image": name}
+        return mission_key(make_mission(scenario_tree("triangle") | {"ground": ground}, folder=tmp_path))
+
+    assert key("a.png", 90) == key("b.png", 90) != key("c.png", 91)
+
+
+def test_the_version_is_in_the_key(monkeypatch: pytest.MonkeyPatch) -> None:
+    mission = load_mission("triangle")
+    before = mission_key(mission)
+    monkeypatch.setattr("skyherd.study.plan.__version__", "0.0.0")
+    assert mission_key(mission) != before
+
+
+def test_the_example_in_the_docs_is_good(write_study: Any) -> None:
+    page = Path(__file__).parents[2] / "docs" / "studies.md"
+    example = page.read_text("utf-8").split("```toml\n")[1].split("```")[0]
+    plan = make_plan(load_study(str(write_study(example)), quick=True))
+    assert len(plan.runs) == 20 * 3 * 1 * 3
+    assert {run.sweep for run in plan.runs} == {"tilt"}
+
+
+@pytest.mark.parametrize("name", study_names())
+def test_built_in_studies_are_good_and_have_a_quick_form(name: str) -> None:
+    full, quick = make_plan(load_study(name)), make_plan(load_study(name, quick=True))
+    assert 0 < len(quick.runs) < len(full.runs)

@@ -1,0 +1,174 @@
+"""What is kept of a study's runs, and what is made again."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from study_runs import SMALL, conduct_here
+
+from skyherd.analysis.history import CURVES, make_history
+from skyherd.datasets import load_mission
+from skyherd.errors import InputError
+from skyherd.loop import run_steps
+from skyherd.study import conduct as conducting
+from skyherd.study.measure import measure
+from skyherd.study.spec import SUMMARY_FIELDS
+from skyherd.study.store import PARTS, Store, open_store
+from skyherd.study.table import good_rows
+
+
+def test_a_run_is_measured_as_its_recording_would_be() -> None:
+    mission = load_mission("triangle", ["perception=ideal", "duration_s=1.0"])
+    history = make_history(mission, run_steps(mission))
+    outcome = measure("k", mission, CURVES)
+    assert outcome["error"] is None
+    assert outcome["shape_error"] == history.shape_error[-1]
+    assert set(outcome) == {"key", "error", *SUMMARY_FIELDS, *(f"history.{name}" for name in CURVES)}
+    np.testing.assert_array_equal(outcome["history.positions_m"], history.positions_m)
+
+
+def test_images_are_let_go_as_a_run_goes_on() -> None:
+    mission = load_mission("triangle", ["duration_s=0.3"])
+    step = next(run_steps(mission))
+    assert step.frames[0].sight.image is not None
+    assert step.without_images().frames[0].sight.image is None
+    assert step.without_images().frames[0].sight.detections is step.frames[0].sight.detections
+
+
+# What is kept
+
+
+def test_the_table_has_a_row_a_run_in_the_studys_order(
+    write_study: Any, without_cluster: None, tmp_path: Path
+) -> None:
+    table, watcher = conduct_here(write_study(), tmp_path / "out")
+    assert watcher.made == 6
+    assert table.column_names == [
+        "control.k",
+        "units.0.yaw_deg",
+        "shape_error",
+        "V_end",
+        "converged",
+        "error",
+        "key",
+    ]
+    assert table["units.0.yaw_deg"].to_pylist() == [0.0, 90.0, 180.0] * 2
+    assert table["error"].null_count == 6
+    errors = np.array(table["shape_error"]).reshape(2, 3)
+    # Property 1: the camera's yaw changes nothing, the gain does.
+    np.testing.assert_allclose(errors, errors[:, :1].repeat(3, axis=1), rtol=1e-9)
+    assert abs(errors[0, 0] - errors[1, 0]) > 1e-3
+
+
+def test_a_changed_study_reruns_only_what_changed(
+    write_study: Any, without_cluster: None, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    first, _ = conduct_here(write_study(), out)
+    again, watcher = conduct_here(write_study(), out)
+    assert (watcher.made, watcher.there) == (0, 6)
+    assert again.equals(first)
+    wider = SMALL.replace("[0.1, 0.3]", "[0.3, 0.2]").replace('"V_end"', '"scale"')
+    table, watcher = conduct_here(write_study(wider), out)
+    assert (watcher.made, watcher.there) == (3, 3)
+    assert table["shape_error"].to_pylist()[:3] == first["shape_error"].to_pylist()[3:]
+    _, watcher = conduct_here(write_study(), out)  # what a study does not ask for is not thrown away
+    assert watcher.made == 0
+
+
+def test_arrays_over_time_are_kept_on_request_and_made_if_they_are_not_there(
+    write_study: Any, without_cluster: None, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    conduct_here(write_study(), out)
+    asking = SMALL.replace('"converged"', '"history.times_s", "history.positions_m"')
+    table, watcher = conduct_here(write_study(asking), out)
+    assert watcher.made == 6
+    positions_m = np.array(table["history.positions_m"][0].as_py())
+    assert positions_m.shape == (5, 6, 2)
+    np.testing.assert_allclose(table["history.times_s"][0].as_py(), np.arange(5) * 0.1)
+    assert conduct_here(write_study(), out)[1].made == 0
+
+
+def test_runs_that_are_alike_are_made_once(write_study: Any, without_cluster: None, tmp_path: Path) -> None:
+    table, watcher = conduct_here(write_study(SMALL.replace("[0.1, 0.3]", "[0.1, 0.1]")), tmp_path / "out")
+    assert watcher.made == 3
+    assert table.slice(0, 3).equals(table.slice(3, 3))
+
+
+def test_parts_become_one_and_none_is_lost(tmp_path: Path) -> None:
+    with open_store(tmp_path / "out", "{}") as store:
+        store.append([{"key": "a", "error": None, "x": 1.0}, {"key": "b", "error": "broke"}])
+        store.append([{"key": "b", "error": None, "x": None, "history.y": np.eye(2)}])
+        before = store.read().sort_by("key").to_pylist()
+        assert [row["error"] for row in before] == [None, None]  # the last outcome counts
+        assert store.keys() == {"a", "b"}
+        assert store.keys(["history.y"]) == {"b"}
+        store.compact()
+        assert store.read().sort_by("key").to_pylist() == before
+        assert len(list((tmp_path / "out" / PARTS).iterdir())) == 1
+
+
+def test_a_part_that_was_never_whole_does_not_count(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    with open_store(out, "{}") as store:
+        store.append([{"key": "a", "error": None}])
+    whole = next((out / PARTS).iterdir()).read_bytes()
+    torn = out / PARTS / ".00000002.parquet.part"
+    torn.write_bytes(whole[: len(whole) // 2])
+    assert Store(out).keys() == {"a"}
+    with open_store(out, "{}") as store:
+        assert not torn.exists()
+        assert store.keys() == {"a"}
+
+
+def test_a_damaged_part_is_named(tmp_path: Path) -> None:
+    with open_store(tmp_path / "out", "{}") as store:
+        store.append([{"key": "a", "error": None}])
+        part = next((tmp_path / "out" / PARTS).iterdir())
+        part.write_bytes(part.read_bytes()[:-9])
+        with pytest.raises(InputError, match=r"00000001\.parquet: damaged.*remove it"):
+            store.read()
+
+
+def test_a_folder_serves_one_study_at_a_time_and_nothing_else(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    with (
+        open_store(out, "{}"),
+        pytest.raises(InputError, match="another study is at work"),
+        open_store(out, "{}"),
+    ):
+        pass
+    with open_store(out, "{}"):
+        pass
+    (tmp_path / "letters").mkdir()
+    (tmp_path / "letters" / "love.txt").write_text("dear")
+    with pytest.raises(InputError, match="holds something else"), open_store(tmp_path / "letters", "{}"):
+        pass
+    assert [entry.name for entry in (tmp_path / "letters").iterdir()] == ["love.txt"]
+
+
+def test_a_failing_run_is_recorded_and_the_study_goes_on(
+    write_study: Any, without_cluster: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def run(key: str, mission: Any, curves: Any) -> dict[str, Any]:
+        broken = mission.scenario.units[0].yaw_deg == 90 and breaks
+        return measure(key, None if broken else mission, curves)
+
+    out, breaks = tmp_path / "out", True
+    monkeypatch.setattr(
+        conducting, "run_missions", lambda client, missions, curves: ([run(*m, curves)] for m in missions)
+    )
+    table, watcher = conduct_here(write_study(), out)
+    assert watcher.made == 6
+    failed = [row for row in table.to_pylist() if row["error"]]
+    assert [row["units.0.yaw_deg"] for row in failed] == [90.0, 90.0]
+    assert all(row["shape_error"] is None and "AttributeError" in row["error"] for row in failed)
+    assert len(good_rows(table)) == 4
+    assert "2 failed: AttributeError" in (out / "table.md").read_text()
+    breaks = False
+    assert conduct_here(write_study(), out)[1].made == 0  # the same input fails again
+    table, watcher = conduct_here(write_study(), out, retry=True)
+    assert watcher.made == 2
+    assert table["error"].null_count == 6

@@ -1,0 +1,103 @@
+"""The tree in the video: what units last said, and what is drawn of it."""
+
+import numpy as np
+import pytest
+
+from skyherd.analysis.tree_snapshot import TreeWatch, tree_state
+from skyherd.datasets import load_mission
+from skyherd.drawing.palette import unit_rgb
+from skyherd.loop import dead_units, run_steps
+from skyherd.messages import NOBODY
+from skyherd.messages.tree_status import TreeWord
+from skyherd.video.composer import Composer, make_layout
+from skyherd.video.legend import key_height_px
+from skyherd.video.tree_overlay import FLASH, FLASH_S, TreeView
+
+NONE = np.zeros(0, dtype=np.int64)
+
+
+def word(*edges: tuple[int, int, tuple[int, int]], tree_id=0, asks_id=NOBODY, heir_id=NOBODY, ready=True):
+    """What a unit says: an edge is (neighbour, turn, pair)."""
+    return TreeWord(
+        tree_id=tree_id,
+        asks_id=asks_id,
+        ask_turn=-1,
+        heir_id=heir_id,
+        ready=ready,
+        neighbor_ids=np.array([edge[0] for edge in edges], dtype=np.int64),
+        turns=np.array([edge[1] for edge in edges], dtype=np.int64),
+        pairs=np.array([edge[2] for edge in edges], dtype=np.int64).reshape(-1, 2),
+        lent_ids=NONE,
+        lent_to_ids=NONE,
+        wished_ids=NONE,
+        missing_ids=NONE,
+    )
+
+
+@pytest.mark.parametrize(("turns", "pair", "holder"), [((4, 5), (3, 4), 2), ((6, 5), (1, 2), 1)])
+def test_of_two_words_on_an_edge_the_later_turn_counts(turns, pair, holder) -> None:
+    """The lower unit holds the even turns; a turn that was handed over is the other's."""
+    state = tree_state({1: word((2, turns[0], (1, 2))), 2: word((1, turns[1], (3, 4)))})
+    link = state.links[1, 2]
+    assert (link.pair, link.holder, link.is_mutual) == (pair, holder, True)
+
+
+def test_an_edge_that_one_unit_names_is_not_mutual_and_has_no_pair_yet() -> None:
+    state = tree_state({0: word((1, 1, (NOBODY, NOBODY))), 1: word(tree_id=NOBODY, asks_id=0)}, dead=[2])
+    assert not state.links[0, 1].is_mutual
+    assert state.links[0, 1].pair == ()
+    assert (state.members, state.unjoined, state.dead) == ({0}, {1}, {2})
+    assert state.asks == {1: 0}
+
+
+@pytest.fixture(scope="module")
+def failure():
+    mission = load_mission("failure", ["perception=ideal", "duration_s=30.0"])
+    return mission, list(run_steps(mission))
+
+
+def test_the_words_tell_the_pairs_that_are_in_fact_shared(failure) -> None:
+    """At every step: the pair of each mutual edge is what the two sets have in common."""
+    mission, steps = failure
+    watch, edges = TreeWatch(), 0
+    for step in steps:
+        tree = watch.see(step, dead_units(mission.scenario, step.time_s))
+        for (j, k), link in tree.links.items():
+            if link.is_mutual:
+                common = np.intersect1d(step.control_sets[j], step.control_sets[k])
+                assert list(link.pair) == common.tolist()
+                edges += 1
+    assert edges > 300
+
+
+def test_an_exchanged_pair_flashes_and_stops() -> None:
+    """Yellow is there in the moment of the change and gone FLASH_S later; the units' colours stay."""
+    units, robots = np.array([[40.0, 100.0], [260.0, 100.0]]), np.array([[150.0, 50.0], [150.0, 150.0]])
+    view, seen = TreeView(np.arange(2)), []
+    for time_s in (0.0, FLASH_S + 0.1):
+        image = np.full((200, 300, 3), 255, np.uint8)
+        state = tree_state({0: word((1, 0, (0, 1))), 1: word((0, 0, (0, 1)))})
+        view.draw_edges(image, state, units, robots, time_s)
+        seen.append([(image == color).all(axis=2).sum() for color in (FLASH, unit_rgb(0), unit_rgb(1))])
+    assert seen[0][0] > 500 and seen[1][0] == 0
+    assert min(seen[1][1:]) > 100
+
+
+def test_a_dead_unit_has_no_picture_until_it_returns(failure) -> None:
+    mission, steps = failure
+    composer = Composer(mission)
+    box = make_layout((1600, 1000), [(800, 800)] * 5, tree=True).cameras[0]
+    colored = {}
+    for step in steps:
+        if step.time_s in (20.0, 26.0):
+            cell = box.of(composer.compose(step))
+            colored[step.time_s] = (cell[40:] == unit_rgb(0)).all(axis=2).sum()
+        elif step.time_s == steps[-1].time_s:
+            break
+    assert colored[20.0] > 1000 and colored[26.0] == 0
+
+
+@pytest.mark.parametrize("units", range(1, 17))
+def test_the_trees_key_has_room(units: int) -> None:
+    layout = make_layout((1600, 1000), [(480, 480)] * units, tree=True)
+    assert key_height_px(layout.key.width, tree=True) <= layout.key.height

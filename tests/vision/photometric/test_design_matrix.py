@@ -1,0 +1,110 @@
+"""The pixels of markers and what is drawn at them: where they are, and what of the ground they see."""
+
+import numpy as np
+import pytest
+from scipy.special import ndtr
+
+from skyherd.vision.photometric.design_matrix import Looks, seen_beyond, take_pixels
+from skyherd.vision.photometric.local_homography import Shapes
+from skyherd.vision.photometric.pattern import blur_buckets, make_pattern
+
+DICTIONARY, SIGMA, HALF_CARD = "4X4_50", 0.03, 0.5 + 1 / 6
+ROUND = np.zeros(1, dtype=complex)
+
+
+def looks(count, *, sees_ground=True, limit=0.55):
+    """Of markers 0, 1, ... under a blur of `SIGMA`."""
+    bucket = int(blur_buckets(np.array([SIGMA]))[0])
+    return Looks(
+        patterns=[make_pattern(DICTIONARY, marker, bucket) for marker in range(count)],
+        bends=[],
+        sigmas=np.full(count, SIGMA),
+        limits=np.full(count, limit),
+        sees_ground=np.full(count, sees_ground),
+        ratios=np.full(count, 0.15),
+        half_card=HALF_CARD,
+        texture=6.0,
+    )
+
+
+def shapes(centers, arms, squeezes=None, horizons=None):
+    none = np.zeros(len(centers), dtype=complex)
+    return Shapes(
+        np.array(centers, dtype=complex),
+        np.array(arms, dtype=complex),
+        none if squeezes is None else np.array(squeezes, dtype=complex),
+        none if horizons is None else np.array(horizons, dtype=complex),
+    )
+
+
+def test_ground_is_seen_beyond_the_card_only():
+    """As the law has it: entries are 1/64 σ apart, so that nearest ones are off by `φ(0) / 128`: 0.003."""
+    x, y = (z.ravel()[None].astype(np.float32) for z in np.mgrid[-0.9:0.9:61j, -0.9:0.9:61j])
+    seen = seen_beyond(x, y, looks(1), ROUND)
+    inside = (ndtr((z + HALF_CARD) / SIGMA) - ndtr((z - HALF_CARD) / SIGMA) for z in (x, y))
+    law = 1 - np.prod(list(inside), axis=0)
+    np.testing.assert_allclose(seen, law, atol=2 * 0.0032)
+    assert seen.min() < 1e-4
+    assert seen.max() > 1 - 1e-4
+    assert not seen_beyond(x, y, looks(1, sees_ground=False), ROUND).any()
+
+
+@pytest.mark.parametrize("squeeze", [0.14, -0.14, 0.1 - 0.1j])
+def test_blur_is_not_round_in_a_squeezed_marker(squeeze):
+    """The image's round blur through the inverse of `z + e z̄`: its covariance there, and the law along each
+    axis; entries are 1/64 σ apart."""
+    x, y = (z.ravel()[None].astype(np.float32) for z in np.mgrid[-0.9:0.9:61j, -0.9:0.9:61j])
+    e = complex(squeeze)
+    image_marker = np.array([[1 + e.real, e.imag], [e.imag, 1 - e.real]])
+    deviations = SIGMA * np.sqrt(np.diag(np.linalg.inv(image_marker @ image_marker.T)))
+    inside = [
+        ndtr((z + HALF_CARD) / deviation) - ndtr((z - HALF_CARD) / deviation)
+        for z, deviation in zip((x, y), deviations, strict=True)
+    ]
+    seen = seen_beyond(x, y, looks(1), np.array([e]))
+    np.testing.assert_allclose(seen, 1 - np.prod(inside, axis=0), atol=2 * 0.0032)
+
+
+@pytest.mark.parametrize("horizon", [0.0, 0.002 - 0.001j])
+def test_pixels_are_those_within_the_limits_and_know_where_they_are(horizon):
+    """Against every pixel of the image asked one by one, over the border and far from the origin too.
+
+    Places are right to the rounding of single precision at some tens of pixels, 4e-6 px.
+    """
+    width, height = 3000, 90
+    image = np.random.default_rng(1).integers(0, 255, (height, width)).astype(np.uint8)
+    where = shapes(
+        [2950.3 + 40.7j, 12.4 + 8.9j, 1500.5 + 89.2j],
+        [20 * np.exp(0.4j), 24 * np.exp(2.0j), 22.0],
+        [1.0 + 0.5j, 0.0, -0.7j],
+        [horizon] * 3,
+    )
+    (pixels,) = take_pixels(image, np.arange(3), where, looks(3))
+    v, u = np.mgrid[:height, :width]
+    for row, (across, down) in enumerate(zip(*where.axes(), strict=True)):
+        p = u + 1j * v - where.centers[row]
+        nearness = 1 - (np.conj(where.horizons[row]) * p).real
+        x, y = (across.conjugate() * p).real, (down.conjugate() * p).real
+        inside = (np.abs(x) <= 0.55) & (np.abs(y) <= 0.55)
+        count = int(pixels.counts[row])
+        assert count == inside.sum()
+        np.testing.assert_allclose(pixels.x[row, :count], (x / nearness)[inside], atol=1e-6)
+        np.testing.assert_allclose(pixels.y[row, :count], (y / nearness)[inside], atol=1e-6)
+        weights = pixels.columns[row, 0]
+        np.testing.assert_allclose(pixels.columns[row, 12, :count], (image[inside] - 128.0) * weights[:count])
+        assert not pixels.columns[row, :, count:].any()
+
+
+def test_means_over_cells_are_those_of_the_pixels_in_them():
+    """With nothing explained, each cell's mean is that of its own pixels; padding counts in none."""
+    image = np.random.default_rng(2).integers(0, 255, (80, 160)).astype(np.uint8)
+    where = shapes([40.2 + 39.6j, 120.7 + 40.1j], [30.0, 29.0 * np.exp(0.7j)])
+    (pixels,) = take_pixels(image, np.arange(2), where, looks(2, sees_ground=False))
+    means, _ = pixels.leavings(np.zeros((2, 12)), 6)
+    v, u = np.mgrid[:80, :160]
+    for row, (across, down) in enumerate(zip(*where.axes(), strict=True)):
+        p = u + 1j * v - where.centers[row]
+        column, line = ((6 * ((axis.conjugate() * p).real + 0.5)) for axis in (across, down))
+        for j, k in ((0, 0), (3, 3), (2, 5)):
+            own = (np.floor(column) == k) & (np.floor(line) == j)
+            assert means[row, j, k] == pytest.approx(image[own].mean() - 128.0, rel=1e-4)

@@ -1,0 +1,148 @@
+"""Least squares from Gram matrices, against NumPy's from the columns themselves."""
+
+import numpy as np
+import pytest
+
+from skyherd.vision.photometric.design_matrix import BLACK, CONTRAST, GROUND, LIGHT, PIXELS, SQUEEZE
+from skyherd.vision.photometric.least_squares import GROUND_RIDGE, LEAST_CONTRAST, SINGLE_PRECISION, Solved
+
+MARKERS, ROWS = 12, 300
+
+
+def grown(solved, held, at):
+    """By how much the squares grow where unknowns are held."""
+    return solved.holding(held, at).squares - solved.squares
+
+
+HELD = [LIGHT, SQUEEZE, [GROUND], [*SQUEEZE, *LIGHT]]
+
+
+@pytest.fixture(scope="module")
+def problem():
+    """Columns (N, 12, M), the first all ones, pixels (N, M) and their Gram matrices."""
+    rng = np.random.default_rng(0)
+    columns = rng.normal(size=(MARKERS, PIXELS, ROWS))
+    columns[:, BLACK] = 1.0
+    pixels = np.einsum("ni,nim->nm", rng.normal(size=(MARKERS, PIXELS)), columns) + rng.normal(
+        0, 0.5, (MARKERS, ROWS)
+    )
+    both = np.concatenate([columns, pixels[:, None]], axis=1)
+    return columns, pixels, both @ both.transpose(0, 2, 1)
+
+
+def solve(grams, pixels=ROWS):
+    return Solved.of(grams, np.full(len(grams), float(pixels)))
+
+
+def ridge_of(columns):
+    """What is added to the squares of each column (12,)."""
+    ground = GROUND_RIDGE * np.equal(range(PIXELS), GROUND)
+    return SINGLE_PRECISION * ((columns**2).sum(axis=1) + ground) + ground
+
+
+def least_squares(columns, pixels, held=(), at=()):
+    """Unknowns and sum of squares by `np.linalg.lstsq`, those held moved to the pixels' side; what parts
+    columns, and the ridge on the ground, are more rows."""
+    design = np.concatenate([columns, np.diag(np.sqrt(ridge_of(columns)))], axis=1).T
+    target = np.append(pixels, np.zeros(PIXELS)) - design[:, list(held)] @ np.asarray(at)
+    free = [i for i in range(PIXELS) if i not in held]
+    values, squares, rank, _ = np.linalg.lstsq(design[:, free], target, rcond=None)
+    assert rank == len(free)
+    whole = np.zeros(PIXELS)
+    whole[free], whole[list(held)] = values, at
+    return whole, squares[0]
+
+
+# The small ridge of 1e-9 on every unknown changes them by 1e-9 / 300 of themselves.
+
+
+def test_solutions_are_those_of_least_squares(problem):
+    columns, pixels, grams = problem
+    solved = solve(grams)
+    for row in range(MARKERS):
+        values, squares = least_squares(columns[row], pixels[row])
+        np.testing.assert_allclose(solved.values[row], values, atol=1e-8)
+        assert solved.squares[row] == pytest.approx(squares, rel=1e-8)
+    np.testing.assert_allclose(solved.pixels, ROWS)
+    np.testing.assert_allclose(solved.noises(), np.sqrt(solved.squares / (ROWS - PIXELS)))
+    assert solved.noises().mean() == pytest.approx(0.5, rel=5 / np.sqrt(2 * MARKERS * ROWS))
+
+
+@pytest.mark.parametrize("held", HELD, ids=str)
+def test_holding_is_solving_without_those_columns(problem, held):
+    columns, pixels, grams = problem
+    at = np.random.default_rng(1).normal(size=(MARKERS, len(held)))
+    solved = solve(grams).holding(held, at)
+    free = [i for i in range(PIXELS) if i not in held]
+    for row in range(MARKERS):
+        values, squares = least_squares(columns[row], pixels[row], held, at[row])
+        np.testing.assert_allclose(solved.values[row], values, atol=1e-8)
+        assert solved.squares[row] == pytest.approx(squares, rel=1e-8)
+        normal = grams[row][np.ix_(free, free)]
+        normal += np.diag(ridge_of(columns[row])[free])
+        np.testing.assert_allclose(
+            solved.inverses[row][np.ix_(free, free)], np.linalg.inv(normal), atol=1e-10
+        )
+        np.testing.assert_allclose(solved.inverses[row][held], 0, atol=1e-14)
+    assert solved.free == len(free)
+
+
+def test_holding_twice_is_holding_both(problem):
+    _, _, grams = problem
+    at = np.random.default_rng(2).normal(size=(MARKERS, 4))
+    one = solve(grams).holding(SQUEEZE, at[:, :2]).holding(LIGHT, at[:, 2:])
+    both = solve(grams).holding([*SQUEEZE, *LIGHT], at)
+    np.testing.assert_allclose(one.values, both.values, atol=1e-10)
+    np.testing.assert_allclose(one.squares, both.squares, rtol=1e-10)
+    assert one.free == both.free == PIXELS - 4
+
+
+@pytest.mark.parametrize("held", HELD, ids=str)
+def test_growth_is_the_difference_of_the_squares(problem, held):
+    columns, pixels, grams = problem
+    at = np.random.default_rng(3).normal(size=(MARKERS, len(held)))
+    growth = grown(solve(grams), held, at)
+    for row in range(MARKERS):
+        without, with_all = (
+            least_squares(columns[row], pixels[row], held, at[row])[1],
+            least_squares(columns[row], pixels[row])[1],
+        )
+        assert growth[row] == pytest.approx(without - with_all, rel=1e-7, abs=1e-7)
+
+
+def test_what_noise_adds_to_unknowns_that_are_none_is_chi_squared():
+    """Growth over the noise's variance has mean 2 for two unknowns: to 5 deviations of a mean of 400."""
+    rng = np.random.default_rng(4)
+    columns = rng.normal(size=(400, PIXELS, ROWS))
+    columns[:, BLACK] = 1.0
+    pixels = rng.normal(0, 3.0, (400, 1, ROWS))
+    both = np.concatenate([columns, pixels], axis=1)
+    growth = grown(solve(both @ both.transpose(0, 2, 1)), LIGHT, np.zeros((400, 2)))
+    assert (growth / 9.0).mean() == pytest.approx(2.0, abs=5 * 2 / np.sqrt(400))
+
+
+@pytest.mark.parametrize("rows", [1, 3, 7, 11, 20])
+def test_too_few_pixels_leave_no_negative_squares(rows):
+    """Fewer pixels than unknowns, summed in single precision as the fit does: noise stays a real number."""
+    rng = np.random.default_rng([5, rows])
+    both = rng.normal(0, 100, (200, PIXELS + 1, rows)).astype(np.float32)
+    both[:, BLACK] = 1.0
+    both[:, CONTRAST] = both[:, SQUEEZE[0]]
+    solved = solve((both @ both.transpose(0, 2, 1)).astype(float), rows)
+    held = solved.holding(LIGHT, np.zeros((200, 2))).holding(SQUEEZE, rng.normal(size=(200, 2)))
+    for some in (solved, held):
+        assert (some.squares > 0).all() and np.isfinite(some.noises()).all()
+    assert (grown(solved, [*LIGHT, *SQUEEZE], np.ones((200, 4))) >= 0).all()
+
+
+def test_a_marker_without_contrast_or_ground_is_still_solved():
+    """Columns that are zero throughout make no singular matrix, and contrast is not divided by."""
+    both = np.zeros((1, PIXELS + 1, ROWS))
+    both[:, BLACK], both[:, PIXELS] = 1.0, 7.0
+    solved = solve(both @ both.transpose(0, 2, 1))
+    assert (
+        solved.values[0, BLACK] == pytest.approx(7.0, rel=2 * SINGLE_PRECISION)
+        and abs(solved.values[0, CONTRAST]) < 1e-9
+    )
+    assert np.isfinite(solved.holding(LIGHT, np.zeros((1, 2))).inverses).all()
+    assert solved.contrasts()[0] == LEAST_CONTRAST

@@ -1,0 +1,161 @@
+"""The plane that markers share, against cameras with tilt, aspect and skew, by projective geometry."""
+
+import numpy as np
+import pytest
+from scipy.stats import binom, chi2
+
+from skyherd.vision.photometric.local_homography import CORNERS, Shapes
+from skyherd.vision.photometric.plane import SIGNIFICANT, Plane, fit_plane
+
+POINTS = np.random.default_rng(0).uniform(-400, 400, (2, 16)).T @ np.array([1, 1j])
+
+
+def random_homography(seed):
+    """Ground to pixels from the image's centre, `K [r1 r2 t]`: aspect, skew, tilt up to 25 deg, any turn."""
+    rng = np.random.default_rng(seed)
+    focal, tilt, way = rng.uniform(600, 1200), np.radians(rng.uniform(2, 25)), rng.uniform(-np.pi, np.pi)
+    intrinsic = np.array(
+        [
+            [focal, rng.uniform(-0.05, 0.05) * focal, rng.uniform(-40, 40)],
+            [0, rng.uniform(0.9, 1.1) * focal, rng.uniform(-40, 40)],
+            [0, 0, 1],
+        ]
+    )
+
+    def about_z(angle):
+        c, s = np.cos(angle), np.sin(angle)
+        return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+
+    c, s = np.cos(tilt), np.sin(tilt)
+    tilted = np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
+    rotation = about_z(way) @ tilted @ about_z(rng.uniform(-np.pi, np.pi))
+    return intrinsic @ np.column_stack([rotation[:, :2], [rng.uniform(-1, 1), rng.uniform(-1, 1), 10.0]])
+
+
+def mapped(homography, z):
+    top = homography @ np.stack([np.real(z), np.imag(z), np.ones(np.shape(z))]).reshape(3, -1)
+    return ((top[0] + 1j * top[1]) / top[2]).reshape(np.shape(z))
+
+
+def squares_at(homography, points, side=0.3, seed=1):
+    """Shapes of squares, at any heading, whose centres appear at `points`: by numerical Jacobians."""
+    turns = side * np.exp(2j * np.pi * np.random.default_rng(seed).uniform(size=points.size))
+    ground = mapped(np.linalg.inv(homography), points)
+    h = 1e-5
+    right, down = (
+        (mapped(homography, ground + h * a * turns) - mapped(homography, ground - h * a * turns)) / (2 * h)
+        for a in (1, 1j)
+    )
+    return ground, turns, Shapes(points, (right - 1j * down) / 2, (right + 1j * down) / 2, 0 * points)
+
+
+def plane_of(homography):
+    """α from a square at the image's centre, λ from the image of the line at infinity, `H⁻ᵀ (0, 0, 1)`."""
+    line = np.linalg.inv(homography)[2]
+    _, _, middle = squares_at(homography, np.zeros(1, dtype=complex))
+    squeeze = complex(middle.squeezes[0] / middle.arms[0].conj())
+    return Plane(squeeze, -complex(line[0], line[1]) / line[2])
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_squeezes_are_those_of_small_squares_under_a_true_camera(seed):
+    """Over the whole image, at every heading. Central differences leave h² = 1e-10 and rounding 1e-13 / h."""
+    homography = random_homography(seed)
+    _, _, shapes = squares_at(homography, POINTS)
+    plane = plane_of(homography)
+    seen = shapes.squeezes / shapes.arms.conj()
+    assert np.abs(seen).max() > 0.002
+    np.testing.assert_allclose(plane.squeezes(POINTS), seen, atol=1e-7, rtol=0)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_horizons_make_the_shapes_images_those_of_the_true_camera(seed):
+    """The whole card, and points three sides away, as the homography maps them; Jacobians as above."""
+    homography = random_homography(seed)
+    ground, turns, shapes = squares_at(homography, POINTS)
+    shapes = Shapes(shapes.centers, shapes.arms, shapes.squeezes, plane_of(homography).horizons(POINTS))
+    z = np.concatenate([CORNERS, 6 * CORNERS])
+    truth = mapped(homography, ground[:, None] + turns[:, None] * z)
+    np.testing.assert_allclose(shapes.images(z), truth, atol=1e-5, rtol=0)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_the_plane_is_recovered_from_what_it_does_to_the_markers(seed):
+    """Noise-free: of what is linear in λ, each of six rounds leaves |λ p| / 2 or less of the one before."""
+    plane = plane_of(random_homography(seed))
+    found = fit_plane(POINTS, plane.squeezes(POINTS), np.full(POINTS.size, 1e-6))
+    assert found.shared
+    reach = np.abs(plane.horizon * POINTS).max()
+    left = reach * (reach / 2) ** 6 + 1e-8  # a ridge of 1e-12 of the trace, |p|² = 1e5 of the rest
+    assert left < 1e-5
+    assert abs(found.squeeze - plane.squeeze) < left
+    assert abs(found.horizon - plane.horizon) * np.abs(POINTS).max() < left
+    np.testing.assert_allclose(found.squeezes(POINTS), plane.squeezes(POINTS), atol=left, rtol=0)
+
+
+def noise(rng, sigma, count=POINTS.size):
+    return sigma * (rng.normal(size=count) + 1j * rng.normal(size=count))
+
+
+def chance(unknowns):
+    """That noise alone earns further unknowns their place: two at a time, each pair by chi-squared of 2
+    degrees, or of 4 for both at once; a bound, as these have chances in common."""
+    return (2 if unknowns < 2 else 1) * chi2.sf(SIGNIFICANT, 2) + chi2.sf(SIGNIFICANT, 4)
+
+
+def test_noise_alone_is_rarely_taken_for_a_plane():
+    """Over 1000 seeds, no more often than chi-squared says, to the 1e-6 quantile of the binomial."""
+    rng, sigma = np.random.default_rng(3), 1e-3
+    found = [fit_plane(POINTS, noise(rng, sigma), np.full(POINTS.size, sigma**2)) for _ in range(1000)]
+    alarms = sum(plane != Plane() for plane in found)
+    assert alarms <= binom.ppf(1 - 1e-6, 1000, chance(0)), alarms
+    assert all(plane.shared for plane in found)
+
+
+@pytest.mark.parametrize(("horizon", "unknowns"), [(0j, 2), (2e-4 - 1e-4j, 4)])
+def test_the_simplest_plane_that_explains_is_taken(horizon, unknowns):
+    """Pixels that are only oblong need no horizon, a tilt does; both are kept but for the noise's rate."""
+    rng, sigma, plane = np.random.default_rng(4), 1e-3, Plane(0.03 + 0.01j, horizon)
+    variances = np.full(POINTS.size, sigma**2)
+    found = [fit_plane(POINTS, plane.squeezes(POINTS) + noise(rng, sigma), variances) for _ in range(300)]
+    as_simple = [f for f in found if f.shared and bool(f.horizon) == bool(horizon)]
+    assert len(found) - len(as_simple) <= binom.ppf(1 - 1e-6, 300, chance(unknowns))
+    # Sixteen squeezes tell α to sigma / 4, a little less well beside λ: six deviations of each component.
+    assert max(abs(f.squeeze - plane.squeeze) for f in as_simple) < 6 * sigma / 4 * 1.5
+
+
+@pytest.mark.parametrize(("horizon", "count"), [(0j, 16), (2e-4 - 1e-4j, 16), (1e-4j, 3)])
+def test_how_well_the_plane_is_known_is_told(horizon, count):
+    """The squeezes' errors over the variances stated have mean square 1: to 5 deviations of a mean of 800
+    values, and 3 % for what is of second order in λ p."""
+    rng, sigma, plane, points = np.random.default_rng(6), 1e-4, Plane(0.03 + 0.01j, horizon), POINTS[:count]
+    squares = []
+    for _ in range(400):
+        seen = plane.squeezes(points) + noise(rng, sigma, count)
+        found = fit_plane(points, seen, np.full(count, sigma**2))
+        if found.shared and bool(found.horizon) == bool(horizon):
+            off = found.squeezes(points) - plane.squeezes(points)
+            squares.append(np.mean(np.abs(off) ** 2 / found.variances(points)) / 2)
+    assert len(squares) > 380
+    assert np.mean(squares) == pytest.approx(1.0, abs=0.03 + 5 * np.sqrt(2 / 800))
+
+
+def test_markers_under_a_bending_lens_share_no_plane():
+    """A lens `p = q (1 + κ |q|²)` squeezes by `κ q² / (1 + 2 κ |q|²)`, at 400 px by 0.02: twenty sigma."""
+    kappa, sigma = -1.2e-7, 1e-3
+    squeezes = kappa * POINTS**2 / (1 + 2 * kappa * np.abs(POINTS) ** 2)
+    rng = np.random.default_rng(5)
+    for _ in range(50):
+        found = fit_plane(POINTS, squeezes + noise(rng, sigma), np.full(POINTS.size, sigma**2))
+        assert not found.shared
+
+
+def test_few_markers_take_as_simple_a_plane_as_they_can_tell():
+    """One squeezed marker tells no plane, two tell a squeeze, three a tilt."""
+    plane, variances = Plane(0.05 + 0.02j, 3e-4 + 1e-4j), np.full(16, 1e-10)
+    squeezes = plane.squeezes(POINTS)
+    assert not fit_plane(POINTS[:1], squeezes[:1], variances[:1]).shared
+    assert not fit_plane(POINTS[:2], squeezes[:2], variances[:2]).shared
+    assert fit_plane(POINTS[:2], squeezes[[0, 0]], variances[:2]).shared
+    assert fit_plane(POINTS[:3], squeezes[:3], np.full(3, 1e-6)).shared
+    assert fit_plane(POINTS[:1], np.zeros(1, dtype=complex), variances[:1]) == Plane()

@@ -1,0 +1,86 @@
+"""Quadrilaterals told apart: every marker in every turn, in several dictionaries, and no mirror image."""
+
+import numpy as np
+import pytest
+
+from skyherd.geometry import to_points
+from skyherd.markers.dictionary import cells_per_side, dictionary_size
+from skyherd.vision import PhotometricDetector
+from skyherd.vision.photometric.local_homography import CORNERS
+from skyherd.vision.search.decode import MIN_LIKENESS, decode_quads
+
+SIGMA_PX = 0.85
+OWN_MIRROR_IMAGES = {8, 9, 17, 47}  # of 4X4_50, as `test_vision` shows from the bits
+
+
+def grid(place_markers, side_px, headings):
+    step = 2.0 * side_px + 8
+    count = len(headings)
+    columns = int(np.ceil(np.sqrt(count)))
+    rows = -(-count // columns)
+    index = np.arange(count)
+    centers = step * ((index % columns + 0.5) + 1j * (index // columns + 0.5))
+    matrices = place_markers(centers, headings, side_px)
+    corners = np.concatenate([to_points(CORNERS), np.ones((4, 1))], axis=1) @ matrices.transpose(0, 2, 1)
+    return matrices, corners[..., :2], (int(step * columns), int(step * rows))
+
+
+@pytest.mark.parametrize("turn", range(4))
+@pytest.mark.parametrize("dictionary", ["4X4_50", "5X5_100", "APRILTAG_36h11"])
+def test_every_turn_is_told_and_corners_come_in_the_markers_own_order(
+    place_markers, draw_markers, dictionary, turn
+):
+    """4 px a cell, noise 5, corners half a pixel off: every id right, corners as given but for the turn."""
+    rng = np.random.default_rng([1, turn])
+    ids = rng.permutation(dictionary_size(dictionary))[:25]
+    side = 4.0 * cells_per_side(dictionary)
+    matrices, corners, size = grid(place_markers, side, rng.uniform(-np.pi, np.pi, ids.size))
+    image = draw_markers(matrices, ids, size, rng, dictionary=dictionary)
+    rough = corners + rng.uniform(-0.5, 0.5, corners.shape)
+    found = decode_quads(image, np.roll(rough, turn, axis=1), dictionary, SIGMA_PX)
+    assert found.ids.tolist() == ids.tolist()
+    np.testing.assert_array_equal(found.corners_px, rough)
+    assert (found.likenesses >= MIN_LIKENESS).all() and (found.likenesses <= 1 + 1e-6).all()
+
+
+def test_small_and_blurred_markers_are_told_by_their_greys(place_markers, draw_markers):
+    """2 px a cell under a blur of 1.2 px, where no cell shows its own colour: 48 of 50 or more."""
+    rng = np.random.default_rng(2)
+    matrices, corners, size = grid(place_markers, 12.0, rng.uniform(-np.pi, np.pi, 50))
+    image = draw_markers(matrices, range(50), size, rng, psf_px=1.2)
+    found = decode_quads(image, corners, "4X4_50", 1.23)
+    at = {tuple(c): i for i, c in enumerate(corners[:, 0])}
+    right = [i for i, c in zip(found.ids, found.corners_px, strict=True) if at.get(tuple(c[0])) == i]
+    assert len(right) >= 48
+
+
+def test_likeness_does_not_depend_on_gain_and_offset(place_markers, draw_markers):
+    rng = np.random.default_rng(3)
+    matrices, corners, size = grid(place_markers, 40.0, rng.uniform(-np.pi, np.pi, 9))
+    image = draw_markers(matrices, range(9), size, rng, noise=0.0)
+    faint = np.rint(90 + 0.4 * image).astype(np.uint8)
+    one, other = (decode_quads(view, corners, "4X4_50", SIGMA_PX) for view in (image, faint))
+    assert one.ids.tolist() == other.ids.tolist() == list(range(9))
+    # Rounding to 8 bits leaves 0.3 of 80 levels a pixel.
+    np.testing.assert_allclose(one.likenesses, other.likenesses, atol=2e-3)
+
+
+def test_flat_quadrilaterals_and_none_at_all_are_no_candidates():
+    flat = np.full((60, 60), 77, np.uint8)
+    quad = np.array([[[10.0, 10], [40, 10], [40, 40], [10, 40]]])
+    assert not decode_quads(flat, quad, "4X4_50", SIGMA_PX).ids.size
+    assert not decode_quads(flat, np.zeros((0, 4, 2)), "4X4_50", SIGMA_PX).ids.size
+
+
+@pytest.mark.parametrize("dictionary", ["4X4_50", "5X5_100", "APRILTAG_36h11"])
+def test_a_mirrored_image_shows_nothing_wrong(place_markers, draw_markers, dictionary):
+    """Of 4X4_50 four are their own mirror images and found as themselves; of the others none is."""
+    rng = np.random.default_rng(4)
+    ids = np.arange(min(dictionary_size(dictionary), 100))
+    side = 5.0 * cells_per_side(dictionary)
+    matrices, _, size = grid(place_markers, side, rng.uniform(-np.pi, np.pi, ids.size))
+    image = draw_markers(matrices, ids, size, rng, dictionary=dictionary)
+    assert PhotometricDetector(dictionary).detect(image).ids.tolist() == ids.tolist()
+    mirrored = PhotometricDetector(dictionary).detect(np.ascontiguousarray(image[:, ::-1]))
+    allowed = OWN_MIRROR_IMAGES if dictionary == "4X4_50" else set()
+    assert set(mirrored.ids.tolist()) == allowed

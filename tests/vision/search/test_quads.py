@@ -1,0 +1,115 @@
+"""Dark quadrilaterals: found wherever there is a marker, as they lie, and seldom in noise."""
+
+import cv2
+import numpy as np
+import pytest
+
+from skyherd.geometry import to_complex, to_points
+from skyherd.vision.photometric.local_homography import CORNERS, Shapes
+from skyherd.vision.search.quads import MIN_SIDE_PX, find_quads
+
+HEADINGS = {"upright": 0.0, "a little turned": 0.02, "diagonal": np.pi / 4, "any": None}
+ROWS = 4
+
+
+def scene(place_markers, draw_markers, rng, side_px, heading=None, camera=None, noise=5.0):
+    """An image of 16 markers and their corners (16, 4) as seen; `camera` (3, 3) acts on the flat image."""
+    step = max(2.2 * side_px, 40.0)
+    grid = (np.arange(ROWS) + 0.5)[:, None] + 1j * (np.arange(ROWS) + 0.5)
+    centers = step * grid.ravel() + rng.uniform(-0.5, 0.5, 16) + 1j * rng.uniform(-0.5, 0.5, 16)
+    headings = rng.uniform(-np.pi, np.pi, 16) if heading is None else heading + np.pi / 2 * np.arange(16)
+    matrices = place_markers(centers, headings, side_px)
+    if camera is not None:
+        matrices = camera @ matrices
+    size = int(step * ROWS)
+    image = draw_markers(matrices, rng.permutation(50)[:16], (size, size), rng, noise=noise)
+    corners = np.concatenate([to_points(CORNERS), np.ones((4, 1))], axis=1) @ matrices.transpose(0, 2, 1)
+    return image, to_complex(corners[..., :2] / corners[..., 2:])
+
+
+def match(quads, corners):
+    """For each marker (N, 4) the errors of the nearest quad's corners (4,), px; infinite if there is none."""
+    errors = np.full(corners.shape, np.inf)
+    for row, truth in enumerate(corners):
+        for quad in to_complex(quads):
+            for turn in range(4):
+                off = np.abs(np.roll(quad, turn) - truth)
+                if off.max() < errors[row].max():
+                    errors[row] = off
+    return errors
+
+
+@pytest.mark.parametrize("heading", HEADINGS.values(), ids=HEADINGS)
+@pytest.mark.parametrize("side_px", [14, 18, 24, 40, 80])
+def test_every_marker_has_a_quad_and_its_corners_are_near(place_markers, draw_markers, side_px, heading):
+    """Near enough for the fit, which takes up two pixels. The root mean square is the rounding of a boundary
+    to whole pixels along each axis, all of one sense on an upright side: at most half a pixel along either,
+    0.7 in all."""
+    rng = np.random.default_rng([1, side_px])
+    errors = []
+    for _ in range(3):
+        image, corners = scene(place_markers, draw_markers, rng, side_px, heading)
+        errors.append(match(find_quads(image), corners))
+    worst = np.concatenate(errors).max(axis=1)
+    assert worst.max() < 2.0, np.sort(worst)[-5:]
+    assert np.sqrt((np.concatenate(errors) ** 2).mean()) < 0.7
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_markers_under_perspective_have_quads_too(place_markers, draw_markers, seed):
+    """Tilts of some 20 degrees: a horizon at 800-1600 px, a squeeze of a tenth."""
+    rng = np.random.default_rng([2, seed])
+    horizon = np.exp(2j * np.pi * rng.uniform()) / rng.uniform(800, 1600)
+    squeeze = 0.1 * np.exp(2j * np.pi * rng.uniform())
+    middle = 132 * (1 + 1j)
+    plane = Shapes(*(np.array([z], dtype=complex) for z in (middle, 1.0, squeeze, horizon)))
+    square = 100 * CORNERS
+    seen = to_points(plane.images(square)[0])
+    camera = cv2.getPerspectiveTransform(
+        to_points(square + middle).astype(np.float32), seen.astype(np.float32)
+    )
+    image, corners = scene(place_markers, draw_markers, rng, 30.0, camera=camera)
+    inside = (np.minimum(corners.real, corners.imag) > 3).all(axis=1)
+    inside &= (np.maximum(corners.real, corners.imag) < 260).all(axis=1)
+    worst = match(find_quads(image), corners)[inside].max(axis=1)
+    assert inside.sum() >= 8 and worst.max() < 2.5, worst
+
+
+def test_corners_run_clockwise_as_seen(place_markers, draw_markers):
+    """With v down, the cross product of successive sides is positive all round."""
+    image, _ = scene(place_markers, draw_markers, np.random.default_rng(3), 25.0)
+    quads = to_complex(find_quads(image))
+    sides = np.roll(quads, -1, axis=1) - quads
+    assert len(quads) >= 16
+    assert ((sides.conj() * np.roll(sides, -1, axis=1)).imag > 0).all()
+    assert (np.abs(sides) >= MIN_SIDE_PX).all()
+
+
+def test_a_square_in_no_noise_is_found_to_a_fraction_of_a_pixel():
+    """Edges on pixel borders, no blur but the box's: the corners are off by rounding of the corners alone."""
+    image = np.full((80, 80), 220, np.uint8)
+    image[20:60, 25:65] = 30
+    (quad,) = find_quads(image)
+    truth = to_complex(np.array([[24.5, 19.5], [64.5, 19.5], [64.5, 59.5], [24.5, 59.5]]))
+    assert match(quad[None], truth[None]).max() < 0.3
+
+
+def test_light_squares_and_thin_bars_are_none():
+    image = np.full((200, 200), 60, np.uint8)
+    image[50:100, 50:100] = 230
+    inner = find_quads(image)
+    assert not any(np.abs(quad - [74.5, 74.5]).max() < 27 for quad in inner)
+    image = np.full((200, 200), 220, np.uint8)
+    image[50:60, 20:180] = 30  # 16 to 1: sides may differ threefold
+    assert not len(find_quads(image))
+
+
+@pytest.mark.parametrize(("noise", "most"), [(2, 0), (10, 0), (30, 3), (60, 14)])
+def test_plain_noise_has_few_quads(noise, most):
+    """In a megapixel: none up to noise 10, some 0.2 and 3 above; the Poisson quantiles of 1e-5 thereof."""
+    rng = np.random.default_rng(noise)
+    count = sum(
+        len(find_quads(np.clip(rng.normal(128, noise, (500, 500)), 0, 255).astype(np.uint8)))
+        for _ in range(4)
+    )
+    assert count <= most

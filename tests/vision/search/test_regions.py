@@ -1,0 +1,105 @@
+"""Dark regions: places laid side by side show what the whole image shows, and all that markers need."""
+
+import cv2
+import numpy as np
+import pytest
+
+from skyherd.vision.search import regions
+from skyherd.vision.search.quads import LEAST_POINTS
+from skyherd.vision.search.regions import dark_boundaries
+
+SIZE_PX = (900, 700)
+
+
+def drawn(shapes, noise=3.0, ground=150):
+    """Dark polygons (K, 2) on cards a little larger, on grey, blurred and noisy."""
+    image = np.full(SIZE_PX[::-1], ground, np.uint8)
+    for scale, grey in ((1.4, 230), (1.0, 30)):
+        for corners in shapes:
+            middle = corners.mean(axis=0)
+            points = np.rint(16 * (middle + scale * (corners - middle))).astype(np.int32)
+            cv2.fillPoly(image, [points], grey, cv2.LINE_AA, 4)
+    rng = np.random.default_rng(0)
+    image = cv2.GaussianBlur(image, (0, 0), 0.8) + noise * rng.standard_normal(image.shape)
+    return np.clip(np.rint(image), 0, 255).astype(np.uint8)
+
+
+def squares(seed, *, count=10):
+    """Squares of 12-40 px, a third of them at the image's border."""
+    rng = np.random.default_rng(seed)
+    corners = []
+    for row in range(count):
+        side, turn = rng.uniform(12, 40), np.exp(1j * rng.uniform(-np.pi, np.pi))
+        middle = complex(*(rng.uniform(40, np.array(SIZE_PX) - 40)))
+        if row % 3 == 0:
+            middle = complex(rng.choice([side, SIZE_PX[0] - side]), middle.imag)
+        z = middle + side * turn * np.array([-1 - 1j, 1 - 1j, 1 + 1j, -1 + 1j]) / 2
+        corners.append(np.column_stack([z.real, z.imag]))
+    return corners
+
+
+def bars(*, apart):
+    """Two slanting bars side by side: boxes around them overlap."""
+    bar = np.array([[100, 100], [112, 92], [312, 342], [300, 350]], dtype=float)
+    return [bar, bar + np.array([apart, 0])]
+
+
+def boundaries_of(image):
+    """Each boundary as a sorted tuple of its points, in an order of their own."""
+    found = dark_boundaries(image, LEAST_POINTS)
+    parts = np.split(found.points, np.cumsum(found.lengths)[:-1]) if found.lengths.size else []
+    return sorted(tuple(sorted((z.real, z.imag) for z in part)) for part in parts)
+
+
+SCENES = {f"squares {seed}": squares(seed) for seed in range(4)} | {"bars": bars(apart=70)}
+
+
+@pytest.mark.parametrize("shapes", SCENES.values(), ids=SCENES)
+def test_places_side_by_side_show_what_the_whole_image_shows(shapes, monkeypatch):
+    """The same boundaries to the pixel: what the boxes of the filters reach is laid out with each place."""
+    image = drawn(shapes)
+    apart = boundaries_of(image)
+    monkeypatch.setattr(regions, "MOST_LAID_OUT", 0.0)
+    assert len(apart) >= len(shapes)
+    assert apart == boundaries_of(image)
+
+
+def test_too_narrow_a_margin_shows(monkeypatch):
+    """Negative control for the test above."""
+    image = drawn(SCENES["squares 1"])
+    apart = boundaries_of(image)
+    monkeypatch.setattr(regions, "MARGIN_PX", 2)
+    assert apart != boundaries_of(image)
+
+
+def test_places_are_laid_out_where_they_are_few_and_the_image_is_taken_whole_where_not():
+    few, many = drawn(squares(5, count=4)), drawn(squares(6, count=120))
+    assert regions._lay_out(few).image.size < few.size / 4
+    assert regions._lay_out(many).image is many
+
+
+@pytest.mark.parametrize("noise", [2.0, 5.0, 10.0])
+def test_noise_alone_is_not_looked_at(noise):
+    """Noise of deviation σ is dark by 0.4 σ on average, to 0.12 σ over 25 pixels: 2.2 times as much is four
+    deviations off, which 3e-5 of them are. Each takes 81 with it: a quarter of a per cent, and that tenfold
+    for what neighbouring pixels have in common."""
+    rng = np.random.default_rng(7)
+    image = np.clip(np.rint(rng.normal(128, noise, (600, 800))), 0, 255).astype(np.uint8)
+    assert (regions._busy(image) > 0).mean() < 0.025
+
+
+@pytest.mark.parametrize("size_px", [(1, 1), (1, 7), (7, 1), (2, 2), (3, 5), (33, 47)])
+def test_any_size_of_image_is_taken(size_px):
+    """A pixel's boundary is too short; an odd last line or column is left out."""
+    assert not dark_boundaries(np.zeros(size_px[::-1], np.uint8), LEAST_POINTS).lengths.size
+
+
+def test_points_are_where_the_region_is_and_run_anticlockwise_as_seen():
+    """An upright square of 20 px at (300, 200): outermost dark pixels within one of its edges."""
+    square = np.array([[300, 200], [320, 200], [320, 220], [300, 220]], dtype=float)
+    found = dark_boundaries(drawn([square], noise=0.0, ground=230), LEAST_POINTS)
+    outer = found.points[: found.lengths[0]]
+    assert found.lengths.size == 1
+    assert abs(outer.real.min() - 300) <= 1 and abs(outer.real.max() - 320) <= 1
+    assert abs(outer.imag.min() - 200) <= 1 and abs(outer.imag.max() - 220) <= 1
+    assert (outer.conj() * np.roll(outer, -1)).imag.sum() < 0

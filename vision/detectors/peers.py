@@ -1,0 +1,188 @@
+"""Detectors of others, behind our interface: `cv2.aruco` as it comes, and AprilTag 3.
+
+They run at their own defaults, which is what their users have. What is a constant of theirs is taken off, and
+documented here; with `corrected=False` it is left in:
+
+- where they take a pixel's centre to be: OpenCV's APRILTAG refinement is off by +0.46 px in u and v,
+  AprilTag 3 by +0.50 px;
+- the marker's side, which OpenCV's refinements and contours make too short by 0.6 to 1.3 px at any size;
+- the corners' order: AprilTag's run the other way round from OpenCV's, and its tags stand upside down,
+  so that headings differ by 180 deg.
+
+`benchmarks/peer_biases.py --write` measures the first two into `peer_biases.toml`. Of the poses that four
+corners give, they get the best: the centre is the mean of the corners, and the heading that of the nearest
+square in the plane of the image's markers (`headings_in_plane`). None reports a covariance: theirs are zero,
+which stands for unknown.
+"""
+
+import tomllib
+from dataclasses import dataclass
+from functools import cache
+from importlib import import_module
+from importlib.resources import files
+from typing import Any, Protocol
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from skyherd.errors import InputError
+from skyherd.geometry import Array, IntArray, to_complex
+from skyherd.markers.dictionary import CORNERS, load_dictionary, pose_of_corners
+from skyherd.messages import Detections
+from skyherd.vision.detectors.corners import detections_of_corners
+from skyherd.vision.grey import check_grey
+
+REFINEMENTS = {
+    "opencv": cv2.aruco.CORNER_REFINE_NONE,
+    "opencv-subpix": cv2.aruco.CORNER_REFINE_SUBPIX,
+    "opencv-contour": cv2.aruco.CORNER_REFINE_CONTOUR,
+    "opencv-apriltag": cv2.aruco.CORNER_REFINE_APRILTAG,
+}
+"""Peers made of `cv2.aruco`, by name: its default parameters with each of its corner refinements."""
+
+FAMILIES = {"APRILTAG_16h5": "tag16h5", "APRILTAG_25h9": "tag25h9", "APRILTAG_36h11": "tag36h11"}
+"""OpenCV's dictionaries that pupil-apriltags knows, and what it calls them."""
+
+OWN_CORNERS, OUR_CORNERS = [3, 2, 1, 0], [1, 0, 3, 2]
+"""AprilTag's corners clockwise from its own top left, and from OpenCV's corner 0 of the same marker."""
+
+
+@dataclass(frozen=True)
+class Bias:
+    """Constant part of a peer's error: of the position along u and v, and of the side."""
+
+    position_px: float
+    side_px: float
+
+
+@cache
+def load_bias(name: str) -> Bias:
+    """The measured bias of a peer, from `peer_biases.toml`."""
+    table = tomllib.loads(files("skyherd.vision.detectors").joinpath("peer_biases.toml").read_text("utf-8"))[
+        name
+    ]
+    return Bias(table["position_bias_px"], table["side_bias_px"])
+
+
+class _Finder(Protocol):
+    def find(self, image: npt.NDArray[np.uint8], *, corrected: bool) -> tuple[IntArray, Array]:
+        """Ids (K,), repeated ones too, and corners (K, 4, 2)."""
+        ...
+
+
+class PeerDetector:
+    """A detector that is not ours, by name; see `peer_names`."""
+
+    def __init__(self, name: str, dictionary: str, *, corrected: bool = True) -> None:
+        self.name, self.corrected = name, corrected
+        self._finder: _Finder = (
+            _AprilTag3(dictionary) if name == "apriltag3" else _OpenCV(dictionary, REFINEMENTS[name])
+        )
+
+    def detect(self, image: npt.NDArray[np.uint8], *, time_s: float = 0.0, unit_id: int = 0) -> Detections:
+        """Markers in a grey image (height, width) of 8 bits; of an id found twice, the larger.
+
+        Raises:
+            InputError: the image is not a grey one of 8 bits.
+        """
+        image = check_grey(image)
+        ids, corners = _largest_of_each(*self._finder.find(image, corrected=self.corrected))
+        sides, headings = pose_of_corners(corners)[2], headings_in_plane(corners)
+        if self.corrected:
+            bias = load_bias(self.name)
+            sides, corners = np.maximum(sides - bias.side_px, 1.0), corners - bias.position_px
+        return detections_of_corners(
+            image,
+            ids,
+            corners,
+            headings_rad=headings,
+            sides_px=sides,
+            covariances=np.zeros((ids.size, 3, 3)),
+            time_s=time_s,
+            unit_id=unit_id,
+        )
+
+
+def peer_names() -> list[str]:
+    """Names of the peers."""
+    return [*REFINEMENTS, "apriltag3"]
+
+
+def headings_in_plane(corners_px: Array) -> Array:
+    """Headings (N,) of markers with corners (N, 4, 2) that lie in one plane, which may be tilted.
+
+    Seen at a slant, a marker's points q are at `a q + b conj(q)` about their centre z in the image, with a
+    stretch `b / conj(a) = μ + κ z` to first order: μ and κ, complex, are the plane's affine and projective
+    parameters, found from all markers by least squares. The forward axis, q = 1, is then along
+    `a + (μ + κ z) conj(a)`. Fewer than three markers are taken as seen from above.
+    """
+    corners = to_complex(corners_px)
+    a, b = corners @ CORNERS.conj(), corners @ CORNERS
+    if len(corners) < 3:
+        return np.asarray(np.angle(a))
+    center = corners.mean(axis=1)
+    plane = np.column_stack([np.ones_like(center), (center - center.mean()) / np.abs(a).max()])
+    stretch = plane @ np.linalg.lstsq(plane, b / a.conj(), rcond=None)[0]
+    return np.asarray(np.angle(a + stretch * a.conj()))
+
+
+def _largest_of_each(ids: IntArray, corners: Array) -> tuple[IntArray, Array]:
+    """Each id once, ascending, with the largest quadrilateral found for it; none without an area."""
+    sides = pose_of_corners(corners)[2]
+    order = np.lexsort((-sides, ids))
+    order = order[sides[order] > 0]
+    unique, first = np.unique(ids[order], return_index=True)
+    return unique, corners[order[first]]
+
+
+class _OpenCV:
+    """`cv2.aruco.ArucoDetector` at its default parameters but for the refinement."""
+
+    def __init__(self, dictionary: str, refinement: int) -> None:
+        parameters = cv2.aruco.DetectorParameters()
+        parameters.cornerRefinementMethod = refinement
+        self._detector = cv2.aruco.ArucoDetector(load_dictionary(dictionary), parameters)
+
+    def find(self, image: npt.NDArray[np.uint8], *, corrected: bool) -> tuple[IntArray, Array]:
+        corners, ids, _ = self._detector.detectMarkers(image)
+        if len(corners) == 0:
+            return np.zeros(0, dtype=np.int64), np.zeros((0, 4, 2))
+        return np.ravel(ids).astype(np.int64), np.reshape(corners, (-1, 4, 2)).astype(float)
+
+
+@cache
+def _apriltag_library_detector(family: str) -> Any:
+    """The library's detector, one for each family and never freed.
+
+    pupil-apriltags frees a family before the detector that refers to it, which crashes the interpreter.
+    """
+    try:
+        library: Any = import_module("pupil_apriltags")
+    except ImportError:
+        raise InputError(
+            "detector apriltag3", "pupil-apriltags is not installed", "pip install skyherd[peers]"
+        ) from None
+
+    class Kept(library.Detector):  # type: ignore[misc]
+        def __del__(self) -> None:
+            """Leave the memory to the end of the process."""
+
+    return Kept(families=family, nthreads=1, quad_decimate=1.0)
+
+
+class _AprilTag3:
+    """AprilTag 3 through pupil-apriltags, at full resolution: its default halves the image first."""
+
+    def __init__(self, dictionary: str) -> None:
+        if dictionary not in FAMILIES:
+            raise InputError(
+                "detector apriltag3", f"does not know {dictionary}", f"one of {', '.join(FAMILIES)}"
+            )
+        self._detector = _apriltag_library_detector(FAMILIES[dictionary])
+
+    def find(self, image: npt.NDArray[np.uint8], *, corrected: bool) -> tuple[IntArray, Array]:
+        tags = self._detector.detect(image)
+        corners = np.array([tag.corners for tag in tags], dtype=float).reshape(-1, 4, 2)
+        order = OUR_CORNERS if corrected else OWN_CORNERS
+        return np.array([tag.tag_id for tag in tags], dtype=np.int64), corners[:, order]

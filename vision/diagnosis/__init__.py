@@ -1,0 +1,1 @@
+"""Why a marker was not detected."""

@@ -1,0 +1,228 @@
+"""Where in an image a marker could be: what a detector rejects, and what it cannot see.
+
+Four kinds: dark quadrilaterals, as OpenCV finds them at several settings; dark patches that are nearly
+square; dark shapes that the border of the image cuts, squares being laid through the corners that are left;
+and groups of bright spots, from which a square is guessed whose own outline cannot be seen.
+"""
+
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from skyherd.geometry import Array, BoolArray
+from skyherd.markers.dictionary import cells_per_side, load_dictionary
+
+Image = npt.NDArray[np.uint8]
+
+MIN_SIDE_PX = 6.0
+THRESHOLDS = (14, 6)
+"""How much darker than its surroundings, in grey levels, an outline must be in each pass."""
+
+MAX_ENLARGED = 4_000_000
+"""Images of more pixels are not searched at twice their size."""
+
+WINDOWS_PX = (5, 53, 16)
+CLOSINGS_PX = (3, 5, 9, 17, 33)
+"""Gaps over which bright spots are taken as one group, one after the other."""
+
+BRIGHT_WINDOWS_PX, BRIGHTER = (41, 121), 20
+"""Bright spots are so many grey levels above the mean of a window of these sizes."""
+
+DARK_SHARE = 0.9
+MAX_GROUPS = 400
+MAX_EDGES, ALIKE_RAD = 6, 0.07
+"""Of a group, so many edges of its hull are tried as directions of the grid, those alike once."""
+
+SQUARENESS_DEG = 35.0
+"""A corner of a cut shape may differ from a right angle by so much."""
+
+
+def dark_quads(image: Image, dictionary: str) -> list[Array]:
+    """Quadrilaterals (4, 2) that are darker than what is around them, accepted by OpenCV or rejected.
+
+    The image is searched at twice its size too if it is not large: outlines of a few pixels are found so.
+    """
+    found = [quad for constant in THRESHOLDS for quad in _opencv_quads(image, dictionary, constant)]
+    if image.size <= MAX_ENLARGED:
+        large = cv2.resize(image, None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC)
+        quads = _opencv_quads(np.asarray(large, dtype=np.uint8), dictionary, THRESHOLDS[0])
+        found += [(quad + 0.5) / 2 - 0.5 for quad in quads]
+    return found
+
+
+def _opencv_quads(image: Image, dictionary: str, constant: int) -> list[Array]:
+    parameters = cv2.aruco.DetectorParameters()
+    parameters.minMarkerPerimeterRate = 4 * MIN_SIDE_PX / max(image.shape)
+    parameters.maxMarkerPerimeterRate = 8.0
+    parameters.adaptiveThreshWinSizeMin, parameters.adaptiveThreshWinSizeMax = WINDOWS_PX[:2]
+    parameters.adaptiveThreshWinSizeStep = WINDOWS_PX[2]
+    parameters.adaptiveThreshConstant = constant
+    parameters.polygonalApproxAccuracyRate = 0.05
+    parameters.minDistanceToBorder = 0
+    parameters.perspectiveRemovePixelPerCell = 8
+    detector = cv2.aruco.ArucoDetector(load_dictionary(dictionary), parameters)
+    accepted, _, rejected = detector.detectMarkers(image)
+    return [np.reshape(quad, (4, 2)).astype(float) for quad in (*accepted, *rejected)]
+
+
+def dark_patches(image: Image) -> list[Array]:
+    """Smallest rectangles (4, 2) around dark patches, if nearly square: markers that are covered in part."""
+    quads: list[Array] = []
+    for dark in _dark(image):
+        contours, _ = cv2.findContours(dark, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
+        for contour in contours:
+            rectangle = cv2.minAreaRect(contour)
+            shorter, longer = sorted(rectangle[1])
+            if shorter > MIN_SIDE_PX and longer < 1.2 * shorter:
+                quads.append(cv2.boxPoints(rectangle).astype(float))
+    return quads
+
+
+def _dark(image: Image) -> list[Image]:
+    """What is dark against its wider surroundings, at each threshold."""
+    window = max(WINDOWS_PX[1], 2 * (min(image.shape) // 12) + 1)
+    mean, below = cv2.ADAPTIVE_THRESH_MEAN_C, cv2.THRESH_BINARY_INV
+    masks = [cv2.adaptiveThreshold(image, 255, mean, below, window, constant) for constant in THRESHOLDS]
+    return [np.asarray(mask, dtype=np.uint8) for mask in masks]
+
+
+def cut_squares(image: Image, dictionary: str) -> list[Array]:
+    """Squares (4, 2) through what is left of dark shapes that the image's border cuts."""
+    height, width = image.shape
+    squares: list[Array] = []
+    for dark in _dark(image):
+        framed = cv2.copyMakeBorder(dark, 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=0)
+        contours, _ = cv2.findContours(framed, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
+        for contour in contours:
+            points = contour[:, 0, :].astype(float) - 1
+            u, v = points.T
+            touches = u.min() < 1 or v.min() < 1 or u.max() > width - 2 or v.max() > height - 2
+            if touches and cv2.contourArea(contour) > MIN_SIDE_PX**2:
+                squares += _complete(contour, (width, height), cells_per_side(dictionary))
+    return squares
+
+
+def _complete(contour: npt.NDArray[Any], size_px: tuple[int, int], n: int) -> list[Array]:
+    """Squares that have the corners of a contour (M, 1, 2) which lie inside the image."""
+    hull = cv2.convexHull(contour)
+    outline = cv2.approxPolyDP(hull, 0.04 * cv2.arcLength(hull, True), True)[:, 0, :].astype(float) - 1
+    if not 3 <= len(outline) <= 7:
+        return []
+    limit = np.array(size_px) - 1.0
+    inside: BoolArray = np.all((outline > 1.5) & (outline < limit - 1.5), axis=1)
+    squares: list[Array] = []
+    for k in np.flatnonzero(inside):
+        before, here, after = outline[k - 1], outline[k], outline[(k + 1) % len(outline)]
+        back, ahead = before - here, after - here
+        angle = np.degrees(
+            np.arccos(np.clip(back @ ahead / np.linalg.norm(back) / np.linalg.norm(ahead), -1, 1))
+        )
+        if abs(angle - 90) > SQUARENESS_DEG:
+            continue
+        if inside[(k + 1) % len(outline)]:
+            squares.append(_square(here, after, back))
+        elif not inside[k - 1]:
+            longest = max(float(np.linalg.norm(back)), float(np.linalg.norm(ahead)))
+            direction = ahead / np.linalg.norm(ahead)
+            for side in longest * np.geomspace(1.0, 2.5, 4 * n):
+                squares.append(_square(here, here + side * direction, back))
+    return squares
+
+
+def _square(first: Array, second: Array, towards: Array) -> Array:
+    """The square (4, 2) with the edge given, on the side to which `towards` points."""
+    edge = second - first
+    across = np.array([-edge[1], edge[0]])
+    across = across if across @ towards > 0 else -across
+    return np.array([first, second, second + across, first + across])
+
+
+def bright_groups(image: Image, dictionary: str) -> list[Array]:
+    """Squares (4, 2) around groups of bright spots on dark: markers whose outline cannot be seen.
+
+    A rectangle around the white cells is that of the bits, or lacks a row or two that are all black.
+    """
+    n = cells_per_side(dictionary)
+    squares: list[Array] = []
+    smooth = cv2.GaussianBlur(image, (0, 0), 1.0)
+    for window in BRIGHT_WINDOWS_PX:
+        bright = cv2.adaptiveThreshold(
+            smooth, 255, cv2.ADAPTIVE_THRESH_MEAN_C, cv2.THRESH_BINARY, window, -BRIGHTER
+        )
+        for closing in CLOSINGS_PX:
+            disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (closing, closing))
+            closed = cv2.morphologyEx(bright, cv2.MORPH_CLOSE, disc)
+            contours, _ = cv2.findContours(closed, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
+            large = [c for c in contours if cv2.contourArea(c) > (MIN_SIDE_PX * (n - 2) / n) ** 2]
+            for contour in sorted(large, key=cv2.contourArea, reverse=True)[:MAX_GROUPS]:
+                squares += _grow(contour, n)
+    return _with_dark_border(np.asarray(smooth, dtype=np.uint8), squares, n)
+
+
+def _with_dark_border(image: Image, squares: list[Array], n: int) -> list[Array]:
+    """Those squares whose border of cells is dark and whose inside is not, at the cells' middles."""
+    if not squares:
+        return []
+    corners = np.stack(squares)
+    at = (np.arange(n) + 0.5) / n
+    right, down = corners[:, 1] - corners[:, 0], corners[:, 3] - corners[:, 0]
+    places = (
+        corners[:, None, None, 0]
+        + at[:, None] * right[:, None, None]
+        + at[:, None, None] * down[:, None, None]
+    )
+    u, v = np.rint(places).astype(int).clip(0, np.array(image.shape[::-1]) - 1).transpose(3, 0, 1, 2)
+    levels = image[v, u].astype(float)
+    rim = np.ones((n, n), dtype=bool)
+    rim[1:-1, 1:-1] = False
+    black = np.median(levels[:, rim], axis=1)
+    white = np.percentile(levels[:, ~rim], 85, axis=1)
+    dark = (levels[:, rim] < ((black + white) / 2)[:, None]).mean(axis=1) >= DARK_SHARE
+    return [corners[k] for k in np.flatnonzero(dark & (white - black > BRIGHTER))]
+
+
+def _grow(contour: npt.NDArray[Any], n: int) -> list[Array]:
+    """Marker outlines (4, 2) whose bits the contour may be."""
+    hull = cv2.convexHull(contour)[:, 0, :].astype(float)
+    outlines: list[Array] = []
+    for angle in _edge_angles(hull):
+        right = np.array([np.cos(angle), np.sin(angle)])
+        down = np.array([-right[1], right[0]])
+        across, along = hull @ right, hull @ down
+        # A contour runs through the middles of the outermost pixels.
+        corner = (across.min() - 0.5) * right + (along.min() - 0.5) * down
+        outlines += _complete_bits(corner, right, down, np.ptp(across) + 1.0, np.ptp(along) + 1.0, n)
+    return outlines
+
+
+def _edge_angles(hull: Array) -> list[float]:
+    """Directions of a convex hull's longer edges, within a quarter turn, those alike once."""
+    outline = cv2.approxPolyDP(hull.astype(np.float32)[:, None], 1.5, True)[:, 0, :]
+    edges = np.roll(outline, -1, axis=0) - outline
+    lengths = np.hypot(*edges.T)
+    angles: list[float] = []
+    for edge in edges[np.argsort(-lengths)][:MAX_EDGES]:
+        angle = float(np.arctan2(edge[1], edge[0]) % (np.pi / 2))
+        if all(abs(np.angle(np.exp(4j * (angle - other)))) > 4 * ALIKE_RAD for other in angles):
+            angles.append(angle)
+    return angles
+
+
+def _complete_bits(
+    corner: Array, right: Array, down: Array, width: float, height: float, n: int
+) -> list[Array]:
+    """Outlines of markers of n cells whose white cells may span the rectangle, up to two rows being black."""
+    outlines: list[Array] = []
+    for columns in range(n - 4, n - 1):
+        for rows in range(n - 4, n - 1):
+            cell = (width / columns + height / rows) / 2
+            if cell * n < MIN_SIDE_PX or abs(width / columns - height / rows) > 0.2 * cell:
+                continue
+            for left in range(n - 1 - columns):
+                for top in range(n - 1 - rows):
+                    first = corner - cell * ((left + 1) * right + (top + 1) * down)
+                    steps = np.array([0 * right, right, right + down, down])
+                    outlines.append(first + cell * n * steps)
+    return outlines

@@ -1,0 +1,57 @@
+"""What a picture without detections most likely needs: another dictionary, or to be flipped."""
+
+import numpy as np
+import numpy.typing as npt
+
+from skyherd.markers.dictionary import dictionary_names, dictionary_size, load_dictionary, marker_cells
+from skyherd.vision.detectors.opencv_tuned import ArucoDetector
+from skyherd.vision.detectors.registry import explain_mirrored
+
+Image = npt.NDArray[np.uint8]
+
+
+def suggest_dictionary(image: Image, dictionary: str) -> str | None:
+    """The dictionary that decodes more of a grey image than `dictionary` does, None if there is none.
+
+    Of those that decode as many, the one whose markers differ most, and of the sizes of one series the
+    smallest that has all ids found.
+    """
+    at_least = len(ArucoDetector(dictionary).detect(image)) + 1
+    best = None
+    for name in _largest_of_series():
+        ids = ArucoDetector(name).detect(image).ids
+        rank = ids.size, int(load_dictionary(name).maxCorrectionBits), -dictionary_size(name)
+        if ids.size >= at_least and (best is None or rank > best[0]):
+            best = rank, name, int(ids.max())
+    return None if best is None else _smallest_with(best[1], best[2])
+
+
+def suggest(image: Image, dictionary: str) -> str | None:
+    """What to try where little was found, in words; None if nothing helps."""
+    mirrored = explain_mirrored(image, dictionary)
+    if mirrored is not None:
+        return mirrored
+    other = suggest_dictionary(image, dictionary)
+    return None if other is None else f"its markers are of another dictionary; try --dictionary {other}"
+
+
+def _series(name: str) -> list[str]:
+    """Dictionaries that begin with the same markers, `name` among them, smallest first."""
+    cells = load_dictionary(name).markerSize
+    same = [other for other in _distinct_names() if load_dictionary(other).markerSize == cells]
+    first = marker_cells(name, 0)
+    return sorted((n for n in same if np.array_equal(marker_cells(n, 0), first)), key=dictionary_size)
+
+
+def _distinct_names() -> list[str]:
+    """Names without those that differ from another in capitals alone."""
+    return list({name.lower(): name for name in dictionary_names()}.values())
+
+
+def _largest_of_series() -> list[str]:
+    return sorted({_series(name)[-1] for name in _distinct_names()})
+
+
+def _smallest_with(name: str, marker_id: int) -> str:
+    """The smallest dictionary of the series of `name` that has a marker of that id."""
+    return next(other for other in _series(name) if dictionary_size(other) > marker_id)

@@ -44,8 +44,8 @@ OFF: dict[str, dict[str, Any]] = {
     "roles": {"roles": {}},
     "size": {"size": {}},
     "avoidance": {"avoidance": {}},
-    "steering": {"avoidance": {"on": True, "steer": "none"}},
-    "search": {"avoidance": {"on": True, "steer": "gyroscopic"}},
+    "steering": {"avoidance": {"on": True, "detour": "none"}},
+    "search": {"avoidance": {"on": True, "detour": "gyroscopic"}},
 }
 """What each part is without, as scenario keys."""
 
@@ -101,7 +101,7 @@ class Watch:
             self.path_m += float(np.linalg.norm(step.positions_m - self._last.positions_m, axis=1).sum())
             self.exchanges += not np.array_equal(step.roles, self._last.roles)
         self._last = step
-        if step.observation.shape.error >= GOAL:
+        if step.metrics.shape.error >= GOAL:
             self.reached_s = None
         elif self.reached_s is None:
             self.reached_s = step.time_s
@@ -140,7 +140,7 @@ def run_mission(seed: int, options: argparse.Namespace) -> Row:
         "converged": watch.reached_s is not None,
         "time_to_1pct_s": None if watch.reached_s is None else watch.reached_s - ready_s,
         "ready_s": watch.ready_s,
-        "shape_error": step.observation.shape.error,
+        "shape_error": step.metrics.shape.error,
         "collisions": watch.collisions,
         "min_gap_sides": watch.gap_m / side_m,
         "path_m": watch.path_m,

@@ -49,7 +49,7 @@ def times_ms(parts: bool) -> tuple[float, float]:
         started = perf_counter()
         decision = mind.decide(seen, [])
         steps.append(perf_counter() - started)
-        for message in (decision.goals, decision.encounters):
+        for message in (decision.goals, decision.proximity):
             if message is not None:
                 team.receive(message, time_s, np.ones(len(message), dtype=bool))
         started = perf_counter()

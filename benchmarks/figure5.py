@@ -32,23 +32,21 @@ def run(kind: str) -> list[Step]:
     """Steps of the star under one rule; the protocol flies so as to serve its sets."""
     settings = [*SETTINGS, f"selection.kind={kind}"]
     if kind == "tree":
-        settings += [f"units.{unit}.flight.kind=serve" for unit in range(3)]
+        settings += [f"units.{unit}.flight.kind=keep-in-view" for unit in range(3)]
     return list(run_steps(load_mission("star", settings)))
 
 
 def account(steps: list[Step]) -> dict[str, Any]:
     """Figures of one run."""
-    errors = np.array([step.observation.shape.error for step in steps])
+    errors = np.array([step.metrics.shape.error for step in steps])
     reached = np.flatnonzero(errors < 0.01)
-    inside = [step.observation.conditions.in_p for step in steps]
+    inside = [step.metrics.conditions.in_p for step in steps]
     return {
-        "V_start_m2": round(
-            next(step.observation.V for step in steps if step.observation.conditions.in_q), 1
-        ),
-        "V_end_m2": float(steps[-1].observation.V),
+        "V_start_m2": round(next(step.metrics.V for step in steps if step.metrics.conditions.in_q), 1),
+        "V_end_m2": float(steps[-1].metrics.V),
         "shape_error_end": float(errors[-1]),
         "time_to_1pct_s": float(steps[reached[0]].time_s) if reached.size else None,
-        "scale_m": round(steps[-1].observation.shape.scale, 3),
+        "scale_m": round(steps[-1].metrics.shape.scale, 3),
         "heights_end_m": steps[-1].fleet.heights_m.round(1).tolist(),
         "share_of_time_inside_P": round(float(np.mean(inside)), 3),
     }
@@ -67,13 +65,13 @@ def draw(runs: dict[str, list[Step]], path: Path) -> None:
         ground.plot(*ways[-1].T, "o", color="black", markersize=5, label="end")
         flown = np.array([step.fleet.positions_m for step in steps])
         heights = np.array([step.fleet.heights_m for step in steps])
-        shares = np.array([step.observation.V_units for step in steps])
+        shares = np.array([step.metrics.V_units for step in steps])
         for unit in range(3):
             color = UNIT_COLORS[unit]
             ground.plot(*flown[:, unit].T, color=color, linewidth=1.2)
             height.plot(times, heights[:, unit], color=color, label=f"unit {unit}")
             cost.plot(times, np.maximum(shares[:, unit], 1e-12), color=color, label=f"unit {unit}")
-        cost.plot(times, [max(step.observation.V, 1e-12) for step in steps], color="black", label="all")
+        cost.plot(times, [max(step.metrics.V, 1e-12) for step in steps], color="black", label="all")
         cost.axhline(PUBLISHED_V, color="0.4", linestyle=":", label="published start, 197")
         height.axhline(PUBLISHED_HEIGHT_M, color="0.4", linestyle=":", label="published end, about 11 m")
         cost.set(yscale="log", ylim=(1e-6, 1e3), xlabel="time (s)", ylabel="V (m²)")

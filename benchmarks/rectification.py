@@ -186,7 +186,7 @@ def fly(mission: Mission, average_s: float) -> Outcome:
     errors, told = [], []
     for step in run_steps(mission):
         if step.time_s > duration_s - average_s:
-            errors.append(step.observation.shape.error)
+            errors.append(step.metrics.shape.error)
         if mission.scenario.control.rectify and np.isclose(step.time_s, NEES_AT_S, atol=1e-6).any():
             seen = rectified(step.frames[0].sight.detections, step.frames[0].ground_map)
             told.append(nees(true_errors(step, seen, camera, step.fleet.pose(0)), seen))

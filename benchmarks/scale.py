@@ -26,7 +26,7 @@ from typing import Any
 
 import numpy as np
 
-from skyherd.control import AerialController, Serve, Template, TreeRule, fit_similarity
+from skyherd.control import AerialController, KeepInView, Template, TreeRule, fit_similarity
 from skyherd.datasets import make_mission
 from skyherd.drawing.palette import INK, MUTED, UNIT_COLORS
 from skyherd.loop import Step, run_steps
@@ -74,7 +74,7 @@ def swarm(units: int, seed: int = 0) -> dict[str, Any]:
                 "height_m": 9.0,
                 "yaw_deg": float(rng.uniform(-180, 180)),
                 "camera": {"half_angle_deg": 30.0, "size_px": [800, 800]},
-                "flight": {"kind": "serve"},
+                "flight": {"kind": "keep-in-view"},
                 "frame_rate_hz": 5.0,
             }
             for center in centers
@@ -102,14 +102,14 @@ def measure_step(images: int = 400, robots: int = 50) -> dict[str, float]:
     points = rng.uniform(50, 950, (2 * robots - 6, 2))
     template = Template.from_image_points(np.arange(len(points)), points + rng.normal(0, 5, points.shape))
     views = np.arange(robots), np.arange(robots - 6, len(points))
-    crew = [AerialController(template, TreeRule(radius=5), Serve(template)) for _ in views]
+    agents = [AerialController(template, TreeRule(radius=5), KeepInView(template)) for _ in views]
     heard: list[list[UnitReport]] = [[], []]
     fit, step_s, fit_s = make_fit(robots), [], []
     for image in range(images):
         for unit, ids in enumerate(views):
             seen = see(unit, 0.2 * image, ids, points[ids] + rng.normal(0, 0.1, 2))
             started = perf_counter()
-            decision = crew[unit].step(seen, heard[unit])
+            decision = agents[unit].step(seen, heard[unit])
             if unit == 0 and image > images // 4:
                 step_s.append(perf_counter() - started)
                 fit_s.append(timed(fit))
@@ -152,7 +152,7 @@ def measure_swarm(units: int, limit_s: float) -> dict[str, Any]:
     times: dict[str, float] = {}
     start_error, started = None, process_time()
     for step in run_steps(mission):
-        spent, observed = process_time() - started, step.observation
+        spent, observed = process_time() - started, step.metrics
         start_error = start_error or observed.shape.error
         if "ready_s" in times and step.time_s <= times["ready_s"] + TIMED_S:
             step_s.append(spent)

@@ -146,7 +146,7 @@ def fly(mission: Mission, perception: Perception, name: str, settle_s: float) ->
     marker = mission.scenario.marker
     watched = Watched(perception, marker.dictionary, marker.side_m, settle_s)
     errors = np.array(
-        [step.observation.shape.error for step in run_steps(mission, watched) if step.time_s > settle_s]
+        [step.metrics.shape.error for step in run_steps(mission, watched) if step.time_s > settle_s]
     )
     position, sides = np.concatenate(watched.errors_px), np.concatenate(watched.sides_px)
     return Flight(

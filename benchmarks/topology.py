@@ -86,13 +86,13 @@ class Watch:
         if self.ready_s is None:
             if any(word is not None and word.ready for word in words):
                 self.ready_s = step.time_s
-                self.log_need = float(np.log(step.observation.shape.error / GOAL))
+                self.log_need = float(np.log(step.metrics.shape.error / GOAL))
             return
         if self.predicted_s is None:
             self.log_have += self.gain * self._rate * passed_s
             if self.log_have >= self.log_need:
                 self.predicted_s = step.time_s - self.ready_s
-        conditions = step.observation.conditions
+        conditions = step.metrics.conditions
         holds = {"p": conditions.in_p, "tc1": conditions.tc1, "tc2": conditions.tc2}
         for name, hold in holds.items():
             self.violated_s[name] += 0.0 if hold else passed_s
@@ -106,7 +106,7 @@ class Watch:
             self._rate = slowest_rate(self.points, rows)
         if self.death_s is not None and step.time_s > self.death_s:
             self._recover(step, conditions.in_q)
-        if self.reached_s is None and step.observation.shape.error < GOAL:
+        if self.reached_s is None and step.metrics.shape.error < GOAL:
             self.reached_s = step.time_s - self.ready_s
             moved_m = np.linalg.norm(step.positions_m - self.starts_m, axis=1)
             self.driving_s = float(moved_m.max()) / self.limit_mps
@@ -127,7 +127,7 @@ class Watch:
         """Whether nothing more is to be learned."""
         if self.death_s is None:
             return self.reached_s is not None and self.predicted_s is not None
-        converged = step.observation.shape.error < GOAL
+        converged = step.metrics.shape.error < GOAL
         return step.time_s > self.death_s and (
             (converged and self.covered_s is not None) or step.time_s > self.death_s + 2 * AFTER_DEATH_S
         )
@@ -161,7 +161,7 @@ def run_mission(seed: int, options: argparse.Namespace) -> dict[str, Any]:
         if watch.reached_s is None and watch.ready_s is not None and step.time_s - watch.ready_s > give_up_s:
             break
     assert step is not None
-    error = step.observation.shape.error
+    error = step.metrics.shape.error
     row = {
         "seed": seed,
         "units": len(mission.scenario.units),

@@ -5,23 +5,23 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skyherd.control.avoidance.proximity import BodyRule, encounters
+from skyherd.control.avoidance.proximity import BodyRule, proximity
 from skyherd.control.flight.laws import Duty, Flight
-from skyherd.control.formation.registration import panorama
+from skyherd.control.formation.registration import register_views
 from skyherd.control.formation.roles import RoleRule, Roles
-from skyherd.control.formation.schedule import Program
+from skyherd.control.formation.schedule import Schedule
 from skyherd.control.formation.size import SizeRule, Yardstick
 from skyherd.control.formation.template import Template
 from skyherd.control.goals import motion_goals
-from skyherd.control.hybrid_selection import FreeRule, FreeThenTree, cost_share
+from skyherd.control.hybrid_selection import HybridRule, HybridSelection, cost_share
 from skyherd.control.topology.safety_radius import ControlSet, SafetyRadius
 from skyherd.control.tree.node_state import TreeRule
-from skyherd.control.tree.protocol import Roster
+from skyherd.control.tree.protocol import TreeProtocol
 from skyherd.errors import DegenerateSetError
 from skyherd.geometry import IntArray
-from skyherd.messages import Detections, Encounters, FlightCommand, MotionGoals, UnitReport, shared_ids
+from skyherd.messages import Detections, FlightCommand, MotionGoals, Proximity, UnitReport, shared_ids
 
-Selection = SafetyRadius | TreeRule | FreeRule
+Selection = SafetyRadius | TreeRule | HybridRule
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Decision:
     goals: MotionGoals | None
     report: UnitReport
     flight: FlightCommand
-    encounters: Encounters | None = None
+    proximity: Proximity | None = None
 
 
 class AerialController:
@@ -53,7 +53,7 @@ class AerialController:
 
     def __init__(
         self,
-        program: Template | Program,
+        program: Template | Schedule,
         selection: Selection,
         flight: Flight,
         *,
@@ -63,7 +63,7 @@ class AerialController:
         size: SizeRule | None = None,
         bodies: BodyRule | None = None,
     ) -> None:
-        self.program = Program(program) if isinstance(program, Template) else program
+        self.program = Schedule(program) if isinstance(program, Template) else program
         self.template, self.flight, self.nearest = self.program.first, flight, nearest
         self.report_lifetime_s = report_lifetime_s
         self.control_set = _begin(selection, self.template)
@@ -92,14 +92,14 @@ class AerialController:
             roles=self.roles.word,
         )
         self.control_set.note(seen.time_s, report, reports)
-        near = encounters(detections, self.template.ids, self.bodies) if self.bodies else None
+        near = proximity(detections, self.template.ids, self.bodies) if self.bodies else None
         return Decision(goals, report, self._fly(seen, controlled, reports), near)
 
     def _choose_roles(self, seen: Detections, reports: Sequence[UnitReport]) -> None:
         self.roles.take_up(self.program.at(seen.time_s))
         self.roles.hear(reports)
         if self.roles.may_exchange(seen.unit_id, seen.time_s, reports):
-            self.roles.exchange(seen.unit_id, panorama(self.template.ids, seen, reports))
+            self.roles.exchange(seen.unit_id, register_views(self.template.ids, seen, reports))
         self.control_set.reshape(self.roles.shape)
 
     def _fly(self, seen: Detections, controlled: IntArray, reports: Sequence[UnitReport]) -> FlightCommand:
@@ -126,10 +126,10 @@ class AerialController:
             return None
 
 
-def _begin(selection: Selection, template: Template) -> ControlSet | Roster | FreeThenTree:
+def _begin(selection: Selection, template: Template) -> ControlSet | TreeProtocol | HybridSelection:
     """The set of a unit that has seen and heard nothing yet."""
     if isinstance(selection, TreeRule):
-        return Roster(selection, template)
-    if isinstance(selection, FreeRule):
-        return FreeThenTree(selection, template)
+        return TreeProtocol(selection, template)
+    if isinstance(selection, HybridRule):
+        return HybridSelection(selection, template)
     return ControlSet(selection)

@@ -18,13 +18,13 @@ from skyherd.control.formation.template import Template
 from skyherd.control.topology.conditions import check_conditions, control_matrix
 from skyherd.control.topology.safety_radius import NO_ROBOTS, ControlSet, SafetyRadius
 from skyherd.control.tree.node_state import TreeRule
-from skyherd.control.tree.protocol import Roster
+from skyherd.control.tree.protocol import TreeProtocol
 from skyherd.geometry import IntArray
-from skyherd.messages import Detections, MotionGoals, TreeWord, UnitReport
+from skyherd.messages import Detections, MotionGoals, TreeStatus, UnitReport
 
 
 @dataclass(frozen=True)
-class FreeRule:
+class HybridRule:
     """Settings.
 
     Attributes:
@@ -49,13 +49,13 @@ def cost_share(goals: MotionGoals | None) -> float:
 
 
 @dataclass
-class FreeThenTree:
+class HybridSelection:
     """S_j^c of one unit: by the safety radius, and by the protocol once V has stalled."""
 
-    rule: FreeRule
+    rule: HybridRule
     template: Template
     free: ControlSet = field(init=False)
-    tree: Roster | None = field(default=None, init=False)
+    tree: TreeProtocol | None = field(default=None, init=False)
     _costs: deque[tuple[float, float]] = field(default_factory=deque, init=False)
     _held_s: float | None = field(default=None, init=False)
 
@@ -80,7 +80,7 @@ class FreeThenTree:
     def update(self, seen: Detections, reports: Sequence[UnitReport]) -> IntArray:
         """S_j^c after an image, ascending."""
         if self.tree is None and any(report.tree is not None for report in reports):
-            self.tree = Roster(self.rule.tree, self.template)
+            self.tree = TreeProtocol(self.rule.tree, self.template)
         return (self.tree or self.free).update(seen, reports)
 
     def secure(self, seen: Detections) -> IntArray:
@@ -93,7 +93,7 @@ class FreeThenTree:
         if self.tree is not None:
             self.tree.reshape(template)
 
-    def word(self, time_s: float) -> TreeWord | None:
+    def word(self, time_s: float) -> TreeStatus | None:
         """What the unit says of its standing in the tree, once there is one."""
         return None if self.tree is None else self.tree.word(time_s)
 
@@ -102,7 +102,7 @@ class FreeThenTree:
         if self.tree is None and (
             self._is_stalled(time_s, own, reports) or self._is_broken(time_s, own, reports)
         ):
-            self.tree = Roster(self.rule.tree, self.template)
+            self.tree = TreeProtocol(self.rule.tree, self.template)
 
     def _is_stalled(self, time_s: float, own: UnitReport, reports: Sequence[UnitReport]) -> bool:
         total = own.cost_sides2 + sum(report.cost_sides2 for report in reports)

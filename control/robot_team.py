@@ -4,12 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skyherd.control.avoidance.neighbor_memory import Surroundings
+from skyherd.control.avoidance.neighbor_memory import NeighborMemory
 from skyherd.control.avoidance.speed_bound import AvoidanceRule, avoiding_law
-from skyherd.control.robots.goal_fusion import Inboxes
+from skyherd.control.robots.goal_fusion import GoalInboxes
 from skyherd.control.robots.unicycle import Gains, Wheels, robot_commands
 from skyherd.geometry import BoolArray, IntArray
-from skyherd.messages import Encounters, MotionGoals, VelocityCommand
+from skyherd.messages import MotionGoals, Proximity, VelocityCommand
 
 
 @dataclass
@@ -24,13 +24,13 @@ class Team:
         rule: how robots keep apart; None where they do not.
     """
 
-    inboxes: Inboxes
+    inboxes: GoalInboxes
     gains: Gains
     wheels: Wheels
-    around: Surroundings | None = None
+    around: NeighborMemory | None = None
     rule: AvoidanceRule | None = None
 
-    def receive(self, message: MotionGoals | Encounters, time_s: float, heard: BoolArray) -> None:
+    def receive(self, message: MotionGoals | Proximity, time_s: float, heard: BoolArray) -> None:
         """Take in a unit's message that arrives now at those of its robots that `heard` (N,) it."""
         if isinstance(message, MotionGoals):
             self.inboxes.receive(message, time_s, heard)

@@ -7,7 +7,7 @@ skyherd is told the shape, the images and the side of the markers on the robots,
 import cv2
 import numpy as np
 
-from skyherd.control import AerialController, Hover, Inboxes, MarkerGains, SafetyRadius, Template
+from skyherd.control import AerialController, GoalInboxes, Hover, MarkerGains, SafetyRadius, Template
 from skyherd.control import robot_commands as commands_of
 from skyherd.vision import create_detector
 
@@ -41,7 +41,7 @@ def main() -> np.ndarray:
     world, detector = MyWorld(), create_detector("aruco", dictionary="4X4_50")
     square = Template.from_ground_points(IDS, [[0, 0], [1, 0], [1, 1], [0, 1]])
     unit = AerialController(square, SafetyRadius(radius=1.2), Hover())
-    inboxes = Inboxes(IDS, unit_ids=np.array([0]), lifetime_s=0.5)
+    inboxes = GoalInboxes(IDS, unit_ids=np.array([0]), lifetime_s=0.5)
     gains = MarkerGains(k=0.3, k_omega=1.2, b_th=0.0, side_m=SIDE_M)
     for time_s in np.arange(400) * STEP_S:
         command = commands_of(inboxes, gains, time_s)

@@ -70,6 +70,6 @@ def _closing(wanted: ComplexArray, rows: IntArray, bearings_rad: Array) -> Array
 
 
 Way = Callable[[ComplexArray, IntArray, Array, Array], tuple[IntArray, ComplexArray]]
-Steering = Literal["around", "gyroscopic", "none"]
-WAYS: Mapping[Steering, Way] = {"around": slide, "gyroscopic": circle}
+Detour = Literal["around", "gyroscopic", "none"]
+WAYS: Mapping[Detour, Way] = {"around": slide, "gyroscopic": circle}
 """By the name that a scenario has for it; with `none` robots only stop."""

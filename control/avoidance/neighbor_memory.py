@@ -5,10 +5,10 @@ from collections import deque
 import numpy as np
 
 from skyherd.geometry import Array, BoolArray, IntArray, wrap_angle
-from skyherd.messages import Encounters
+from skyherd.messages import Proximity
 
 
-class Surroundings:
+class NeighborMemory:
     """The newest word on each pair of robot and other body, as arrays over (robot, other).
 
     A robot has no compass, but knows how it was told to turn: directions are kept in the frame that it had
@@ -39,7 +39,7 @@ class Surroundings:
         self._turned_rad: Array = np.zeros(ids.size)
         self._turns: deque[tuple[float, Array]] = deque()
 
-    def receive(self, message: Encounters, received: BoolArray | None = None) -> None:
+    def receive(self, message: Proximity, received: BoolArray | None = None) -> None:
         """Take in what a unit tells; `received` (N,) says which of those addressed heard it, all if None."""
         heard = np.ones(len(message), dtype=bool) if received is None else received
         rows = np.searchsorted(self.ids, np.intersect1d(message.ids[heard], self.ids))

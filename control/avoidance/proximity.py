@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from skyherd.geometry import IntArray, to_complex, wrap_angle
-from skyherd.messages import Detections, Encounters
+from skyherd.messages import Detections, Proximity
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class BodyRule:
     obstacles: dict[int, float] = field(default_factory=dict)
 
 
-def encounters(detections: Detections, team_ids: IntArray, rule: BodyRule) -> Encounters:
+def proximity(detections: Detections, team_ids: IntArray, rule: BodyRule) -> Proximity:
     """All pairs of a robot and another body within the horizon, in each robot's own frame.
 
     A length in the image is a number of marker sides by the mean side of the two markers, which holds
@@ -41,7 +41,7 @@ def encounters(detections: Detections, team_ids: IntArray, rule: BodyRule) -> En
     near = is_robot[:, None] & (distances - reaches < rule.horizon_sides)
     np.fill_diagonal(near, False)
     robot, other = np.nonzero(near)
-    return Encounters(
+    return Proximity(
         unit_id=bodies.unit_id,
         time_s=bodies.time_s,
         horizon_sides=rule.horizon_sides,

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skyherd.control.avoidance.detour import WAYS, Steering
-from skyherd.control.avoidance.neighbor_memory import Surroundings
+from skyherd.control.avoidance.detour import WAYS, Detour
+from skyherd.control.avoidance.neighbor_memory import NeighborMemory
 from skyherd.control.robots.unicycle import Gains, Wheels, wheel_law
 from skyherd.geometry import Array, ComplexArray, IntArray, wrap_angle
 
@@ -49,7 +49,7 @@ class AvoidanceRule:
     creep_mps: float = 0.0
     turn_error_radps: float = 0.0
     lifetime_s: float = 2.0
-    steering: Steering = "around"
+    detour: Detour = "around"
 
     @property
     def gamma_ps(self) -> float:
@@ -86,7 +86,7 @@ class Bounds:
     anyway_mps: Array
 
 
-def closing_bounds(around: Surroundings, rule: AvoidanceRule, time_s: float) -> Bounds:
+def closing_bounds(around: NeighborMemory, rule: AvoidanceRule, time_s: float) -> Bounds:
     """The limits that hold now.
 
     Two robots that heard of the same image mean the same line between them. One that missed an image means an
@@ -132,15 +132,15 @@ def slowed(v_mps: Array, omega_radps: Array, bounds: Bounds, rule: AvoidanceRule
 
 
 def avoiding_law(
-    rho: ComplexArray, gains: Gains, around: Surroundings, rule: AvoidanceRule, time_s: float
+    rho: ComplexArray, gains: Gains, around: NeighborMemory, rule: AvoidanceRule, time_s: float
 ) -> tuple[Array, Array]:
     """Speeds v (N,), m/s, and omega (N,), rad/s: the paper's law where nothing bars the way."""
     bounds = closing_bounds(around, rule, time_s)
-    if rule.steering != "none":
+    if rule.detour != "none":
         speed = gains.speed_mps(np.ones(1))[0]
         wanted = rho * speed
         wanted = wanted * np.minimum(1.0, rule.wheels.max_speed_mps / np.maximum(np.abs(wanted), 1e-12))
-        barred, way = WAYS[rule.steering](wanted, bounds.rows, bounds.bearings_rad, bounds.speeds_mps)
+        barred, way = WAYS[rule.detour](wanted, bounds.rows, bounds.bearings_rad, bounds.speeds_mps)
         rho = rho.copy()
         rho[barred] = way / speed
     v_mps, omega_radps = wheel_law(rho, gains, rule.wheels)

@@ -13,7 +13,7 @@ from skyherd.messages import Detections, FlightCommand, UnitReport, centred
 
 
 @dataclass
-class Serve(Flight):
+class KeepInView(Flight):
     """Fly so that the whole control set lies within `desired_radius` of the image centre.
 
     Towards the middle of the set, `v = gain c`, with c the centre of its bounding box in the image; up, and

@@ -15,14 +15,14 @@ ANCHORS = 2
 
 
 @dataclass(frozen=True)
-class Panorama:
+class Registration:
     """Image points (N,) of the team as `u + iv`, in the order of its ids; known (N,) tells whose they are."""
 
     points_px: ComplexArray
     known: BoolArray
 
 
-def panorama(team_ids: IntArray, seen: Detections, reports: Sequence[UnitReport]) -> Panorama:
+def register_views(team_ids: IntArray, seen: Detections, reports: Sequence[UnitReport]) -> Registration:
     """Lay the views of others beside one's own, each by the similarity that robots in common tell.
 
     The view with the most robots in common with what is known so far comes next, so that a chain of
@@ -50,4 +50,4 @@ def panorama(team_ids: IntArray, seen: Detections, reports: Sequence[UnitReport]
         except DegenerateSetError:
             continue
         points[rows[~shared]], known[rows[~shared]] = similarity(theirs[~shared]), True
-    return Panorama(points, known)
+    return Registration(points, known)

@@ -16,10 +16,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from skyherd.control.formation.assignment import best_assignment, correlation
-from skyherd.control.formation.registration import Panorama
+from skyherd.control.formation.registration import Registration
 from skyherd.control.formation.template import Template
 from skyherd.geometry import ComplexArray, IntArray
-from skyherd.messages import NOBODY, RoleMap, UnitReport
+from skyherd.messages import NO_ID, RoleMap, UnitReport
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class Roles:
     _known: int = field(default=0, init=False)
 
     def __post_init__(self) -> None:
-        self._take(RoleMap(0, NOBODY, np.arange(self.template.ids.size)))
+        self._take(RoleMap(0, NO_ID, np.arange(self.template.ids.size)))
 
     @property
     def word(self) -> RoleMap | None:
@@ -91,7 +91,7 @@ class Roles:
             return False
         return all(report.roles is None or report.roles.name == self.map.name for report in reports)
 
-    def exchange(self, unit_id: int, team: Panorama) -> bool:
+    def exchange(self, unit_id: int, team: Registration) -> bool:
         """Make a newer map if there is a better one, which the unit must be free to do; whether it did."""
         if self.rule is None:
             return False

@@ -8,7 +8,7 @@ from skyherd.errors import InputError
 
 
 @dataclass(frozen=True)
-class Program:
+class Schedule:
     """A first shape, and later ones by the common clock.
 
     Attributes:

@@ -22,7 +22,7 @@ from skyherd.control.rectification.ground_map import (
     GroundMap,
     local_maps,
 )
-from skyherd.control.rectification.information import Evidence
+from skyherd.control.rectification.information import Information
 from skyherd.control.rectification.square_shapes import Squares
 from skyherd.geometry import Array
 
@@ -91,7 +91,7 @@ class GroundFit:
 
     ground_map: GroundMap
     earned: frozenset[int]
-    image: Evidence
+    image: Information
     noises: Noises
 
 
@@ -129,11 +129,11 @@ class _Lines:
         slopes = (predicted[:, 1:] - predicted[:, :1]) / DIFFERENCE
         return cls(unknowns, seen - predicted[:, 0], slopes.transpose(0, 2, 1), np.repeat(weights, 2))
 
-    def evidence(self) -> list[Evidence]:
+    def evidence(self) -> list[Information]:
         """Of sides and of squeezes, on the unknowns."""
         weighted = self.slopes.transpose(0, 2, 1) * self.weights
         vectors = weighted @ (self.residuals + self.slopes @ self.at)[..., None]
-        return [Evidence(*parts) for parts in zip(weighted @ self.slopes, vectors[..., 0], strict=True)]
+        return [Information(*parts) for parts in zip(weighted @ self.slopes, vectors[..., 0], strict=True)]
 
     def left(self, unknowns: Array) -> Array:
         """Residuals (2, M) with other unknowns."""
@@ -141,7 +141,7 @@ class _Lines:
 
 
 def fit_ground(
-    squares: Squares, camera: Evidence, start: Array, noises: Noises, trusted: Collection[int]
+    squares: Squares, camera: Information, start: Array, noises: Noises, trusted: Collection[int]
 ) -> GroundFit | None:
     """Fit the map to squares; None where no camera would see them so.
 
@@ -152,7 +152,7 @@ def fit_ground(
         noises: of the images before.
         trusted: unknowns that may be let loose, if they earn it.
     """
-    before = camera.followed_by(Evidence.prior(PRIOR[CAMERA:]))
+    before = camera.followed_by(Information.prior(PRIOR[CAMERA:]))
     unknowns, robust = start, np.ones(len(squares))
     excess = noises.excess(told=squares.told)
     for _ in range(ROUNDS):
@@ -176,12 +176,12 @@ def fit_ground(
     return GroundFit(GroundMap(unknowns, covariance), frozenset(earned), image, here)
 
 
-def _joined(parts: list[Evidence], excess: Array) -> Evidence:
+def _joined(parts: list[Information], excess: Array) -> Information:
     """Sides and squeezes together, by their noise."""
     return parts[SIDES].times(1 / excess[SIDES]) + parts[SQUEEZES].times(1 / excess[SQUEEZES])
 
 
-def _noises(lines: _Lines, full: Array, parts: list[Evidence], covariance: Array) -> Noises:
+def _noises(lines: _Lines, full: Array, parts: list[Information], covariance: Array) -> Noises:
     """Squares of what all unknowns together leave, and how many numbers they leave free."""
     squares = (lines.left(full) ** 2 * lines.weights).sum(axis=1)
     numbers = np.array([lines.weights.size / 2 - 1, lines.weights.size])

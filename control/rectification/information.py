@@ -15,53 +15,53 @@ from skyherd.geometry import Array, inverse
 
 
 @dataclass(frozen=True)
-class Evidence:
+class Information:
     """Λ (n, n) and b (n,)."""
 
     information: Array
     vector: Array
 
     @classmethod
-    def none(cls, count: int) -> "Evidence":
+    def none(cls, count: int) -> "Information":
         """Nothing is known of `count` unknowns."""
         return cls(np.zeros((count, count)), np.zeros(count))
 
     @classmethod
-    def prior(cls, deviations: Array) -> "Evidence":
+    def prior(cls, deviations: Array) -> "Information":
         """Each unknown is zero, give or take its deviation (n,)."""
         return cls(np.diag(deviations**-2.0), np.zeros(deviations.size))
 
-    def __add__(self, other: "Evidence") -> "Evidence":
-        return Evidence(self.information + other.information, self.vector + other.vector)
+    def __add__(self, other: "Information") -> "Information":
+        return Information(self.information + other.information, self.vector + other.vector)
 
-    def __sub__(self, other: "Evidence") -> "Evidence":
-        return Evidence(self.information - other.information, self.vector - other.vector)
+    def __sub__(self, other: "Information") -> "Information":
+        return Information(self.information - other.information, self.vector - other.vector)
 
-    def times(self, share: float) -> "Evidence":
+    def times(self, share: float) -> "Information":
         """Counted in part."""
-        return Evidence(share * self.information, share * self.vector)
+        return Information(share * self.information, share * self.vector)
 
-    def first(self, count: int) -> "Evidence":
+    def first(self, count: int) -> "Information":
         """What is told of the first unknowns, the others being whatever they are."""
         across = self.information[count:, :count]
         through = np.linalg.solve(self.information[count:, count:], across).T
-        return Evidence(
+        return Information(
             self.information[:count, :count] - through @ across,
             self.vector[:count] - through @ self.vector[count:],
         )
 
-    def followed_by(self, others: "Evidence") -> "Evidence":
+    def followed_by(self, others: "Information") -> "Information":
         """These unknowns and others that are independent of them."""
         count, size = self.vector.size, self.vector.size + others.vector.size
         information = np.zeros((size, size))
         information[:count, :count], information[count:, count:] = self.information, others.information
-        return Evidence(information, np.concatenate([self.vector, others.vector]))
+        return Information(information, np.concatenate([self.vector, others.vector]))
 
-    def loosened(self, variances: Array) -> "Evidence":
+    def loosened(self, variances: Array) -> "Information":
         """After the unknowns may each have changed, with variances (n,)."""
         values, covariance = self.all_loose()
         information = inverse(covariance + np.diag(variances))
-        return Evidence(information, information @ values)
+        return Information(information, information @ values)
 
     def all_loose(self) -> tuple[Array, Array]:
         """x̂ (n,) and its covariance (n, n) with every unknown let loose."""

@@ -24,7 +24,7 @@ from skyherd.control.rectification.ground_map import (
     LocalMaps,
     local_maps,
 )
-from skyherd.control.rectification.information import Evidence
+from skyherd.control.rectification.information import Information
 from skyherd.control.rectification.square_shapes import Arms, Squares
 from skyherd.geometry import Array, ComplexArray, to_complex, to_points
 from skyherd.messages import Detections, centred
@@ -63,7 +63,7 @@ class Rectifier:
     """
 
     ground_map: GroundMap = field(default_factory=GroundMap)
-    learned: Evidence = field(default_factory=lambda: Evidence.none(CAMERA))
+    learned: Information = field(default_factory=lambda: Information.none(CAMERA))
     noises: Noises = field(
         default_factory=lambda: Noises(np.full(2, NOISE_NUMBERS), np.full(2, NOISE_NUMBERS))
     )
@@ -77,7 +77,7 @@ class Rectifier:
         if not len(seen) or (few and self._before is None):
             return seen
         squares = Squares.of(seen)
-        prior = Evidence.prior(PRIOR[:CAMERA])
+        prior = Information.prior(PRIOR[:CAMERA])
         camera = self._loosened(squares, self.learned + prior)
         fit = fit_ground(squares, camera, self.ground_map.unknowns, self.noises, self._trusted)
         self.ground_map = GroundMap() if fit is None else fit.ground_map
@@ -99,7 +99,7 @@ class Rectifier:
             return squares.log_sides
         return squares.log_sides - local_maps(self.ground_map.unknowns, squares.points).log_scales()
 
-    def _loosened(self, squares: Squares, camera: Evidence) -> Evidence:
+    def _loosened(self, squares: Squares, camera: Information) -> Information:
         """The camera, less what a zoom has changed: sides grow as f does, and `κ_n ~ f^(-2n)` or more."""
         if self._before is None:
             return camera

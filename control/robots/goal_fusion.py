@@ -10,7 +10,7 @@ from skyherd.geometry import Array, BoolArray, ComplexArray, IntArray
 from skyherd.messages import MotionGoals
 
 
-class Inboxes:
+class GoalInboxes:
     """The last goal that each robot heard from each unit, forgotten after `lifetime_s`.
 
     Goals may tell of neighbours that have no inbox; those distances are left out.
@@ -30,7 +30,7 @@ class Inboxes:
         self, ids: IntArray, unit_ids: IntArray, lifetime_s: float, *, distances: bool = True
     ) -> None:
         if (np.diff(ids) <= 0).any() or (np.diff(unit_ids) <= 0).any():
-            raise MessageError("Inboxes: ids and unit_ids must ascend, each once")
+            raise MessageError("GoalInboxes: ids and unit_ids must ascend, each once")
         units, robots = unit_ids.size, ids.size
         self.ids, self.unit_ids, self.lifetime_s = ids, unit_ids, lifetime_s
         self.rho_px: ComplexArray = np.zeros((units, robots), dtype=np.complex128)
@@ -47,7 +47,7 @@ class Inboxes:
         unit = int(np.searchsorted(self.unit_ids[:-1], goals.unit_id))
         robots = np.searchsorted(self.ids[:-1], goals.ids)
         if goals.unit_id != self.unit_ids[unit] or (self.ids[robots] != goals.ids).any():
-            raise MessageError(f"Inboxes: goals of unit {goals.unit_id} for robots that have no inbox here")
+            raise MessageError(f"goals of unit {goals.unit_id} for robots that have no inbox here")
         heard = np.ones(len(goals), dtype=bool) if received is None else received
         robots = robots[heard]
         newer = goals.time_s >= self.imaged_s[unit, robots]
@@ -68,7 +68,7 @@ class Inboxes:
         return self.heard_s >= time_s - self.lifetime_s - 1e-9
 
 
-def scale_ratios(inboxes: Inboxes) -> Array:
+def scale_ratios(inboxes: GoalInboxes) -> Array:
     """r_kj = r_k / r_j for each robot, (U, U, N) indexed [k, j, i].
 
     From the distances d_k ≈ r_kj d_j to all neighbours that both messages name: the geometric mean of the two
@@ -89,7 +89,7 @@ def scale_ratios(inboxes: Inboxes) -> Array:
     return np.asarray(np.sqrt(squared))
 
 
-def fuse_pixels(inboxes: Inboxes, time_s: float) -> ComplexArray:
+def fuse_pixels(inboxes: GoalInboxes, time_s: float) -> ComplexArray:
     """rho_i^g (N,), px: `1/|C_i| Σ_j Σ_k r_kj rho_i^j` over the units heard (eq. 4); 0 where none is."""
     fresh = inboxes.fresh(time_s)
     pairs = fresh[:, None, :] & fresh[None, :, :]
@@ -98,7 +98,7 @@ def fuse_pixels(inboxes: Inboxes, time_s: float) -> ComplexArray:
     return np.asarray((weights * np.where(fresh, inboxes.rho_px, 0)).sum(axis=0) / count)
 
 
-def fuse_marker_sides(inboxes: Inboxes, time_s: float) -> ComplexArray:
+def fuse_marker_sides(inboxes: GoalInboxes, time_s: float) -> ComplexArray:
     """Σ_j rho_i^j / side_px_ij (N,), marker sides: the common scale; 0 if none is heard."""
     heard = _unit, robot = np.nonzero(inboxes.fresh(time_s))
     rho, robots = inboxes.rho_px[heard] / inboxes.sides_px[heard], inboxes.ids.size

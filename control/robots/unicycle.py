@@ -5,7 +5,7 @@ from typing import ClassVar, Protocol
 
 import numpy as np
 
-from skyherd.control.robots.goal_fusion import Inboxes, fuse_marker_sides, fuse_pixels
+from skyherd.control.robots.goal_fusion import GoalInboxes, fuse_marker_sides, fuse_pixels
 from skyherd.geometry import Array, ComplexArray, wrap_angle
 from skyherd.messages import VelocityCommand
 
@@ -23,7 +23,7 @@ class Gains(Protocol):
         """Whether robots need the image distances to their neighbours."""
         ...
 
-    def follow(self, inboxes: Inboxes, time_s: float) -> ComplexArray:
+    def follow(self, inboxes: GoalInboxes, time_s: float) -> ComplexArray:
         """The vector to follow (N,), zero below the stop threshold."""
         ...
 
@@ -47,7 +47,7 @@ class PixelGains:
     b_th: float
     needs_distances: ClassVar[bool] = True
 
-    def follow(self, inboxes: Inboxes, time_s: float) -> ComplexArray:
+    def follow(self, inboxes: GoalInboxes, time_s: float) -> ComplexArray:
         """rho_i^g (N,), px (eq. 4), zero below b_th."""
         return _above(fuse_pixels(inboxes, time_s), self.b_th)
 
@@ -76,7 +76,7 @@ class MarkerGains:
     side_m: float
     needs_distances: ClassVar[bool] = False
 
-    def follow(self, inboxes: Inboxes, time_s: float) -> ComplexArray:
+    def follow(self, inboxes: GoalInboxes, time_s: float) -> ComplexArray:
         """Σ_j rho_j / side_px_j (N,), marker sides, zero below b_th."""
         return _above(fuse_marker_sides(inboxes, time_s), self.b_th)
 
@@ -149,7 +149,7 @@ def wheel_law(rho: ComplexArray, gains: Gains, wheels: Wheels) -> tuple[Array, A
 
 
 def robot_commands(
-    inboxes: Inboxes, gains: Gains, time_s: float, wheels: Wheels = UNLIMITED
+    inboxes: GoalInboxes, gains: Gains, time_s: float, wheels: Wheels = UNLIMITED
 ) -> VelocityCommand:
     """What all robots do now, each from its own inbox; one that hears nothing, or is there, holds still."""
     v_mps, omega_radps = wheel_law(gains.follow(inboxes, time_s), gains, wheels)

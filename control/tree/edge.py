@@ -11,7 +11,7 @@ one turn old.
 
 from dataclasses import dataclass
 
-from skyherd.messages import TreeWord, UnitReport
+from skyherd.messages import TreeStatus, UnitReport
 
 Robots = frozenset[int]
 NO_ROBOTS: Robots = frozenset()
@@ -42,10 +42,10 @@ class Edge:
     since_s: float
     turn: int = NO_TURN
     pair: Robots = NO_ROBOTS
-    lent: Robots = NO_ROBOTS
+    offered: Robots = NO_ROBOTS
     reach: Robots = NO_ROBOTS
-    wished: Robots = NO_ROBOTS
-    giving: Robots = NO_ROBOTS
+    to_release: Robots = NO_ROBOTS
+    releasing: Robots = NO_ROBOTS
     considered: tuple[int, Robots] = (-1, NO_ROBOTS)
     wants: bool = False
 
@@ -66,13 +66,13 @@ class Edge:
             return
         word = _word(tree, row, self.unit_id)
         self.turn, self.pair = word.turn, word.pair
-        self.lent, self.reach, self.wished = NO_ROBOTS, word.lent, word.wished
+        self.offered, self.reach, self.to_release = NO_ROBOTS, word.offered, word.to_release
 
-    def hand_over(self, lent: Robots, giving: Robots) -> None:
+    def hand_over(self, offered: Robots, releasing: Robots) -> None:
         """End the turn; what is lent is promised until the turn is back."""
         self.turn += 1
-        self.lent, self.giving = lent, giving
-        self.reach = self.wished = NO_ROBOTS
+        self.offered, self.releasing = offered, releasing
+        self.reach = self.to_release = NO_ROBOTS
 
 
 def holds(turn: int, unit_id: int, neighbor_id: int) -> bool:
@@ -91,16 +91,16 @@ def first_turn(time_s: float, holder_id: int, other_id: int) -> int:
 
 
 @dataclass(frozen=True)
-class EdgeWord:
+class EdgeStatus:
     """What a report says of the edge to one unit."""
 
     turn: int
     pair: Robots
-    lent: Robots
-    wished: Robots
+    offered: Robots
+    to_release: Robots
 
 
-def word_of(report: UnitReport, unit_id: int) -> EdgeWord | None:
+def edge_status(report: UnitReport, unit_id: int) -> EdgeStatus | None:
     """What the report says of the edge to `unit_id`; None if it names no such edge."""
     tree = report.tree
     if tree is None or unit_id not in tree.rows:
@@ -108,7 +108,7 @@ def word_of(report: UnitReport, unit_id: int) -> EdgeWord | None:
     return _word(tree, tree.rows[unit_id], unit_id)
 
 
-def _word(tree: TreeWord, row: int, unit_id: int) -> EdgeWord:
+def _word(tree: TreeStatus, row: int, unit_id: int) -> EdgeStatus:
     pair = frozenset(robot for robot in tree.pairs[row].tolist() if robot >= 0)
-    lent = frozenset(tree.lent_ids[tree.lent_to_ids == unit_id].tolist())
-    return EdgeWord(int(tree.turns[row]), pair, lent, lent.intersection(tree.wished_ids.tolist()))
+    offered = frozenset(tree.offered_ids[tree.offered_to_ids == unit_id].tolist())
+    return EdgeStatus(int(tree.turns[row]), pair, offered, offered.intersection(tree.to_release_ids.tolist()))

@@ -6,15 +6,15 @@ Two adjoining units make one, so that what was a tree with one pair an edge stil
 import numpy as np
 
 from skyherd.control.tree.edge import NO_TURN, Edge, first_turn
-from skyherd.control.tree.node_state import Standing
-from skyherd.control.tree.peer_reports import Heard
-from skyherd.messages import NOBODY
+from skyherd.control.tree.node_state import NodeState
+from skyherd.control.tree.peer_reports import PeerReport
+from skyherd.messages import NO_ID
 
 GRACE = 2
 """Silences after which the other end of a new edge must know of it."""
 
 
-def succeed(unit: Standing, time_s: float) -> None:
+def succeed(unit: NodeState, time_s: float) -> None:
     """Go on without neighbours that fell silent or left the tree; start anew if they gave up this unit."""
     for neighbor, edge in list(unit.edges.items()):
         if unit.edges.get(neighbor) is not edge:
@@ -30,7 +30,7 @@ def succeed(unit: Standing, time_s: float) -> None:
                 _bury(unit, edge, time_s)
 
 
-def name_heir(unit: Standing, heir_id: int) -> int:
+def name_heir(unit: NodeState, heir_id: int) -> int:
     """The heir so far, or else the neighbour with fewest robots; for good, so that all know who it is."""
     if heir_id in unit.edges:
         return heir_id
@@ -39,10 +39,10 @@ def name_heir(unit: Standing, heir_id: int) -> int:
         for neighbor, edge in unit.edges.items()
         if edge.pair and neighbor in unit.heard.newest
     }
-    return min(robots, key=lambda neighbor: (robots[neighbor], neighbor), default=NOBODY)
+    return min(robots, key=lambda neighbor: (robots[neighbor], neighbor), default=NO_ID)
 
 
-def _is_left(unit: Standing, edge: Edge, heard: Heard) -> bool:
+def _is_left(unit: NodeState, edge: Edge, heard: PeerReport) -> bool:
     """Whether the neighbour knows nothing of the edge, although it must by now: or it left the tree."""
     if unit.unit_id in heard.tree.rows:
         return False
@@ -51,7 +51,7 @@ def _is_left(unit: Standing, edge: Edge, heard: Heard) -> bool:
     return not heard.is_member or heard.report.time_s > edge.since_s + GRACE * unit.rule.silence_s
 
 
-def _bury(unit: Standing, edge: Edge, time_s: float) -> None:
+def _bury(unit: NodeState, edge: Edge, time_s: float) -> None:
     """Close the edge to a unit that is gone; as its heir take over what was its, else turn to the heir."""
     del unit.edges[edge.neighbor_id]
     heard = unit.heard.bequest.get(edge.neighbor_id)
@@ -67,7 +67,7 @@ def _bury(unit: Standing, edge: Edge, time_s: float) -> None:
         unit.open_edge(heir, time_s, first_turn(time_s, unit.unit_id, heir), edge.pair)
 
 
-def _inherit(unit: Standing, dead: Heard, time_s: float) -> None:
+def _inherit(unit: NodeState, dead: PeerReport, time_s: float) -> None:
     """Take the dead unit's robots, unless somebody else has them, and its other edges.
 
     The other ends know best which pairs they had: their first turn tells.
@@ -77,5 +77,5 @@ def _inherit(unit: Standing, dead: Heard, time_s: float) -> None:
     ]
     unit.own |= dead.controlled - unit.controlled.union(*living)
     for neighbor, pair in zip(dead.tree.neighbor_ids.tolist(), dead.tree.pairs.tolist(), strict=True):
-        if NOBODY not in pair and neighbor not in unit.edges and unit.heard.alive(neighbor, time_s):
+        if NO_ID not in pair and neighbor not in unit.edges and unit.heard.alive(neighbor, time_s):
             unit.open_edge(neighbor, time_s, NO_TURN, frozenset(pair))

@@ -2,13 +2,13 @@
 
 from dataclasses import dataclass
 
-from skyherd.control.tree.edge import NO_ROBOTS, NO_TURN, first_turn, word_of
-from skyherd.control.tree.node_state import Standing
-from skyherd.control.tree.peer_reports import Heard
-from skyherd.messages import NOBODY
+from skyherd.control.tree.edge import NO_ROBOTS, NO_TURN, edge_status, first_turn
+from skyherd.control.tree.node_state import NodeState
+from skyherd.control.tree.peer_reports import PeerReport
+from skyherd.messages import NO_ID
 
 
-def seek(unit: Standing, time_s: float, at_slot: bool) -> None:
+def seek(unit: NodeState, time_s: float, at_slot: bool) -> None:
     """Without a tree: ask one to be admitted to it; if there is none, let the unit found it that sees most.
 
     Large sets bind the team firmly (docs/topology.md), and the founder's is all that it sees. So that there
@@ -34,12 +34,12 @@ def seek(unit: Standing, time_s: float, at_slot: bool) -> None:
             unit.asks_id, unit.ask_turn = chosen, first_turn(time_s, unit.unit_id, chosen)
 
 
-def _found(unit: Standing) -> None:
+def _found(unit: NodeState) -> None:
     """Begin the tree, with all robots in view as the unit's own."""
-    unit.tree_id, unit.asks_id, unit.own = unit.unit_id, NOBODY, unit.visible
+    unit.tree_id, unit.asks_id, unit.own = unit.unit_id, NO_ID, unit.visible
 
 
-def _ask(unit: Standing, members: list[Heard], time_s: float) -> None:
+def _ask(unit: NodeState, members: list[PeerReport], time_s: float) -> None:
     """Ask the member with most own robots in common; open the edge that the one asked grants.
 
     The question names the turn at which the edge is to begin, another one each time: a grant that comes late
@@ -48,7 +48,7 @@ def _ask(unit: Standing, members: list[Heard], time_s: float) -> None:
     if unit.edges:
         return
     for heard in members:
-        asked, word = heard.report.unit_id, word_of(heard.report, unit.unit_id)
+        asked, word = heard.report.unit_id, edge_status(heard.report, unit.unit_id)
         if asked == unit.asks_id and word and not word.pair and word.turn == unit.ask_turn:
             unit.open_edge(asked, time_s, NO_TURN, NO_ROBOTS)
             unit.edges[asked].hear(heard.report)
@@ -60,16 +60,16 @@ def _ask(unit: Standing, members: list[Heard], time_s: float) -> None:
     }
     best = max(common, key=lambda member: (common[member], -member))
     if common.get(unit.asks_id, 0) < 2:
-        unit.asks_id = best if common[best] >= 2 else NOBODY
+        unit.asks_id = best if common[best] >= 2 else NO_ID
         unit.ask_turn = first_turn(time_s, unit.unit_id, best)
 
 
-def admit(unit: Standing, time_s: float) -> None:
+def admit(unit: NodeState, time_s: float) -> None:
     """Grant an edge, yet without a pair, to each unit that asks for one."""
     for asking in sorted(unit.askers(time_s) - unit.edges.keys()):
-        lent = unit.lendable(asking, time_s)
-        if len(lent) >= 2:
-            unit.open_edge(asking, time_s, unit.heard.newest[asking].tree.ask_turn, NO_ROBOTS, lent)
+        offered = unit.offerable(asking, time_s)
+        if len(offered) >= 2:
+            unit.open_edge(asking, time_s, unit.heard.newest[asking].tree.ask_turn, NO_ROBOTS, offered)
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ class Extent:
     held: frozenset[int]
 
 
-def extent_of(unit: Standing, time_s: float) -> Extent:
+def extent_of(unit: NodeState, time_s: float) -> Extent:
     """The tree's reach, by what was heard of late."""
     fresh = unit.heard.fresh(time_s)
     outside = {heard.report.unit_id for heard in fresh if not heard.is_member}
@@ -90,7 +90,7 @@ def extent_of(unit: Standing, time_s: float) -> Extent:
     )
 
 
-def is_complete(unit: Standing, extent: Extent, time_s: float) -> bool:
+def is_complete(unit: NodeState, extent: Extent, time_s: float) -> bool:
     """Whether all units heard belong to the tree and all robots to a unit, or waiting has lasted too long."""
     if not unit.is_member:
         return False

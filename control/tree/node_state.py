@@ -8,8 +8,8 @@ import numpy as np
 from skyherd.control.formation.template import Template
 from skyherd.control.topology.safety_radius import centre_distances
 from skyherd.control.tree.edge import NO_ROBOTS, NO_TURN, Edge, Robots
-from skyherd.control.tree.peer_reports import Hearsay
-from skyherd.messages import NOBODY, Detections
+from skyherd.control.tree.peer_reports import PeerReports
+from skyherd.messages import NO_ID, Detections
 
 Share = Literal["leverage", "nearest"]
 
@@ -40,7 +40,7 @@ class TreeRule:
 
 
 @dataclass
-class Standing:
+class NodeState:
     """All that a unit's part in the protocol goes by.
 
     Attributes:
@@ -51,8 +51,8 @@ class Standing:
         since_s: when it saw the first one.
         own: robots that only this unit controls.
         edges: by neighbour.
-        tree_id: the tree it belongs to, or NOBODY.
-        asks_id: the unit that it asks to admit it, or to found the tree, or NOBODY,
+        tree_id: the tree it belongs to, or NO_ID.
+        asks_id: the unit that it asks to admit it, or to found the tree, or NO_ID,
         ask_turn: and the turn at which it expects the edge to begin.
         ready: whether the tree is known to be complete, so that robots may move.
         slot: the dwell time that it is in, counted on the common clock.
@@ -63,13 +63,13 @@ class Standing:
 
     rule: TreeRule
     template: Template
-    heard: Hearsay
-    unit_id: int = NOBODY
+    heard: PeerReports
+    unit_id: int = NO_ID
     since_s: float = np.inf
     own: set[int] = field(default_factory=set)
     edges: dict[int, Edge] = field(default_factory=dict)
-    tree_id: int = NOBODY
-    asks_id: int = NOBODY
+    tree_id: int = NO_ID
+    asks_id: int = NO_ID
     ask_turn: int = NO_TURN
     ready: bool = False
     slot: int = -1
@@ -85,7 +85,7 @@ class Standing:
     @property
     def is_member(self) -> bool:
         """Whether the unit belongs to a tree."""
-        return self.tree_id != NOBODY
+        return self.tree_id != NO_ID
 
     @property
     def visible(self) -> set[int]:
@@ -117,9 +117,9 @@ class Standing:
             and time_s - self.seen_s[robot] > self.rule.silence_s
         }
 
-    def lent(self, but: int = NOBODY) -> set[int]:
+    def offered(self, but: int = NO_ID) -> set[int]:
         """Robots promised to neighbours, but for one of them."""
-        return set().union(*(edge.lent for unit, edge in self.edges.items() if unit != but))
+        return set().union(*(edge.offered for unit, edge in self.edges.items() if unit != but))
 
     def undisputed(self, time_s: float) -> set[int]:
         """Own robots that no member claims, by a word of each since the unit has them.
@@ -137,36 +137,36 @@ class Standing:
         asking = (heard for heard in self.heard.fresh(time_s) if not heard.is_member)
         return {heard.report.unit_id for heard in asking if heard.tree.asks_id == self.unit_id}
 
-    def lendable(self, unit: int, time_s: float) -> Robots:
+    def offerable(self, unit: int, time_s: float) -> Robots:
         """Own robots, undisputed and in view of late, that a unit sees and that are lent to nobody else.
 
         Robots that several neighbours see, or units that ask to become neighbours, go to one after the other,
         slot by slot, two by two: so none is left out, and none gets a robot alone, which makes no pair. Those
         that have no pair yet come first.
         """
-        free = self.undisputed(time_s).intersection(self.heard.seen_by(unit)) - self.lent(but=unit)
+        free = self.undisputed(time_s).intersection(self.heard.seen_by(unit)) - self.offered(but=unit)
         free -= self.lost(time_s)
         newcomers = self.askers(time_s) | {other for other, edge in self.edges.items() if not edge.pair}
         sharers = {
             other: self.heard.seen_by(other) for other in sorted(newcomers | self.edges.keys() | {unit})
         }
-        lent = set()
+        offered = set()
         for rank, robot in enumerate(sorted(self.own)):
             if robot not in free:
                 continue
             seeing = [other for other, seen in sharers.items() if robot in seen]
             first = [other for other in seeing if other in newcomers] or seeing
             if first[(rank // 2 + self.slot) % len(first)] == unit:
-                lent.add(robot)
-        return frozenset(lent)
+                offered.add(robot)
+        return frozenset(offered)
 
     def open_edge(
-        self, neighbor: int, time_s: float, turn: int, pair: Robots, lent: Robots = NO_ROBOTS
+        self, neighbor: int, time_s: float, turn: int, pair: Robots, offered: Robots = NO_ROBOTS
     ) -> None:
         """A new edge, at the given turn."""
-        self.edges[neighbor] = Edge(self.unit_id, neighbor, time_s, turn, pair, lent)
+        self.edges[neighbor] = Edge(self.unit_id, neighbor, time_s, turn, pair, offered)
 
     def resign(self) -> None:
         """Leave the tree, to join it anew."""
         self.edges, self.own, self.ready = {}, set(), False
-        self.tree_id = self.asks_id = NOBODY
+        self.tree_id = self.asks_id = NO_ID

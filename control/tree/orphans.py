@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from skyherd.control.tree.node_state import Standing
+from skyherd.control.tree.node_state import NodeState
 
 
 @dataclass
@@ -20,7 +20,7 @@ class Orphans:
     since_s: dict[int, float] = field(default_factory=dict, init=False)
     _told: dict[int, float] = field(default_factory=dict, init=False)
 
-    def adopt(self, unit: Standing, time_s: float, at_slot: bool) -> None:
+    def adopt(self, unit: NodeState, time_s: float, at_slot: bool) -> None:
         """Watch orphans, and at a slot adopt those that are the unit's to adopt."""
         members = unit.heard.members(time_s)
         orphans = unit.distances.keys() - unit.heard.claimed(time_s) - unit.controlled
@@ -39,13 +39,13 @@ class Orphans:
                 unit.own.add(robot)
 
 
-def disown(unit: Standing, time_s: float) -> None:
+def disown(unit: NodeState, time_s: float) -> None:
     """Leave robots that went out of view to the members that see them."""
     secured = set().union(*(heard.near(unit.rule.radius) for heard in unit.heard.members(time_s)))
-    unit.own -= (unit.lost(time_s) & secured) - unit.lent()
+    unit.own -= (unit.lost(time_s) & secured) - unit.offered()
 
 
-def yield_claims(unit: Standing, time_s: float) -> None:
+def yield_claims(unit: NodeState, time_s: float) -> None:
     """Drop own robots that a lower unit controls as well, or that an edge of other units shares.
 
     What a unit said before this one had the robot is no claim: it may have given the robot away since.

@@ -4,11 +4,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from skyherd.control.tree.node_state import Standing
+from skyherd.control.tree.node_state import NodeState
 
 
 @dataclass
-class Cohesion:
+class PartitionWatch:
     """Two ends of an edge that hear nothing of each other for long each go on without the other.
 
     Once they hear each other again there are two parts of one tree, with no edge in between. Every unit can
@@ -18,7 +18,7 @@ class Cohesion:
 
     _since_s: float = field(default=np.inf, init=False)
 
-    def keep(self, unit: Standing, time_s: float) -> None:
+    def keep(self, unit: NodeState, time_s: float) -> None:
         """Resign if the unit's part of the tree is to give way to another one."""
         parts = _parts(unit, time_s)
         largest = min(parts, key=lambda part: (-len(part), min(part)))
@@ -31,7 +31,7 @@ class Cohesion:
             unit.resign()
 
 
-def _parts(unit: Standing, time_s: float) -> list[set[int]]:
+def _parts(unit: NodeState, time_s: float) -> list[set[int]]:
     """Members that are heard and this unit, by the edges that they name, dead units in between as well.
 
     Parts with an edge to a unit that is not heard, dead or out of range, may be one part beyond it.

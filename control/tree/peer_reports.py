@@ -6,20 +6,20 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 from skyherd.control.tree.edge import NO_ROBOTS, Robots
-from skyherd.messages import NOBODY, TreeWord, UnitReport
+from skyherd.messages import NO_ID, TreeStatus, UnitReport
 
 
 @dataclass(slots=True)
-class Heard:
+class PeerReport:
     """One unit's newest report, of one that says what it has to say of the tree."""
 
     report: UnitReport
-    tree: TreeWord
+    tree: TreeStatus
 
     @property
     def is_member(self) -> bool:
         """Whether the unit belongs to a tree."""
-        return self.tree.tree_id != NOBODY
+        return self.tree.tree_id != NO_ID
 
     @property
     def controlled(self) -> Robots:
@@ -46,8 +46,8 @@ class Now:
     """What counts at one instant: units that are alive, those of them in a tree, robots that these claim."""
 
     time_s: float
-    fresh: list[Heard]
-    members: list[Heard]
+    fresh: list[PeerReport]
+    members: list[PeerReport]
 
     @cached_property
     def claimed(self) -> AbstractSet[int]:
@@ -56,7 +56,7 @@ class Now:
 
 
 @dataclass
-class Hearsay:
+class PeerReports:
     """The newest report of each unit; older ones that arrive later, and repeated ones, are dropped.
 
     Attributes:
@@ -66,17 +66,17 @@ class Hearsay:
     """
 
     silence_s: float
-    newest: dict[int, Heard] = field(default_factory=dict, init=False)
-    bequest: dict[int, Heard] = field(default_factory=dict, init=False)
+    newest: dict[int, PeerReport] = field(default_factory=dict, init=False)
+    bequest: dict[int, PeerReport] = field(default_factory=dict, init=False)
     _now: Now | None = field(default=None, init=False)
 
-    def take(self, reports: Sequence[UnitReport]) -> list[Heard]:
+    def take(self, reports: Sequence[UnitReport]) -> list[PeerReport]:
         """Take in reports; those that are news."""
         news = []
         for report in reports:
             last = self.newest.get(report.unit_id)
             if report.tree is not None and (last is None or report.time_s > last.report.time_s):
-                heard = Heard(report, report.tree)
+                heard = PeerReport(report, report.tree)
                 self.newest[report.unit_id] = heard
                 if heard.is_member:
                     self.bequest[report.unit_id] = heard
@@ -89,11 +89,11 @@ class Hearsay:
         heard = self.newest.get(unit)
         return heard is not None and time_s - heard.report.time_s <= self.silence_s
 
-    def fresh(self, time_s: float) -> list[Heard]:
+    def fresh(self, time_s: float) -> list[PeerReport]:
         """What units that are alive said last, in the units' order."""
         return self._of_late(time_s).fresh
 
-    def members(self, time_s: float) -> list[Heard]:
+    def members(self, time_s: float) -> list[PeerReport]:
         """Those of them that belong to a tree."""
         return self._of_late(time_s).members
 

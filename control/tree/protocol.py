@@ -28,21 +28,21 @@ from skyherd.control.formation.template import Template
 from skyherd.control.topology.safety_radius import NO_ROBOTS
 from skyherd.control.tree.failover import name_heir, succeed
 from skyherd.control.tree.joining import Extent, admit, extent_of, is_complete, seek
-from skyherd.control.tree.node_state import Standing, TreeRule
+from skyherd.control.tree.node_state import NodeState, TreeRule
 from skyherd.control.tree.orphans import Orphans, disown, yield_claims
 from skyherd.control.tree.pair_exchange import take_turns
-from skyherd.control.tree.partition import Cohesion
-from skyherd.control.tree.peer_reports import Hearsay
+from skyherd.control.tree.partition import PartitionWatch
+from skyherd.control.tree.peer_reports import PeerReports
 from skyherd.control.tree.view_targets import robots_sought
 from skyherd.geometry import IntArray
-from skyherd.messages import NOBODY, Detections, TreeWord, UnitReport
+from skyherd.messages import NO_ID, Detections, TreeStatus, UnitReport
 
 STALLED = 1
 """Dwell times without growth after which units look around."""
 
 
 @dataclass
-class Roster:
+class TreeProtocol:
     """One unit's part of the assignment.
 
     `searches` while the unit is to look around for what the tree lacks; `sought` are robots to get into view,
@@ -51,18 +51,18 @@ class Roster:
 
     rule: TreeRule
     template: Template
-    unit: Standing = field(init=False)
+    unit: NodeState = field(init=False)
     searches: bool = field(default=False, init=False)
     sought: IntArray = field(default_factory=lambda: NO_ROBOTS, init=False)
     _orphans: Orphans = field(default_factory=Orphans, init=False)
-    _cohesion: Cohesion = field(default_factory=Cohesion, init=False)
-    _heir_id: int = field(default=NOBODY, init=False)
+    _cohesion: PartitionWatch = field(default_factory=PartitionWatch, init=False)
+    _heir_id: int = field(default=NO_ID, init=False)
     _extent: Extent | None = field(default=None, init=False)
     _grew_slot: int = field(default=0, init=False)
     _stalled: bool = field(default=False, init=False)
 
     def __post_init__(self) -> None:
-        self.unit = Standing(self.rule, self.template, Hearsay(self.rule.silence_s))
+        self.unit = NodeState(self.rule, self.template, PeerReports(self.rule.silence_s))
 
     @property
     def ready(self) -> bool:
@@ -101,15 +101,15 @@ class Roster:
         """Robots have exchanged places: which pairs bind best follows the new ones."""
         self.unit.template = template
 
-    def word(self, time_s: float) -> TreeWord:
+    def word(self, time_s: float) -> TreeStatus:
         """What the unit says of its standing."""
         unit = self.unit
         edges = list(unit.edges.values())
-        lent = [(robot, edge.neighbor_id) for edge in edges for robot in sorted(edge.lent)]
-        wished = set().union(*(edge.giving & edge.lent for edge in edges))
+        offered = [(robot, edge.neighbor_id) for edge in edges for robot in sorted(edge.offered)]
+        to_release = set().union(*(edge.releasing & edge.offered for edge in edges))
         hidden = unit.own - unit.distances.keys()
         missing = [robot for robot in hidden if unit.unseen_s(robot, time_s) > self.rule.silence_s]
-        return TreeWord(
+        return TreeStatus(
             tree_id=unit.tree_id,
             asks_id=unit.asks_id,
             ask_turn=unit.ask_turn,
@@ -117,10 +117,10 @@ class Roster:
             ready=unit.ready,
             neighbor_ids=np.array([edge.neighbor_id for edge in edges], dtype=np.int64),
             turns=np.array([edge.turn for edge in edges], dtype=np.int64),
-            pairs=np.array([sorted(edge.pair) or [NOBODY, NOBODY] for edge in edges], dtype=np.int64),
-            lent_ids=np.array([robot for robot, _ in lent], dtype=np.int64),
-            lent_to_ids=np.array([neighbor for _, neighbor in lent], dtype=np.int64),
-            wished_ids=np.array(sorted(wished), dtype=np.int64),
+            pairs=np.array([sorted(edge.pair) or [NO_ID, NO_ID] for edge in edges], dtype=np.int64),
+            offered_ids=np.array([robot for robot, _ in offered], dtype=np.int64),
+            offered_to_ids=np.array([neighbor for _, neighbor in offered], dtype=np.int64),
+            to_release_ids=np.array(sorted(to_release), dtype=np.int64),
             missing_ids=np.array(sorted(missing), dtype=np.int64),
         )
 
@@ -146,5 +146,5 @@ class Roster:
                 before = edge.pair
                 edge.hear(heard.report)
                 unit.own = (unit.own | (before - edge.pair)) - edge.pair
-            if NOBODY < heard.tree.tree_id < unit.tree_id:
+            if NO_ID < heard.tree.tree_id < unit.tree_id:
                 unit.resign()

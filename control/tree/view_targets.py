@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from skyherd.control.tree.node_state import Standing
+from skyherd.control.tree.node_state import NodeState
 from skyherd.control.tree.pair_selection import firmer_pair
 from skyherd.geometry import IntArray
 
 
-def robots_sought(unit: Standing, time_s: float) -> IntArray:
+def robots_sought(unit: NodeState, time_s: float) -> IntArray:
     """Robots, ascending, that a unit flies to see: to bind a weak edge firmly, or that its neighbour lost."""
     robots: set[int] = set()
     for edge in unit.edges.values():

@@ -4,7 +4,7 @@ from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
-from skyherd.control.avoidance.detour import Steering
+from skyherd.control.avoidance.detour import Detour
 from skyherd.datasets.configuration.fields import Model, NotNegative, Positive
 
 
@@ -43,7 +43,7 @@ class AvoidanceModel(Model):
     """How robots keep apart; bodies are of `robots.body_radius_sides`."""
 
     on: bool = Field(False, description="units tell robots of bodies near them")
-    steer: Steering = Field(
+    detour: Detour = Field(
         "around",
         description="a barred robot takes the best of all ways, or circles what bars it, or only stops",
     )

@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from skyherd.bodies import Bodies
-from skyherd.control import Program, Template
+from skyherd.control import Schedule, Template
 from skyherd.datasets.configuration.models import RobotsModel, Scenario, ShapeModel
 from skyherd.datasets.configuration.obstacles import check_obstacles, in_order, make_bodies
 from skyherd.datasets.configuration.start import coincident, start_headings, start_positions
@@ -67,9 +67,9 @@ class Mission:
     later: tuple[tuple[float, Template], ...] = ()
 
     @cached_property
-    def program(self) -> Program:
+    def program(self) -> Schedule:
         """The shapes to form, one after the other."""
-        return Program(self.template, self.later)
+        return Schedule(self.template, self.later)
 
     def shape_at(self, time_s: float, roles: IntArray) -> Template:
         """The shape to form at a time, with the points that robots have by their roles (N,)."""
@@ -201,7 +201,7 @@ def _complete(scenario: Scenario, folder: Path) -> Mission:
         positions[order],
         headings[order],
         ground_image,
-        Program(template, tuple(later)).later,
+        Schedule(template, tuple(later)).later,
     )
 
 

@@ -15,21 +15,23 @@ LENS_CHECKS = 5
 class FlightModel(Model):
     """How a unit flies; lengths are in halves of the image's shorter side."""
 
-    kind: Literal["follow", "perimeter", "hover", "serve"] = "follow"
+    kind: Literal["follow", "perimeter", "hover", "keep-in-view"] = "follow"
     desired_radius: Annotated[FiniteFloat, Field(gt=0, le=1.5)] = Field(
         0.7, description="image distance of the farthest robot to be kept"
     )
     lateral_gain_mps: NotNegative = Field(1.0, description="speed for half an image")
     climb_gain_mps: NotNegative = Field(1.0, description="climb for half an image")
     dead_band: NotNegative = Field(
-        0.02, description="follow, serve: errors of radius below this do not climb"
+        0.02, description="follow, keep-in-view: errors of radius below this do not climb"
     )
-    zoom_gain_ps: NotNegative = Field(0.3, description="serve: relative change of zoom for half an image")
+    zoom_gain_ps: NotNegative = Field(
+        0.3, description="keep-in-view: relative change of zoom for half an image"
+    )
     separation_sides: NotNegative = Field(
-        6.0, description="serve: least distance between two units' image centres, in marker sides"
+        6.0, description="keep-in-view: least distance between two units' image centres, in marker sides"
     )
     least_side_px: NotNegative = Field(
-        12.0, description="serve: neither climb nor zoom out beyond where markers have this side"
+        12.0, description="keep-in-view: neither climb nor zoom out beyond where markers have this side"
     )
     speed_mps: NotNegative = Field(0.1, description="perimeter: speed along it")
     yaw_rate_degps: FiniteFloat = Field(

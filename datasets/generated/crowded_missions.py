@@ -29,11 +29,11 @@ def crowded_mission(seed: int, units: int | None = None) -> dict[str, Any]:
     rng = np.random.default_rng([seed, 79])
     for _ in range(TRIES):
         count = int(rng.integers(6, 40, endpoint=True))
-        crew = units or int(rng.integers(1, min(5, count // 4), endpoint=True))
+        agents = units or int(rng.integers(1, min(5, count // 4), endpoint=True))
         cover = float(rng.uniform(0.03, 0.12))
         radius_m = np.sqrt(count / cover) * BODY_SIDES * SIDE_M
         robots = _scatter(rng, count, radius_m, START_SPACING * SIDE_M)
-        views = _views(rng, crew, radius_m, robots)
+        views = _views(rng, agents, radius_m, robots)
         shape = _scatter(rng, count, 1.0, 1.1 / np.sqrt(count))
         if robots is not None and views is not None and shape is not None:
             break

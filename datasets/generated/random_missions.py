@@ -95,7 +95,7 @@ def make_tree(
             "height_m": float(height),
             "yaw_deg": float(rng.uniform(-180, 180)),
             "camera": camera,
-            "flight": {"kind": "serve", "least_side_px": 0.0},  # the noise assumed holds at any size
+            "flight": {"kind": "keep-in-view", "least_side_px": 0.0},  # the noise assumed holds at any size
             "frame_rate_hz": 5.0,
         }
         for center, height, camera in zip(centers, heights, cameras, strict=True)

@@ -99,7 +99,7 @@ def main() -> None:
             "rectified",
         )
         for rectify, (_, flown) in runs.items():
-            curve = [step.observation.shape.error for step in flown]
+            curve = [step.metrics.shape.error for step in flown]
             errors.semilogy(
                 [step.time_s for step in flown],
                 curve,

@@ -11,10 +11,10 @@ from skyherd.control.aerial_controller import Decision
 from skyherd.datasets import Mission, Scenario
 from skyherd.geometry import IntArray
 from skyherd.messages import FlightCommand, VelocityCommand
-from skyherd.sim.agents import Crew, make_team
+from skyherd.sim.agents import Agents, make_team
 from skyherd.sim.network import Network
 from skyherd.sim.perception import Perception, Sight, make_perception
-from skyherd.sim.truth_metrics import Observation, Observer
+from skyherd.sim.truth_metrics import TruthMetrics, TruthObserver
 from skyherd.sim.world import Fleet, World
 
 
@@ -43,7 +43,7 @@ class Step:
     command: VelocityCommand
     commanded_ids: IntArray
     control_sets: dict[int, IntArray]
-    observation: Observation
+    metrics: TruthMetrics
     roles: IntArray
 
     def without_images(self) -> "Step":
@@ -62,30 +62,30 @@ def run_steps(mission: Mission, perception: Perception | None = None) -> Iterato
     """
     scenario = mission.scenario
     sight_rng, network_rng, frame_rng = (np.random.default_rng([scenario.seed, part]) for part in (1, 2, 3))
-    world, observer = World(mission), Observer(mission.template, mission.ids)
+    world, observer = World(mission), TruthObserver(mission.template, mission.ids)
     perception = perception or make_perception(mission, sight_rng)
     network = Network(scenario.network, network_rng, len(scenario.units))
-    crew, team, lost = Crew(mission), make_team(mission, world), scenario.network.frame_loss
+    agents, team, lost = Agents(mission), make_team(mission, world), scenario.network.frame_loss
     for tick in range(round(scenario.duration_s / scenario.step_s) + 1):
         time_s = tick * scenario.step_s
         frames, dead = {}, dead_units(scenario, time_s)
         for unit in dead:
-            crew.lose(unit)
+            agents.lose(unit)
             network.forget(unit)
             world.fly(FlightCommand(unit, np.zeros(2), 0.0, 0.0))
         shot = [unit for unit in _due(scenario, tick, dead) if frame_rng.random() >= lost]
         hearers = world.in_range()
         for unit, sight in zip(shot, perception.look(world, shot, time_s), strict=True):
-            decision = crew.decide(sight.detections, list(network.reports[unit].values()))
+            decision = agents.decide(sight.detections, list(network.reports[unit].values()))
             arrival_s = time_s + scenario.units[unit].latency_s
-            to_robots = decision.goals, decision.encounters
+            to_robots = decision.goals, decision.proximity
             network.send(to_robots, decision.report, arrival_s, hearers[unit] if hearers else None)
             world.fly(decision.flight)
-            frames[unit] = UnitFrame(sight, decision, crew.minds[unit].ground_map)
+            frames[unit] = UnitFrame(sight, decision, agents.minds[unit].ground_map)
         for message, heard in network.deliver(time_s):
             team.receive(message, time_s, heard)
         command = world.limit(team.command(time_s))
-        shape = mission.shape_at(time_s, crew.roles)
+        shape = mission.shape_at(time_s, agents.roles)
         yield Step(
             time_s=time_s,
             positions_m=world.positions_m,
@@ -94,9 +94,9 @@ def run_steps(mission: Mission, perception: Perception | None = None) -> Iterato
             frames=frames,
             command=command,
             commanded_ids=team.commanded_ids(time_s),
-            control_sets=dict(crew.sets),
-            observation=observer.observe(world.positions_m, crew.sets, dead, shape),
-            roles=crew.roles,
+            control_sets=dict(agents.sets),
+            metrics=observer.observe(world.positions_m, agents.sets, dead, shape),
+            roles=agents.roles,
         )
         world.advance(command, time_s, scenario.step_s)
 

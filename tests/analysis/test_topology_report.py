@@ -7,7 +7,7 @@ from scipy.linalg import expm
 from skyherd.analysis.history import History, make_history
 from skyherd.analysis.summary import summarize
 from skyherd.analysis.summary_fields import GROUPS
-from skyherd.analysis.topology_changes import find_switches
+from skyherd.analysis.topology_changes import find_topology_changes
 from skyherd.analysis.topology_report import (
     judge_topology,
     last_stretch,
@@ -176,7 +176,7 @@ def test_summary_counts_from_when_the_tree_is_complete(small: History) -> None:
 def test_switches_add_up_to_the_last_topology(small: History) -> None:
     """Replaying the words gives the owners of each robot at the end."""
     owners = {int(robot): "nobody" for robot in small.ids}
-    for switch in find_switches(small):
+    for switch in find_topology_changes(small):
         if not switch.what.startswith("robot"):
             continue
         names, change = switch.what.split(": ")

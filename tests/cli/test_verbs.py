@@ -36,7 +36,7 @@ SUMMARY_KEYS = [
     "V_end",
     "detection_recall",
     "false_detections",
-    "topology_switches",
+    "topology_changes",
     "tc1_violation_s",
     "tc2_violation_s",
     "tc3_violation_s",

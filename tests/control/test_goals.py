@@ -6,7 +6,7 @@ import pytest
 from skyherd.control import Template, motion_goals
 from skyherd.errors import DegenerateSetError, MessageError
 
-NOBODY = np.array([], dtype=np.int64)
+NO_ID = np.array([], dtype=np.int64)
 
 
 def random_scene(seed: int, make_detections, count: int = 12):
@@ -48,7 +48,7 @@ def test_a_shared_robot_that_is_not_in_view_is_not_told_of(make_detections) -> N
 def test_more_nearest_asked_than_there_are_robots(make_detections) -> None:
     seen = make_detections([4, 8, 9], [100 + 100j, 200 + 100j, 100 + 300j])
     template = Template(np.array([4, 8, 9]), np.array([0, 1, 1j]))
-    goals = motion_goals(seen, seen.ids, template, shared_ids=NOBODY, nearest=10)
+    goals = motion_goals(seen, seen.ids, template, shared_ids=NO_ID, nearest=10)
     assert {tuple(sorted(goals.for_robot(i).neighbor_ids.tolist())) for i in (4, 8, 9)} == {
         (8, 9),
         (4, 9),
@@ -79,8 +79,8 @@ def test_controlled_robots_out_of_view_get_no_goal_and_shape_none(make_detection
     seen, template, _, _ = random_scene(1, make_detections)
     gone = int(np.setdiff1d(np.arange(50), seen.ids)[0])
     wider = Template(np.append(template.ids, gone), np.append(template.points_px, 9 + 9j))
-    goals = motion_goals(seen, np.append(seen.ids[:5], gone), wider, shared_ids=NOBODY, nearest=2)
-    expected = motion_goals(seen, seen.ids[:5], template, shared_ids=NOBODY, nearest=2)
+    goals = motion_goals(seen, np.append(seen.ids[:5], gone), wider, shared_ids=NO_ID, nearest=2)
+    expected = motion_goals(seen, seen.ids[:5], template, shared_ids=NO_ID, nearest=2)
     np.testing.assert_array_equal(goals.ids, expected.ids)
     np.testing.assert_array_equal(goals.rho_px, expected.rho_px)
 
@@ -90,12 +90,12 @@ def test_a_set_without_a_shape_is_refused(make_detections, controlled) -> None:
     seen = make_detections([4, 8, 9], [100 + 100j, 200 + 100j, 100 + 300j])
     template = Template(np.array([4, 8, 9]), np.array([0, 1, 1]))
     with pytest.raises(DegenerateSetError):
-        motion_goals(seen, np.array(controlled, dtype=int), template, shared_ids=NOBODY, nearest=2)
+        motion_goals(seen, np.array(controlled, dtype=int), template, shared_ids=NO_ID, nearest=2)
 
 
 def test_goals_are_copies_and_read_only(make_detections) -> None:
     seen, template, _, _ = random_scene(2, make_detections)
-    goals = motion_goals(seen, seen.ids, template, shared_ids=NOBODY, nearest=2)
+    goals = motion_goals(seen, seen.ids, template, shared_ids=NO_ID, nearest=2)
     with pytest.raises(ValueError, match="read-only"):
         goals.rho_px[0] = 1.0
     with pytest.raises(ValueError, match="read-only"):

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from skyherd.control import FreeRule, FreeThenTree, Roster, SafetyRadius, Template, TreeRule
+from skyherd.control import HybridRule, HybridSelection, SafetyRadius, Template, TreeProtocol, TreeRule
 from skyherd.control.hybrid_selection import cost_share
 from skyherd.datasets import make_mission
 from skyherd.datasets.generated.random_missions import random_mission
 from skyherd.loop import run_steps
 
-RULE = FreeRule(SafetyRadius(), TreeRule(), stall_s=10.0)
+RULE = HybridRule(SafetyRadius(), TreeRule(), stall_s=10.0)
 TEMPLATE = Template.from_image_points([0, 1, 2, 3], [[0, 0], [1, 0], [1, 1], [0, 1]])
 
 
@@ -20,7 +20,7 @@ def one_unit(make_report):
     """A unit that controls these robots and reports a cost, at 1 Hz: when a tree begins, s, or None."""
 
     def run(cost, controlled=(0, 1, 2, 3), until_s: int = 40) -> int | None:
-        sets = FreeThenTree(RULE, TEMPLATE)
+        sets = HybridSelection(RULE, TEMPLATE)
         report = make_report(0, list(controlled), [0] * len(controlled), list(controlled))
         for time_s in range(until_s):
             sets.note(time_s, replace(report, time_s=time_s, cost_sides2=cost(time_s)), [])
@@ -51,7 +51,7 @@ def test_a_robot_that_nobody_controls_begins_the_tree_though_the_cost_is_zero(on
 
 
 def test_a_unit_follows_one_that_has_begun(make_report, make_detections) -> None:
-    sets, leader = FreeThenTree(RULE, TEMPLATE), Roster(TreeRule(), TEMPLATE)
+    sets, leader = HybridSelection(RULE, TEMPLATE), TreeProtocol(TreeRule(), TEMPLATE)
     seen = make_detections([0, 1, 2, 3], [300 + 300j, 400 + 300j, 400 + 400j, 300 + 400j])
     assert sets.update(seen, []).tolist() == [0, 1, 2, 3]
     report = make_report(1, [0], [400 + 400j], [])
@@ -75,7 +75,7 @@ def test_a_mission_that_free_overlaps_lose_is_saved_by_the_tree() -> None:
         for unit in tree["units"]:
             unit["flight"] = {"kind": "hover"}
         for step in run_steps(make_mission(tree)):
-            errors[kind] = step.observation.shape.error
+            errors[kind] = step.metrics.shape.error
     assert errors["radius"] > 0.3
     assert errors["radius-then-tree"] < 0.01
-    assert step.observation.conditions.in_p
+    assert step.metrics.conditions.in_p

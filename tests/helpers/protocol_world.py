@@ -14,7 +14,7 @@ import numpy as np
 from skyherd.control import Template
 from skyherd.control.topology.conditions import check_conditions, control_matrix
 from skyherd.control.tree.node_state import TreeRule
-from skyherd.control.tree.protocol import Roster
+from skyherd.control.tree.protocol import TreeProtocol
 from skyherd.messages import Detections, UnitReport
 
 SIZE_PX = np.array([800, 800])
@@ -41,9 +41,9 @@ class ProtocolWorld:
     robots: int
     rule: TreeRule
     views: list[dict[int, float]]
-    make: Callable[[TreeRule, Template], Roster] = Roster
+    make: Callable[[TreeRule, Template], TreeProtocol] = TreeProtocol
     time_s: float = 0.0
-    rosters: dict[int, Roster] = field(default_factory=dict)
+    rosters: dict[int, TreeProtocol] = field(default_factory=dict)
     waiting: list[Letter] = field(default_factory=list)
     inbox: list[dict[int, UnitReport]] = field(default_factory=list)
     sets: dict[int, set[int]] = field(default_factory=dict)

@@ -10,7 +10,7 @@ from skyherd.loop import Step, run_steps
 from skyherd.sim.world import World
 from skyherd.video.camera_panel import BORDER_PX, TITLE_PX, brightened
 from skyherd.video.composer import Composer, make_layout
-from skyherd.video.rectified_panel import RectifiedView
+from skyherd.video.rectified_panel import RectifiedPanel
 
 QUICK = ["perception=noisy", "duration_s=16.0", "control.k=0.6", "control.k_omega=2.4"]
 """Ten time constants, with the detector's noise."""
@@ -25,9 +25,9 @@ def flight(request: pytest.FixtureRequest) -> tuple[bool, list[Step]]:
 def test_cheap_cameras_form_the_star_rectified_and_another_shape_as_seen(flight):
     """A thousandth against some per cent: the negative control is the same flight without rectification."""
     rectified, steps = flight
-    error = max(step.observation.shape.error for step in steps[-20:])
+    error = max(step.metrics.shape.error for step in steps[-20:])
     assert error < 1e-3 if rectified else error > 0.02
-    assert all(step.observation.conditions.tc2 for step in steps), "every robot is controlled"
+    assert all(step.metrics.conditions.tc2 for step in steps), "every robot is controlled"
 
 
 def test_its_cameras_are_none_that_property_1_holds_for():
@@ -71,7 +71,7 @@ def test_the_rectified_picture_is_the_image_through_the_learned_map(flight):
     none = shown.decision.goals
     assert none is not None
     cell = np.zeros((TITLE_PX + 2 * BORDER_PX + 300, 2 * BORDER_PX + 400, 3), np.uint8)
-    view = RectifiedView(2, cell, (width, height))
+    view = RectifiedPanel(2, cell, (width, height))
     view.draw(shown)
     panel = cell[TITLE_PX + BORDER_PX :, BORDER_PX:]
     v, u = np.mgrid[10:290:20, 10:390:20]

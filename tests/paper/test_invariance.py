@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from skyherd.control import (
     AerialController,
+    GoalInboxes,
     Hover,
-    Inboxes,
     MarkerGains,
     PixelGains,
     SafetyRadius,
@@ -147,11 +147,11 @@ def test_desired_ground_points_do_not_depend_on_the_camera(mission_with, camera_
 def command_of(mission: Mission, gains: PixelGains | MarkerGains) -> Any:
     """One round of the loop: all units look, decide and send; the robots fuse."""
     world, perception = World(mission), FixedSets(Projected(SIDE_M, "4X4_50"))
-    inboxes = Inboxes(mission.ids, np.arange(len(SETS)), 1.0)
-    crew = [AerialController(mission.template, SafetyRadius(1.5), Hover()) for _ in SETS]
+    inboxes = GoalInboxes(mission.ids, np.arange(len(SETS)), 1.0)
+    agents = [AerialController(mission.template, SafetyRadius(1.5), Hover()) for _ in SETS]
     seen = [sight.detections for sight in perception.look(world, range(len(SETS)), 0.0)]
-    reports = [unit.step(image).report for unit, image in zip(crew, seen, strict=True)]
-    for j, (unit, image) in enumerate(zip(crew, seen, strict=True)):
+    reports = [unit.step(image).report for unit, image in zip(agents, seen, strict=True)]
+    for j, (unit, image) in enumerate(zip(agents, seen, strict=True)):
         decision = unit.step(image, [report for report in reports if report.unit_id != j])
         np.testing.assert_array_equal(np.sort(decision.report.controlled_ids), np.sort(SETS[j]))
         inboxes.receive(decision.goals, 0.0)
@@ -258,8 +258,8 @@ def test_in_pixel_gains_the_focal_length_sets_the_final_size_yet_all_converge(mi
             )
         )
         assert last.control_sets[0].tolist() == list(range(6))
-        assert last.observation.shape.error < 1e-3, "converged: a thousandth of the formation's radius"
-        ends[ratio] = last.observation.shape.scale
+        assert last.metrics.shape.error < 1e-3, "converged: a thousandth of the formation's radius"
+        ends[ratio] = last.metrics.shape.scale
     assert ends == pytest.approx({4.0: 2.88, 3.0: 3.0, 1.0: 3.77}, abs=0.03)
 
 

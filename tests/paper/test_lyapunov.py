@@ -21,7 +21,7 @@ from skyherd.control import MarkerGains, Template, desired_points
 from skyherd.control.robots.unicycle import unicycle_law
 from skyherd.control.topology.conditions import check_conditions
 from skyherd.geometry import to_complex, to_points
-from skyherd.sim.truth_metrics import Observer
+from skyherd.sim.truth_metrics import TruthObserver
 from skyherd.sim.world import move_unicycles
 
 ROUNDING = 1e-12
@@ -174,10 +174,12 @@ def test_lemma_2_the_gradient_of_each_units_share() -> None:
         team = random_team(rng, tree_sets(rng, 3))
         count = team.template.size
         ids = np.arange(count)
-        observer = Observer(Template(ids, team.template.conj()), ids)
+        observer = TruthObserver(Template(ids, team.template.conj()), ids)
         sets = dict(enumerate(team.sets))
 
-        def shares(positions: np.ndarray, observer: Observer = observer, sets: dict = sets) -> np.ndarray:
+        def shares(
+            positions: np.ndarray, observer: TruthObserver = observer, sets: dict = sets
+        ) -> np.ndarray:
             return observer.observe(to_points(positions), sets).V_units
 
         cost = shares(team.positions).sum()

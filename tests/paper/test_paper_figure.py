@@ -22,10 +22,10 @@ PUBLISHED_END_M = np.array(
 def test_fig_4_comes_back(scenario_tree, perception, allowed_m) -> None:
     steps = list(run_steps(make_mission(scenario_tree("triangle") | {"perception": perception})))
     first, last = steps[0], steps[-1]
-    assert pytest.approx(25.0, abs=0.3) == first.observation.V
+    assert pytest.approx(25.0, abs=0.3) == first.metrics.V
     assert np.linalg.norm(last.positions_m - PUBLISHED_END_M, axis=1).max() < allowed_m
-    assert last.observation.shape.scale == pytest.approx(2.87, abs=0.04)
-    assert last.observation.shape.error < 0.01
+    assert last.metrics.shape.scale == pytest.approx(2.87, abs=0.04)
+    assert last.metrics.shape.error < 0.01
     # One unit holds all six from first to last: the figure has no switches.
     assert all(step.control_sets[0].tolist() == list(range(6)) for step in steps)
 

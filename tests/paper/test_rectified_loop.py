@@ -59,10 +59,10 @@ def test_a_bad_camera_forms_the_shape_with_it_and_the_predicted_error_without(sc
     view = random_view(seed)
     from_image = view.ideal_px(plain.frames[0].sight.detections.centers_px)
     predicted = fit_shape(template, from_image @ np.array([1, 1j])).error
-    assert plain.observation.shape.error == pytest.approx(predicted, abs=1e-6)
-    assert plain.observation.shape.error > 0.02
-    assert ours.observation.shape.error < 1e-3
-    assert ours.observation.shape.error < plain.observation.shape.error / 20
+    assert plain.metrics.shape.error == pytest.approx(predicted, abs=1e-6)
+    assert plain.metrics.shape.error > 0.02
+    assert ours.metrics.shape.error < 1e-3
+    assert ours.metrics.shape.error < plain.metrics.shape.error / 20
 
 
 def test_goals_on_the_ground_are_those_of_no_camera_at_all(scenario_tree, reference_fit):
@@ -119,9 +119,9 @@ def test_the_controller_is_given_what_the_rectifier_makes_of_the_detections(scen
     mission_tree = scenario_tree("triangle")
     steps = flight(scenario_tree, bad_camera(3), rectify=True)[:5]
     rectifier, mission = Rectifier(), make_mission(mission_tree)
-    crew = AerialController(mission.template, SafetyRadius(1.5), Hover())
+    agents = AerialController(mission.template, SafetyRadius(1.5), Hover())
     for step in steps:
-        goals = crew.step(rectifier.rectify(step.frames[0].sight.detections)).goals
+        goals = agents.step(rectifier.rectify(step.frames[0].sight.detections)).goals
         np.testing.assert_array_equal(goals.rho_px, step.frames[0].decision.goals.rho_px)
 
 

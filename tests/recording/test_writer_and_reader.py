@@ -131,7 +131,7 @@ def test_what_is_no_recording_is_refused(tmp_path):
 def older_scenario(topic, record):
     """Before steering had a name it was switched on."""
     if topic == "/mission":
-        record["scenario"]["avoidance"]["steer"] = True
+        record["scenario"]["avoidance"]["detour"] = True
 
 
 def older_step(topic, record):
@@ -140,7 +140,7 @@ def older_step(topic, record):
         del record["fleet"]
 
 
-@pytest.mark.parametrize(("change", "at"), [(older_scenario, "steer"), (older_step, "fleet")])
+@pytest.mark.parametrize(("change", "at"), [(older_scenario, "detour"), (older_step, "fleet")])
 def test_a_recording_of_another_version_is_refused_in_one_line(
     tmp_path, mission, steps, monkeypatch, change, at
 ):

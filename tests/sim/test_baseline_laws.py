@@ -117,7 +117,7 @@ def test_robots_that_are_told_the_truth_form_the_shape_with_no_word_from_units(m
     errors = []
     for law in (method, "similarity"):
         *_, last = run_steps(load_mission("crowd", [*lost, f"control.method={law}"]))
-        errors.append(last.observation.shape.error)
+        errors.append(last.metrics.shape.error)
     assert errors[0] < 0.01 < 0.1 < errors[1]
 
 

@@ -77,17 +77,17 @@ def test_worker_and_client_killed_in_mid_study_and_resumed_give_the_undisturbed_
     path, out = write_study(SLOW_ENOUGH), tmp_path / "out"
     process = start(path, out, "--jobs", "2")
     wait_for_parts(process, out, 1)
-    crew = workers(process)
-    assert len(crew) == 2
-    crew[0].kill()
+    agents = workers(process)
+    assert len(agents) == 2
+    agents[0].kill()
     wait_for_parts(process, out, len(parts(out)) + 2)
     process.kill()
     process.communicate()
     kept = len(Store(out).keys())
     assert 3 <= kept < 10
     assert not (out / TABLE).exists()
-    psutil.wait_procs(crew, timeout=10)
-    assert not any(worker.is_running() and worker.status() != "zombie" for worker in crew)
+    psutil.wait_procs(agents, timeout=10)
+    assert not any(worker.is_running() and worker.status() != "zombie" for worker in agents)
     assert len(missing_runs(make_plan(load_study(str(path))), Store(out))) == 10 - kept
     assert finish(path, out, "--jobs", "2") == undisturbed
 

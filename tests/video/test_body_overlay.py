@@ -12,10 +12,10 @@ from skyherd.drawing.palette import TEMPLATE_COLOR, WARNING, rgb
 from skyherd.loop import Step, run_steps
 from skyherd.plots.maps import draw_paths
 from skyherd.video.body_overlay import BodySizes, overlapping_ids
-from skyherd.video.camera_panel import CameraView
+from skyherd.video.camera_panel import CameraPanel
 from skyherd.video.composer import Composer, make_layout
-from skyherd.video.ground_panel import EXCHANGE_S, GroundView
-from skyherd.video.legend import key_height_px
+from skyherd.video.ground_panel import EXCHANGE_S, GroundPanel
+from skyherd.video.legend import legend_height_px
 
 OBSTACLE = {"id": 40, "position_m": [0.4, 0.2], "radius_sides": 1.5}
 
@@ -59,7 +59,7 @@ def test_only_overlaps_are_warned_of(run) -> None:
     """In the ground view around both, within their radius and the rim's width; nowhere without."""
     mission, steps = run
     panel = np.full((640, 640, 3), 255, np.uint8)
-    view = GroundView(mission, panel)
+    view = GroundPanel(mission, panel)
     view.draw(steps[0])
     assert not pixels_of(panel, WARNING).size
     hit = side_by_side(mission, steps[1], 1, 4)
@@ -75,7 +75,7 @@ def test_an_obstacle_has_its_size_on_the_ground(run) -> None:
     """Its dark rim lies at the radius, to the two pixels of its width."""
     mission, steps = run
     panel = np.full((640, 640, 3), 255, np.uint8)
-    view = GroundView(mission, panel)
+    view = GroundPanel(mission, panel)
     view.draw(steps[0])
     (center,) = view.to_panel(mission.obstacle_positions_m)
     radius_px = mission.obstacle_radii_m[0] * view._px_per_m
@@ -91,7 +91,7 @@ def test_cameras_warn_too_and_do_not_count_obstacles_as_robots(run) -> None:
     mission, steps = run
     frame, titles = steps[0].frames[0], []
     cell = np.full((640, 640, 3), 255, np.uint8)
-    view = CameraView(0, cell, (800, 800), mission.scenario.selection.radius, BodySizes.of(mission))
+    view = CameraPanel(0, cell, (800, 800), mission.scenario.selection.radius, BodySizes.of(mission))
     view._write_title = lambda *texts: titles.append(texts[0])  # type: ignore[method-assign]
     view.draw(frame, steps[0].control_sets)
     assert 40 in frame.sight.detections.ids
@@ -110,7 +110,7 @@ def test_a_new_place_is_shown_for_a_while(run) -> None:
     """Two robots exchange: their places are filled in the shape's colour, as long as stated."""
     mission, steps = run
     panel = np.full((640, 640, 3), 255, np.uint8)
-    view = GroundView(mission, panel)
+    view = GroundPanel(mission, panel)
 
     def colored(time_s: float, roles: list[int]) -> int:
         view.draw(replace(steps[0], time_s=time_s, roles=np.array(roles)))
@@ -136,7 +136,7 @@ def test_a_composed_picture_tells_the_least_gap(run) -> None:
 @pytest.mark.parametrize("units", range(1, 17))
 def test_there_is_room_for_the_longer_key(units: int, tree: bool) -> None:
     layout = make_layout((1600, 1000), [(800, 800)] * units, tree=tree, bodies=True)
-    assert key_height_px(layout.key.width, tree=tree, bodies=True) <= layout.key.height
+    assert legend_height_px(layout.key.width, tree=tree, bodies=True) <= layout.key.height
     covered = np.zeros((1000, 1600), dtype=int)
     for box in [*layout.cameras, layout.key, layout.ground, *layout.plots]:
         box.of(covered)[:] += 1

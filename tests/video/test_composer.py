@@ -15,7 +15,7 @@ from skyherd.files.video_writer import VideoSink, count_frames, read_frames
 from skyherd.geometry import to_complex
 from skyherd.loop import Step, run_steps
 from skyherd.video.axis_ticks import LinearRange, LogRange, tick_values
-from skyherd.video.camera_panel import CameraView
+from skyherd.video.camera_panel import CameraPanel
 from skyherd.video.composer import Composer, make_layout
 
 SIZE_PX = (64, 48)
@@ -181,7 +181,7 @@ def test_arrows_point_where_the_similarity_puts_the_robots(name: str, perception
 def test_arrows_are_drawn_to_the_desired_points() -> None:
     mission, steps = steps_of("triangle", "ideal", 4)
     frame, cell = steps[0].frames[0], np.full((640, 640, 3), 255, np.uint8)
-    view = CameraView(0, cell, (800, 800), mission.scenario.selection.radius)
+    view = CameraPanel(0, cell, (800, 800), mission.scenario.selection.radius)
     view.draw(frame, steps[0].control_sets)
     purple = (np.abs(cell.astype(int) - rgb(TEMPLATE_COLOR)).max(axis=2) < 60).nonzero()
     drawn = np.stack(purple[::-1], axis=1) - (3, 29)

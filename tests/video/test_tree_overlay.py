@@ -3,22 +3,22 @@
 import numpy as np
 import pytest
 
-from skyherd.analysis.tree_snapshot import TreeWatch, tree_state
+from skyherd.analysis.tree_snapshot import TreeHistory, tree_snapshot
 from skyherd.datasets import load_mission
 from skyherd.drawing.palette import unit_rgb
 from skyherd.loop import dead_units, run_steps
-from skyherd.messages import NOBODY
-from skyherd.messages.tree_status import TreeWord
+from skyherd.messages import NO_ID
+from skyherd.messages.tree_status import TreeStatus
 from skyherd.video.composer import Composer, make_layout
-from skyherd.video.legend import key_height_px
-from skyherd.video.tree_overlay import FLASH, FLASH_S, TreeView
+from skyherd.video.legend import legend_height_px
+from skyherd.video.tree_overlay import FLASH, FLASH_S, TreeOverlay
 
 NONE = np.zeros(0, dtype=np.int64)
 
 
-def word(*edges: tuple[int, int, tuple[int, int]], tree_id=0, asks_id=NOBODY, heir_id=NOBODY, ready=True):
+def word(*edges: tuple[int, int, tuple[int, int]], tree_id=0, asks_id=NO_ID, heir_id=NO_ID, ready=True):
     """What a unit says: an edge is (neighbour, turn, pair)."""
-    return TreeWord(
+    return TreeStatus(
         tree_id=tree_id,
         asks_id=asks_id,
         ask_turn=-1,
@@ -27,9 +27,9 @@ def word(*edges: tuple[int, int, tuple[int, int]], tree_id=0, asks_id=NOBODY, he
         neighbor_ids=np.array([edge[0] for edge in edges], dtype=np.int64),
         turns=np.array([edge[1] for edge in edges], dtype=np.int64),
         pairs=np.array([edge[2] for edge in edges], dtype=np.int64).reshape(-1, 2),
-        lent_ids=NONE,
-        lent_to_ids=NONE,
-        wished_ids=NONE,
+        offered_ids=NONE,
+        offered_to_ids=NONE,
+        to_release_ids=NONE,
         missing_ids=NONE,
     )
 
@@ -37,13 +37,13 @@ def word(*edges: tuple[int, int, tuple[int, int]], tree_id=0, asks_id=NOBODY, he
 @pytest.mark.parametrize(("turns", "pair", "holder"), [((4, 5), (3, 4), 2), ((6, 5), (1, 2), 1)])
 def test_of_two_words_on_an_edge_the_later_turn_counts(turns, pair, holder) -> None:
     """The lower unit holds the even turns; a turn that was handed over is the other's."""
-    state = tree_state({1: word((2, turns[0], (1, 2))), 2: word((1, turns[1], (3, 4)))})
+    state = tree_snapshot({1: word((2, turns[0], (1, 2))), 2: word((1, turns[1], (3, 4)))})
     link = state.links[1, 2]
     assert (link.pair, link.holder, link.is_mutual) == (pair, holder, True)
 
 
 def test_an_edge_that_one_unit_names_is_not_mutual_and_has_no_pair_yet() -> None:
-    state = tree_state({0: word((1, 1, (NOBODY, NOBODY))), 1: word(tree_id=NOBODY, asks_id=0)}, dead=[2])
+    state = tree_snapshot({0: word((1, 1, (NO_ID, NO_ID))), 1: word(tree_id=NO_ID, asks_id=0)}, dead=[2])
     assert not state.links[0, 1].is_mutual
     assert state.links[0, 1].pair == ()
     assert (state.members, state.unjoined, state.dead) == ({0}, {1}, {2})
@@ -59,7 +59,7 @@ def failure():
 def test_the_words_tell_the_pairs_that_are_in_fact_shared(failure) -> None:
     """At every step: the pair of each mutual edge is what the two sets have in common."""
     mission, steps = failure
-    watch, edges = TreeWatch(), 0
+    watch, edges = TreeHistory(), 0
     for step in steps:
         tree = watch.see(step, dead_units(mission.scenario, step.time_s))
         for (j, k), link in tree.links.items():
@@ -73,10 +73,10 @@ def test_the_words_tell_the_pairs_that_are_in_fact_shared(failure) -> None:
 def test_an_exchanged_pair_flashes_and_stops() -> None:
     """Yellow is there in the moment of the change and gone FLASH_S later; the units' colours stay."""
     units, robots = np.array([[40.0, 100.0], [260.0, 100.0]]), np.array([[150.0, 50.0], [150.0, 150.0]])
-    view, seen = TreeView(np.arange(2)), []
+    view, seen = TreeOverlay(np.arange(2)), []
     for time_s in (0.0, FLASH_S + 0.1):
         image = np.full((200, 300, 3), 255, np.uint8)
-        state = tree_state({0: word((1, 0, (0, 1))), 1: word((0, 0, (0, 1)))})
+        state = tree_snapshot({0: word((1, 0, (0, 1))), 1: word((0, 0, (0, 1)))})
         view.draw_edges(image, state, units, robots, time_s)
         seen.append([(image == color).all(axis=2).sum() for color in (FLASH, unit_rgb(0), unit_rgb(1))])
     assert seen[0][0] > 500 and seen[1][0] == 0
@@ -100,4 +100,4 @@ def test_a_dead_unit_has_no_picture_until_it_returns(failure) -> None:
 @pytest.mark.parametrize("units", range(1, 17))
 def test_the_trees_key_has_room(units: int) -> None:
     layout = make_layout((1600, 1000), [(480, 480)] * units, tree=True)
-    assert key_height_px(layout.key.width, tree=True) <= layout.key.height
+    assert legend_height_px(layout.key.width, tree=True) <= layout.key.height

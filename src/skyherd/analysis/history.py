@@ -7,7 +7,7 @@ from operator import attrgetter
 import numpy as np
 
 from skyherd.analysis.goal_points import goal_error_m
-from skyherd.analysis.tree_snapshot import TreeState, TreeWatch
+from skyherd.analysis.tree_snapshot import TreeHistory, TreeSnapshot
 from skyherd.control import Template
 from skyherd.control.topology.conditions import control_matrix
 from skyherd.datasets import Mission
@@ -87,7 +87,7 @@ class History:
     conditions: BoolArray
     controlled: BoolArray
     commanded: BoolArray
-    trees: list[TreeState | None]
+    trees: list[TreeSnapshot | None]
     traces: list[ImageTrace]
     frames: int
     whole: int
@@ -123,14 +123,14 @@ _COLUMNS = {
     "yaws_rad": "fleet.yaws_rad",
     "tilts_rad": "fleet.tilts_rad",
     "zooms": "fleet.zooms",
-    "V": "observation.V",
-    "V_units": "observation.V_units",
-    "scales": "observation.scales",
-    "rotations_rad": "observation.rotations_rad",
-    "shape_error": "observation.shape.error",
-    "shape_scale": "observation.shape.scale",
-    "shape_rotation_rad": "observation.shape.rotation_rad",
-    "min_separation_m": "observation.min_separation_m",
+    "V": "metrics.V",
+    "V_units": "metrics.V_units",
+    "scales": "metrics.scales",
+    "rotations_rad": "metrics.rotations_rad",
+    "shape_error": "metrics.shape.error",
+    "shape_scale": "metrics.shape.scale",
+    "shape_rotation_rad": "metrics.shape.rotation_rad",
+    "min_separation_m": "metrics.min_separation_m",
     "roles": "roles",
 }
 """Field of the history: where a step has it."""
@@ -144,7 +144,7 @@ def make_history(mission: Mission, steps: Iterable[Step]) -> History:
     steps = [step.without_images() for step in steps]
     columns = {name: np.array([attrgetter(path)(step) for step in steps]) for name, path in _COLUMNS.items()}
     frames = [frame for step in steps for frame in step.frames.values()]
-    conditions = [step.observation.conditions for step in steps]
+    conditions = [step.metrics.conditions for step in steps]
     return History(
         mission=mission,
         **columns,
@@ -161,8 +161,8 @@ def make_history(mission: Mission, steps: Iterable[Step]) -> History:
     )
 
 
-def _trees(mission: Mission, steps: list[Step]) -> list[TreeState | None]:
-    watch = TreeWatch()
+def _trees(mission: Mission, steps: list[Step]) -> list[TreeSnapshot | None]:
+    watch = TreeHistory()
     return [watch.see(step, dead_units(mission.scenario, step.time_s)) for step in steps]
 
 

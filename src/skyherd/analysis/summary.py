@@ -92,7 +92,7 @@ def _topology(history: History) -> dict[str, Any]:
     violated_s = (~counted).sum(axis=0) * step_s
     switches = (history.controlled[1:] != history.controlled[:-1]).any(axis=(1, 2))
     return {
-        "topology_switches": int(switches.sum()),
+        "topology_changes": int(switches.sum()),
         "p_violation_s": float((~counted.all(axis=1)).sum() * step_s),
         **{f"tc{number}_violation_s": float(violated_s[number - 1]) for number in range(1, 6)},
     }

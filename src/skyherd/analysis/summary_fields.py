@@ -123,7 +123,7 @@ GROUPS: Mapping[str, tuple[Field, ...]] = {
     ),
     "Topology": (
         Field(
-            "topology_switches",
+            "topology_changes",
             "Topology switches",
             "",
             "Instants when a unit took a robot over or gave one up.",

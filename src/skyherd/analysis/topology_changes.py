@@ -6,29 +6,29 @@ from dataclasses import dataclass
 import numpy as np
 
 from skyherd.analysis.history import History
-from skyherd.analysis.tree_snapshot import TreeState
+from skyherd.analysis.tree_snapshot import TreeSnapshot
 from skyherd.geometry import BoolArray
 
 
 @dataclass(frozen=True)
-class Switch:
+class TopologyChange:
     """A change of the topology in words."""
 
     time_s: float
     what: str
 
 
-def find_switches(history: History) -> list[Switch]:
+def find_topology_changes(history: History) -> list[TopologyChange]:
     """All changes after a run's first step: units that die, return or join, robots that change hands."""
     found = []
     for row in range(1, history.times_s.size):
         before, after = history.trees[row - 1], history.trees[row]
         words = [*_of_units(before, after), *_of_robots(history, row)]
-        found += [Switch(float(history.times_s[row]), what) for what in words]
+        found += [TopologyChange(float(history.times_s[row]), what) for what in words]
     return found
 
 
-def _of_units(before: TreeState | None, after: TreeState | None) -> Iterator[str]:
+def _of_units(before: TreeSnapshot | None, after: TreeSnapshot | None) -> Iterator[str]:
     if before is None or after is None:
         return
     yield from (f"unit {unit} died" for unit in sorted(after.dead - before.dead))

@@ -4,8 +4,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 from skyherd.loop import Step
-from skyherd.messages import NOBODY
-from skyherd.messages.tree_status import TreeWord
+from skyherd.messages import NO_ID
+from skyherd.messages.tree_status import TreeStatus
 
 Ends = tuple[int, int]
 """Two units, the lower one first."""
@@ -34,7 +34,7 @@ class Link:
 
 
 @dataclass(frozen=True)
-class TreeState:
+class TreeSnapshot:
     """The tree at one instant.
 
     Attributes:
@@ -58,28 +58,28 @@ class TreeState:
     ready: bool
 
 
-def tree_state(words: Mapping[int, TreeWord], dead: Iterable[int] = ()) -> TreeState:
+def tree_snapshot(words: Mapping[int, TreeStatus], dead: Iterable[int] = ()) -> TreeSnapshot:
     """The tree from the last word of each living unit."""
-    members = frozenset(unit for unit, word in words.items() if word.tree_id != NOBODY)
-    return TreeState(
+    members = frozenset(unit for unit, word in words.items() if word.tree_id != NO_ID)
+    return TreeSnapshot(
         links=_links(words),
         members=members,
         unjoined=frozenset(words) - members,
         dead=frozenset(dead),
-        asks={unit: word.asks_id for unit, word in words.items() if word.asks_id != NOBODY},
-        heirs={unit: word.heir_id for unit, word in words.items() if word.heir_id != NOBODY},
+        asks={unit: word.asks_id for unit, word in words.items() if word.asks_id != NO_ID},
+        heirs={unit: word.heir_id for unit, word in words.items() if word.heir_id != NO_ID},
         missing_ids=frozenset(robot for word in words.values() for robot in word.missing_ids.tolist()),
         ready=any(word.ready for word in words.values()),
     )
 
 
-def _links(words: Mapping[int, TreeWord]) -> dict[Ends, Link]:
+def _links(words: Mapping[int, TreeStatus]) -> dict[Ends, Link]:
     links: dict[Ends, Link] = {}
     for unit, word in sorted(words.items()):
         rows = zip(word.neighbor_ids.tolist(), word.turns.tolist(), word.pairs.tolist(), strict=True)
         for neighbor, turn, pair in rows:
             ends = min(unit, neighbor), max(unit, neighbor)
-            told = Link(ends, turn, tuple(sorted(robot for robot in pair if robot != NOBODY)), False)
+            told = Link(ends, turn, tuple(sorted(robot for robot in pair if robot != NO_ID)), False)
             other = links.get(ends)
             newer = told if other is None or told.turn > other.turn else other
             links[ends] = Link(ends, newer.turn, newer.pair, other is not None)
@@ -87,16 +87,16 @@ def _links(words: Mapping[int, TreeWord]) -> dict[Ends, Link]:
 
 
 @dataclass
-class TreeWatch:
+class TreeHistory:
     """Keeps the last word of each unit from step to step."""
 
-    _words: dict[int, TreeWord] = field(default_factory=dict, init=False)
+    _words: dict[int, TreeStatus] = field(default_factory=dict, init=False)
 
-    def see(self, step: Step, dead: Iterable[int]) -> TreeState | None:
+    def see(self, step: Step, dead: Iterable[int]) -> TreeSnapshot | None:
         """The tree after a step; None where sets come from the safety radius alone."""
         for unit, frame in step.frames.items():
             if (word := frame.decision.report.tree) is not None:
                 self._words[unit] = word
         for unit in dead:
             self._words.pop(unit, None)
-        return tree_state(self._words, dead) if self._words else None
+        return tree_snapshot(self._words, dead) if self._words else None

@@ -80,7 +80,7 @@ class Watcher(Progress):
         seen = sum(frame.sight.found_ids.size for frame in step.frames.values())
         whole = sum(frame.sight.whole_ids.size for frame in step.frames.values())
         state = (
-            f"{step.time_s:.0f}/{self._duration_s:g} s  V {step.observation.V:.3g} m²  found {seen}/{whole}"
+            f"{step.time_s:.0f}/{self._duration_s:g} s  V {step.metrics.V:.3g} m²  found {seen}/{whole}"
         )
         if step.time_s >= self._duration_s - 1e-9:
             state = "drawing figures and page …"
@@ -99,7 +99,7 @@ def _tell(summary: dict[str, Any], folder: Path) -> None:
     out.print(
         f"{summary['steps']} steps, {summary['frames']} images, "
         f"recall {'–' if recall is None else format(recall, '.2%')}, "
-        f"{summary['topology_switches']} topology switches, {summary['wall_s']:.1f} s",
+        f"{summary['topology_changes']} topology switches, {summary['wall_s']:.1f} s",
         markup=False,
     )
     films = [folder / VIDEO] if (folder / VIDEO).exists() else []

@@ -9,7 +9,7 @@ from rich.table import Table
 
 from skyherd.analysis.history import History, make_history
 from skyherd.analysis.summary_fields import TC_MEANINGS
-from skyherd.analysis.topology_changes import find_switches
+from skyherd.analysis.topology_changes import find_topology_changes
 from skyherd.analysis.topology_report import (
     TopologyReport,
     judge_topology,
@@ -168,7 +168,7 @@ def _tell_rates(report: TopologyReport, history: History, *, is_run: bool) -> No
 
 
 def _tell_switches(history: History) -> None:
-    switches = find_switches(history)
+    switches = find_topology_changes(history)
     table = Table("time, s", "switch", box=None, header_style="bold")
     for switch in switches[:MOST_SWITCHES]:
         table.add_row(f"{switch.time_s:.1f}", switch.what)

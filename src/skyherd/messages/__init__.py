@@ -7,20 +7,20 @@ y left, angles counter-clockwise. Units are in the names.
 from skyherd.messages.commands import FlightCommand, VelocityCommand
 from skyherd.messages.detections import Detections, among, centred
 from skyherd.messages.goals import MotionGoals, RobotGoal
-from skyherd.messages.proximity import Encounters
+from skyherd.messages.proximity import Proximity
 from skyherd.messages.reports import UnitReport, shared_ids
 from skyherd.messages.role_map import RoleMap
-from skyherd.messages.tree_status import NOBODY, TreeWord
+from skyherd.messages.tree_status import NO_ID, TreeStatus
 
 __all__ = [
-    "NOBODY",
+    "NO_ID",
     "Detections",
-    "Encounters",
     "FlightCommand",
     "MotionGoals",
+    "Proximity",
     "RobotGoal",
     "RoleMap",
-    "TreeWord",
+    "TreeStatus",
     "UnitReport",
     "VelocityCommand",
     "among",

@@ -8,7 +8,7 @@ from skyherd.messages.frozen_arrays import freeze, freeze_ids
 
 
 @dataclass(frozen=True)
-class Encounters:
+class Proximity:
     """Bodies near the robots that one unit sees, as arrays over pairs (robot, other).
 
     Two bodies that are both seen and make no pair are far apart.

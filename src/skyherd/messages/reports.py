@@ -11,7 +11,7 @@ from skyherd.geometry import Array, IntArray
 from skyherd.messages.detections import centred
 from skyherd.messages.frozen_arrays import freeze, freeze_ids
 from skyherd.messages.role_map import RoleMap
-from skyherd.messages.tree_status import TreeWord
+from skyherd.messages.tree_status import TreeStatus
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class UnitReport:
     points_px: Array
     controlled_ids: IntArray
     secure_ids: IntArray
-    tree: TreeWord | None = None
+    tree: TreeStatus | None = None
     cost_sides2: float = 0.0
     side_px: float = 0.0
     roles: RoleMap | None = None

@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from skyherd.analysis.history import History
-from skyherd.analysis.tree_snapshot import TreeState
+from skyherd.analysis.tree_snapshot import TreeSnapshot
 from skyherd.drawing.palette import INK, unit_color
 from skyherd.geometry import Array, BoolArray
 from skyherd.plots.style import legend_above, new_figure
@@ -54,7 +54,7 @@ def draw_topology(history: History) -> Figure:
     return figure
 
 
-def _in_tree(tree: TreeState | None, units: int) -> BoolArray:
+def _in_tree(tree: TreeSnapshot | None, units: int) -> BoolArray:
     """(U,) units that belong to the tree."""
     return np.isin(np.arange(units), [] if tree is None else list(tree.members))
 

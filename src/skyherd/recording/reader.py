@@ -22,12 +22,12 @@ from skyherd.control.topology.conditions import Conditions
 from skyherd.datasets import Mission, Scenario
 from skyherd.errors import InputError
 from skyherd.loop import Step, UnitFrame
-from skyherd.messages import Detections, Encounters, FlightCommand, MotionGoals, UnitReport, VelocityCommand
+from skyherd.messages import Detections, FlightCommand, MotionGoals, Proximity, UnitReport, VelocityCommand
 from skyherd.messages.role_map import RoleMap
-from skyherd.messages.tree_status import TreeWord
+from skyherd.messages.tree_status import TreeStatus
 from skyherd.recording.json_codec import from_plain
 from skyherd.sim.perception import Sight
-from skyherd.sim.truth_metrics import Observation, ShapeFit
+from skyherd.sim.truth_metrics import ShapeFit, TruthMetrics
 from skyherd.sim.world import Fleet
 
 
@@ -109,7 +109,7 @@ def read_recording(path: Path) -> Recording:
             versions = {name: str(record.get(name, "?")) for name in ("version", "opencv", "numpy")}
             with _understood(path):
                 mission = _read_mission(record)
-        elif topic == "/observer":
+        elif topic == "/metrics":
             with _understood(path):
                 steps.append(_read_step(time_s, pending | {topic: record}))
             pending = {}
@@ -131,7 +131,7 @@ def read_steps(path: Path) -> Iterator[Step]:
     pending: dict[str, Any] = {}
     for topic, time_s, record in read_messages(path):
         pending[topic] = record
-        if topic == "/observer":
+        if topic == "/metrics":
             yield _read_step(time_s, pending)
             pending = {}
 
@@ -167,7 +167,7 @@ def _read_mission(record: dict[str, Any]) -> Mission:
 
 def _read_step(time_s: float, records: dict[str, Any]) -> Step:
     units = sorted(int(topic.split("/")[2]) for topic in records if topic.endswith("/detections"))
-    observer, world = records["/observer"], records["/world"]
+    observer, world = records["/metrics"], records["/world"]
     return Step(
         time_s=time_s,
         positions_m=np.array(world["positions_m"]),
@@ -179,8 +179,8 @@ def _read_step(time_s: float, records: dict[str, Any]) -> Step:
         control_sets={
             int(unit): np.array(ids, dtype=np.int64) for unit, ids in observer["control_sets"].items()
         },
-        observation=from_plain(
-            Observation,
+        metrics=from_plain(
+            TruthMetrics,
             observer,
             conditions=Conditions(**observer["conditions"]),
             shape=ShapeFit(**observer["shape"]),
@@ -194,7 +194,7 @@ def _read_frame(topic: str, records: dict[str, Any]) -> UnitFrame:
         records[f"{topic}/truth"],
         records.get(f"{topic}/goals"),
         records.get(f"{topic}/image"),
-        records.get(f"{topic}/encounters"),
+        records.get(f"{topic}/proximity"),
     )
     sight = Sight(
         detections=from_plain(Detections, records[f"{topic}/detections"]),
@@ -207,7 +207,7 @@ def _read_frame(topic: str, records: dict[str, Any]) -> UnitFrame:
         goals=None if goals is None else from_plain(MotionGoals, goals),
         report=_read_report(records[f"{topic}/report"]),
         flight=from_plain(FlightCommand, records[f"{topic}/flight"]),
-        encounters=None if near is None else from_plain(Encounters, near),
+        proximity=None if near is None else from_plain(Proximity, near),
     )
     ground_map = records.get(f"{topic}/map")
     if ground_map is None:
@@ -220,7 +220,7 @@ def _read_report(record: dict[str, Any]) -> UnitReport:
     return from_plain(
         UnitReport,
         record,
-        tree=None if tree is None else from_plain(TreeWord, tree),
+        tree=None if tree is None else from_plain(TreeStatus, tree),
         roles=None if roles is None else from_plain(RoleMap, roles),
     )
 

@@ -3,10 +3,10 @@
 A topic for each vehicle and kind of message, JSON with a schema, so that any MCAP viewer opens it. A run
 that is killed leaves a file that reads up to its last whole chunk.
 
-Topics: `/mission` (first), `/unit/J/detections`, `/unit/J/goals`, `/unit/J/encounters` (where robots
+Topics: `/mission` (first), `/unit/J/detections`, `/unit/J/goals`, `/unit/J/proximity` (where robots
 keep apart), `/unit/J/report`, `/unit/J/flight`,
 `/unit/J/map` (of a unit that rectifies), `/unit/J/truth`, `/unit/J/image` (on request),
-`/robots/command`, `/world`, `/observer` (last of a step), `/end` (of a run that came to its end).
+`/robots/command`, `/world`, `/metrics` (last of a step), `/end` (of a run that came to its end).
 """
 
 import base64
@@ -23,7 +23,7 @@ from skyherd.control import Template
 from skyherd.datasets import Mission
 from skyherd.loop import Step, UnitFrame
 from skyherd.recording.json_codec import json_schema, to_json
-from skyherd.sim.truth_metrics import Observation
+from skyherd.sim.truth_metrics import TruthMetrics
 from skyherd.version import __version__
 
 CHUNK_BYTES = 1 << 16
@@ -68,12 +68,12 @@ class Recorder:
             "fleet": step.fleet,
         }
         self._put("/world", step.time_s, world, "skyherd.World")
-        record = {field.name: getattr(step.observation, field.name) for field in fields(Observation)} | {
+        record = {field.name: getattr(step.metrics, field.name) for field in fields(TruthMetrics)} | {
             "control_sets": step.control_sets,
             "commanded_ids": step.commanded_ids,
             "roles": step.roles,
         }
-        self._put("/observer", step.time_s, record, "skyherd.Observation", Observation)
+        self._put("/metrics", step.time_s, record, "skyherd.TruthMetrics", TruthMetrics)
         self._file.flush()  # a killed run keeps all chunks that were whole by then
 
     def finish(self, time_s: float, wall_s: float) -> None:
@@ -86,8 +86,8 @@ class Recorder:
         self._put_value(f"{topic}/detections", time_s, sight.detections)
         if decision.goals is not None:
             self._put_value(f"{topic}/goals", time_s, decision.goals)
-        if decision.encounters is not None:
-            self._put_value(f"{topic}/encounters", time_s, decision.encounters)
+        if decision.proximity is not None:
+            self._put_value(f"{topic}/proximity", time_s, decision.proximity)
         self._put_value(f"{topic}/report", time_s, decision.report)
         self._put_value(f"{topic}/flight", time_s, decision.flight)
         if not frame.ground_map.ideal:

@@ -11,20 +11,20 @@ from skyherd.control import (
     BodyRule,
     Decision,
     Follow,
-    FreeRule,
+    GoalInboxes,
     GroundMap,
     Hover,
-    Inboxes,
+    HybridRule,
+    KeepInView,
     MarkerGains,
+    NeighborMemory,
     Perimeter,
     PixelGains,
     Rectifier,
     RoleRule,
     SafetyRadius,
     Selection,
-    Serve,
     SizeRule,
-    Surroundings,
     Team,
     Template,
     TreeRule,
@@ -40,7 +40,7 @@ from skyherd.datasets.configuration.unit_models import FlightModel
 from skyherd.geometry import ComplexArray, IntArray
 from skyherd.messages import Detections, UnitReport
 from skyherd.sim.baseline_laws import Law, bearing_only_law, complex_laplacian_law
-from skyherd.sim.oracle_team import ToldTeam
+from skyherd.sim.oracle_team import OracleTeam
 from skyherd.sim.world import World
 
 LAWS: Mapping[str, Callable[[ComplexArray, float], Law]] = {
@@ -66,8 +66,8 @@ def make_flight(model: FlightModel, template: Template) -> Flight:
         return Perimeter(
             model.desired_radius, model.speed_mps, model.lateral_gain_mps, model.climb_gain_mps, yaw_rate
         )
-    if model.kind == "serve":
-        return Serve(
+    if model.kind == "keep-in-view":
+        return KeepInView(
             template,
             model.desired_radius,
             model.lateral_gain_mps,
@@ -99,7 +99,7 @@ def make_selection(model: SelectionModel) -> Selection:
         firm=model.firm,
         silence_s=model.silence_s,
     )
-    rules: dict[str, Selection] = {"radius": free, "tree": tree, "radius-then-tree": FreeRule(free, tree)}
+    rules: dict[str, Selection] = {"radius": free, "tree": tree, "radius-then-tree": HybridRule(free, tree)}
     return rules[model.kind]
 
 
@@ -142,7 +142,7 @@ def make_mind(mission: Mission, unit: int) -> Mind:
     return Mind(controller, Rectifier() if scenario.control.rectify else None)
 
 
-class Crew:
+class Agents:
     """The minds of all units.
 
     Attributes:
@@ -203,19 +203,19 @@ def make_bodies(mission: Mission) -> BodyRule | None:
     return BodyRule(radius, model.margin_sides, model.horizon_sides, obstacles)
 
 
-def make_team(mission: Mission, world: World) -> Team | ToldTeam:
+def make_team(mission: Mission, world: World) -> Team | OracleTeam:
     """The robots' minds; the world is for those that follow a law from the literature."""
     scenario, gains = mission.scenario, make_gains(mission.scenario)
     if scenario.control.method != "similarity":
         shape = mission.template.points_of(mission.ids).conj()
         law = LAWS[scenario.control.method](shape, scenario.control.k)
-        return ToldTeam(world, law, gains, make_wheels(scenario))
+        return OracleTeam(world, law, gains, make_wheels(scenario))
     units = np.arange(len(scenario.units))
-    inboxes = Inboxes(mission.ids, units, scenario.robots.timeout_s, distances=gains.needs_distances)
+    inboxes = GoalInboxes(mission.ids, units, scenario.robots.timeout_s, distances=gains.needs_distances)
     if not scenario.avoidance.on:
         return Team(inboxes, gains, make_wheels(scenario))
     bodies = np.union1d(mission.ids, mission.obstacle_ids)
-    around = Surroundings(mission.ids, bodies, scenario.avoidance.lifetime_s)
+    around = NeighborMemory(mission.ids, bodies, scenario.avoidance.lifetime_s)
     return Team(inboxes, gains, make_wheels(scenario), around, make_avoidance(scenario))
 
 
@@ -245,5 +245,5 @@ def make_avoidance(scenario: Scenario) -> AvoidanceRule:
         creep_mps=drive.wheel_step_mps / 2,
         turn_error_radps=2 * wheel_mps / drive.track_m + SLIPS * drive.slip * robots.max_turn_radps,
         lifetime_s=scenario.avoidance.lifetime_s,
-        steering=scenario.avoidance.steer,
+        detour=scenario.avoidance.detour,
     )

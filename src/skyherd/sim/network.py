@@ -7,9 +7,9 @@ import numpy as np
 
 from skyherd.datasets.configuration.models import NetworkModel
 from skyherd.geometry import BoolArray
-from skyherd.messages import Encounters, MotionGoals, UnitReport
+from skyherd.messages import MotionGoals, Proximity, UnitReport
 
-ToRobots = MotionGoals | Encounters
+ToRobots = MotionGoals | Proximity
 """What units send to robots."""
 
 

@@ -4,12 +4,12 @@ import numpy as np
 
 from skyherd.control.robots.unicycle import Gains, Wheels, wheel_law
 from skyherd.geometry import BoolArray, IntArray, to_complex
-from skyherd.messages import Encounters, MotionGoals, VelocityCommand
+from skyherd.messages import MotionGoals, Proximity, VelocityCommand
 from skyherd.sim.baseline_laws import Law
 from skyherd.sim.world import World
 
 
-class ToldTeam:
+class OracleTeam:
     """In the place of `control.Team`: the same wheels, and the same way from a wanted velocity to speeds.
 
     Args:
@@ -22,7 +22,7 @@ class ToldTeam:
     def __init__(self, world: World, law: Law, gains: Gains, wheels: Wheels) -> None:
         self._world, self._law, self._gains, self._wheels = world, law, gains, wheels
 
-    def receive(self, message: MotionGoals | Encounters, time_s: float, heard: BoolArray) -> None:
+    def receive(self, message: MotionGoals | Proximity, time_s: float, heard: BoolArray) -> None:
         """Nothing: what units say does not matter."""
 
     def command(self, time_s: float) -> VelocityCommand:

@@ -40,7 +40,7 @@ def fit_shape(template_ground: np.ndarray, positions: np.ndarray) -> ShapeFit:
 
 
 @dataclass(frozen=True)
-class Observation:
+class TruthMetrics:
     """The state of a mission at one instant.
 
     Attributes:
@@ -62,7 +62,7 @@ class Observation:
     min_separation_m: float
 
 
-class Observer:
+class TruthObserver:
     """Watches a team form the shape of `template`; `ids` are its robots, ascending."""
 
     def __init__(self, template: Template, ids: IntArray) -> None:
@@ -77,7 +77,7 @@ class Observer:
         sets: ControlSets,
         dead: Sequence[int] = (),
         shape: Template | None = None,
-    ) -> Observation:
+    ) -> TruthMetrics:
         """Judge robots at positions (N, 2) under the topology `sets`, in which dead units have no part.
 
         `shape` is what they form now, each robot with the point that is its own; the template if None.
@@ -90,7 +90,7 @@ class Observer:
         partial = fit_similarities(template[robot], positions[robot], unit, units)
         missed = np.abs(partial(template[robot], unit) - positions[robot])
         costs = np.bincount(unit, weights=missed**2, minlength=units) / 2
-        return Observation(
+        return TruthMetrics(
             V=float(costs[partial.exist].sum()),
             V_units=np.where(partial.exist, costs, np.nan),
             scales=np.where(partial.exist, np.abs(partial.turns), np.nan),

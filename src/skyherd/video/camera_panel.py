@@ -22,8 +22,8 @@ from skyherd.drawing.canvas import (
 from skyherd.drawing.palette import INK, MUTED, PAPER, TEMPLATE_COLOR, rgb, unit_rgb
 from skyherd.geometry import Array, BoolArray, to_points
 from skyherd.loop import UnitFrame
-from skyherd.messages import NOBODY, Detections
-from skyherd.messages.tree_status import TreeWord
+from skyherd.messages import NO_ID, Detections
+from skyherd.messages.tree_status import TreeStatus
 from skyherd.video.body_overlay import BodySizes, draw_obstacle, draw_safety, draw_warning
 
 TITLE_PX = 26
@@ -46,13 +46,13 @@ LIFT = 0.7
 _CURVE = np.rint(255 * (np.arange(256) / 255) ** LIFT).astype(np.uint8)
 
 
-def _standing(tree: TreeWord | None) -> str:
+def _standing(tree: TreeStatus | None) -> str:
     """What a title says of the unit's standing in the tree."""
     if tree is None:
         return ""
-    if tree.tree_id == NOBODY:
-        return " · outside" if tree.asks_id == NOBODY else f" · asks unit {tree.asks_id}"
-    return "" if tree.heir_id == NOBODY else f" · heir {tree.heir_id}"
+    if tree.tree_id == NO_ID:
+        return " · outside" if tree.asks_id == NO_ID else f" · asks unit {tree.asks_id}"
+    return "" if tree.heir_id == NO_ID else f" · heir {tree.heir_id}"
 
 
 def brightened(image: Image) -> Image:
@@ -60,7 +60,7 @@ def brightened(image: Image) -> Image:
     return np.asarray(cv2.LUT(image, _CURVE), dtype=np.uint8)
 
 
-class CameraView:
+class CameraPanel:
     """Draws one unit's frames into its cell of the canvas: a title, and the image below it.
 
     Args:

@@ -5,17 +5,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skyherd.analysis.tree_snapshot import TreeWatch
+from skyherd.analysis.tree_snapshot import TreeHistory
 from skyherd.datasets import Mission
 from skyherd.drawing.canvas import Box, Image, draw_text, text_width
 from skyherd.drawing.palette import INK, MUTED, PAPER, rgb, unit_rgb
 from skyherd.loop import Step, UnitFrame, dead_units
 from skyherd.video.body_overlay import BodySizes, overlapping_ids
-from skyherd.video.camera_panel import BORDER_PX, TITLE_PX, CameraView
-from skyherd.video.curve_panel import Curve, PlotView
-from skyherd.video.ground_panel import GroundView
-from skyherd.video.legend import draw_key, key_height_px
-from skyherd.video.rectified_panel import RectifiedView
+from skyherd.video.camera_panel import BORDER_PX, TITLE_PX, CameraPanel
+from skyherd.video.curve_panel import Curve, CurvePanel
+from skyherd.video.ground_panel import GroundPanel
+from skyherd.video.legend import draw_legend, legend_height_px
+from skyherd.video.rectified_panel import RectifiedPanel
 
 HEADER_PX = 46
 PLOTS_SHARE = 0.25
@@ -116,7 +116,7 @@ def _block(
         filled = units - (rows - 1) * columns
         left = GAP_PX + filled * pitch_u
         key = Box(left, below - pitch_v, (columns - filled) * pitch_u - GAP_PX, pitch_v - GAP_PX)
-    fits = wide > 0 and key.width > 0 and key_height_px(key.width, tree=tree, bodies=bodies) <= key.height
+    fits = wide > 0 and key.width > 0 and legend_height_px(key.width, tree=tree, bodies=bodies) <= key.height
     return (pitch_u, pitch_v, columns, key) if fits else None
 
 
@@ -144,18 +144,18 @@ class Composer:
             size_px, sizes, tree=tree, bodies=bodies, rectified=bent and len(sizes) <= MOST_RECTIFIED
         )
         self._cameras = [
-            CameraView(unit, box.of(self._canvas), sizes[unit], scenario.selection.radius, self._bodies)
+            CameraPanel(unit, box.of(self._canvas), sizes[unit], scenario.selection.radius, self._bodies)
             for unit, box in enumerate(layout.cameras)
         ]
         self._rectified = [
-            RectifiedView(unit, box.of(self._canvas), sizes[unit])
+            RectifiedPanel(unit, box.of(self._canvas), sizes[unit])
             for unit, box in enumerate(layout.rectified)
         ]
-        self._ground = GroundView(mission, layout.ground.of(self._canvas))
-        draw_key(layout.key.of(self._canvas), tree=tree, bodies=bodies)
+        self._ground = GroundPanel(mission, layout.ground.of(self._canvas))
+        draw_legend(layout.key.of(self._canvas), tree=tree, bodies=bodies)
         self._cost, self._scale = self._make_plots(layout)
         self._last: dict[int, UnitFrame] = {}
-        self._tree = TreeWatch()
+        self._tree = TreeHistory()
 
     def compose(self, step: Step) -> Image:
         """Picture (height, width, 3) RGB of a step: read-only, and drawn over by the next call."""
@@ -170,22 +170,22 @@ class Composer:
             if self._rectified:
                 self._rectified[unit].draw(frame)
         self._ground.draw(step, self._tree.see(step, dead), struck)
-        seen = step.observation
+        seen = step.metrics
         cost = np.append(seen.V, seen.V_units)
         self._cost.add(step.time_s, np.where(cost > LEAST_COST, cost, np.nan))
         self._scale.add(step.time_s, seen.scales)
         self._draw_header(step)
         return self._shown
 
-    def _make_plots(self, layout: Layout) -> tuple[PlotView, PlotView]:
+    def _make_plots(self, layout: Layout) -> tuple[CurvePanel, CurvePanel]:
         duration_s = self.mission.scenario.duration_s
         many = len(self._cameras) > MOST_NAMED
         names = [f"{unit}" if many else f"unit {unit}" for unit in range(len(self._cameras))]
         units = [Curve(name, unit_rgb(unit)) for unit, name in enumerate(names)]
         cost, scale = (box.of(self._canvas) for box in layout.plots)
         return (
-            PlotView(cost, "cost V, m²", [Curve("total", rgb(INK), 4), *units], duration_s, log=True),
-            PlotView(scale, "scale of each part, metres a template unit", units, duration_s),
+            CurvePanel(cost, "cost V, m²", [Curve("total", rgb(INK), 4), *units], duration_s, log=True),
+            CurvePanel(scale, "scale of each part, metres a template unit", units, duration_s),
         )
 
     def _draw_header(self, step: Step) -> None:
@@ -207,13 +207,13 @@ class Composer:
     def _nearest(self, step: Step) -> tuple[str, str, int]:
         """The closest pair of robots, or where they have bodies the least gap between any two."""
         if not (self._bodies.radius or self._bodies.obstacles):
-            return "closest pair", f"{step.observation.min_separation_m:.2f} m", 74
+            return "closest pair", f"{step.metrics.min_separation_m:.2f} m", 74
         gap_m = float(self.mission.bodies.gaps_m(step.positions_m).min())
         return "least gap", f"{gap_m:.2f} m".replace("-", "−"), 74
 
     def _figures(self, step: Step) -> list[tuple[str, str, int]]:
         """Label, value, and the width in px kept for the value."""
-        seen = step.observation
+        seen = step.metrics
         sights = [frame.sight for frame in self._last.values()]
         found = sum(sight.found_ids.size for sight in sights)
         whole = sum(sight.whole_ids.size for sight in sights)

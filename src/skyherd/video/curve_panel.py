@@ -26,7 +26,7 @@ class Curve:
     width_px: int = 2
 
 
-class PlotView:
+class CurvePanel:
     """Curves over time in a panel of the canvas; the panel keeps them from frame to frame.
 
     Args:

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.spatial.distance import pdist, squareform
 
-from skyherd.analysis.tree_snapshot import TreeState
+from skyherd.analysis.tree_snapshot import TreeSnapshot
 from skyherd.control import fit_similarity
 from skyherd.control.topology.conditions import owners_by_robot
 from skyherd.datasets import Mission
@@ -27,7 +27,7 @@ from skyherd.render import footprint_m
 from skyherd.sim.world import make_camera
 from skyherd.video.axis_ticks import tick_values
 from skyherd.video.body_overlay import CLEAR, BodySizes, draw_bodies, draw_obstacle
-from skyherd.video.tree_overlay import TreeView, draw_dead, draw_pair_marks
+from skyherd.video.tree_overlay import TreeOverlay, draw_dead, draw_pair_marks
 
 TITLE_PX = 26
 LEFT_PX = 34
@@ -57,7 +57,7 @@ def _spacing_m(positions_m: Array) -> float:
     return float(np.median(distances.min(axis=1)))
 
 
-class GroundView:
+class GroundPanel:
     """Draws steps into a panel of the canvas; the view widens when a robot or a unit would leave it.
 
     Args:
@@ -75,7 +75,7 @@ class GroundView:
         self._center_m, self._px_per_m = np.zeros(2), 0.0
         self._roles, self._exchanged_s = np.arange(mission.ids.size), np.full(mission.ids.size, -np.inf)
         self._label_sides = [0] * len(self._cameras)
-        self._tree = TreeView(mission.ids)
+        self._tree = TreeOverlay(mission.ids)
         self._title = panel[:TITLE_PX]
 
     def to_panel(self, points_m: Array) -> Array:
@@ -83,7 +83,9 @@ class GroundView:
         middle = np.array([self._field.shape[1] - 1, self._field.shape[0] - 1]) / 2
         return np.asarray((points_m - self._center_m) * (self._px_per_m, -self._px_per_m) + middle)
 
-    def draw(self, step: Step, tree: TreeState | None = None, struck: frozenset[int] = frozenset()) -> None:
+    def draw(
+        self, step: Step, tree: TreeSnapshot | None = None, struck: frozenset[int] = frozenset()
+    ) -> None:
         """Draw the ground at one step, with the tree of units if they have one, and whose bodies overlap."""
         self._write_title(tree)
         corners_m = [footprint_m(c, step.fleet.pose(u)) for u, c in enumerate(self._cameras)]
@@ -106,7 +108,7 @@ class GroundView:
         self._draw_robots(step, tree)
         self._draw_units(step, tree)
 
-    def _write_title(self, tree: TreeState | None) -> None:
+    def _write_title(self, tree: TreeSnapshot | None) -> None:
         """What is shown, on the left, and how the tree stands, on the right."""
         self._title[:] = rgb(PAPER)
         title = "the ground from above · axes in metres" if tree is None else "the ground, metres"
@@ -205,7 +207,7 @@ class GroundView:
                 draw_circle(self._field, robot, sizes.safety * side_px, CLEAR, -1)
         draw_bodies(self._field, robots, sizes.radius * side_px, np.isin(mission.ids, list(struck)))
 
-    def _draw_units(self, step: Step, tree: TreeState | None) -> None:
+    def _draw_units(self, step: Step, tree: TreeSnapshot | None) -> None:
         places, robots = self.to_panel(step.fleet.positions_m), self.to_panel(step.positions_m)
         for unit, place in enumerate(places):
             u, v = place.tolist()
@@ -231,7 +233,7 @@ class GroundView:
         u, v = spots[self._label_sides[unit]].tolist()
         return u, v
 
-    def _draw_robots(self, step: Step, tree: TreeState | None) -> None:
+    def _draw_robots(self, step: Step, tree: TreeSnapshot | None) -> None:
         """Discs with ids, ringed in the colours of the units that control them, noses ahead."""
         radius = max(9.5, 0.5 * self.mission.scenario.marker.side_m * self._px_per_m)
         places = self.to_panel(step.positions_m)
@@ -248,7 +250,7 @@ class GroundView:
             draw_text(self._field, str(robot_id), (u, v), rgb(INK), size_px=11, bold=True, align="center")
 
 
-def _standing(tree: TreeState) -> str:
+def _standing(tree: TreeSnapshot) -> str:
     """How the tree stands, in a few words."""
     living = len(tree.members) + len(tree.unjoined)
     said = [f"{len(tree.members)} of {living} units in the tree"]

@@ -134,7 +134,7 @@ def _items(*, tree: bool, bodies: bool) -> tuple[tuple[Callable[[Image, float, f
     return ITEMS + (TREE_ITEMS if tree else ()) + (BODY_ITEMS if bodies else ())
 
 
-def key_height_px(width_px: int, *, tree: bool = False, bodies: bool = False) -> int:
+def legend_height_px(width_px: int, *, tree: bool = False, bodies: bool = False) -> int:
     """Height of the key in a panel of some width."""
     _, rows, row_px = _grid(width_px, tree=tree, bodies=bodies)
     return rows * row_px
@@ -148,7 +148,7 @@ def _grid(width_px: int, *, tree: bool, bodies: bool) -> tuple[float, int, int]:
     return pitch, -(-len(items) // columns), TIGHT_PX if len(items) > MANY else ROW_PX
 
 
-def draw_key(panel: Image, *, tree: bool = False, bodies: bool = False) -> None:
+def draw_legend(panel: Image, *, tree: bool = False, bodies: bool = False) -> None:
     """Draw the key, with the symbols of tree and bodies if asked, in as few rows as there is room for."""
     items = _items(tree=tree, bodies=bodies)
     pitch, rows, row_px = _grid(panel.shape[1], tree=tree, bodies=bodies)

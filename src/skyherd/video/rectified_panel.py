@@ -28,7 +28,7 @@ KNOT_PX = 8
 """The map is computed so far apart on the panel, and linear between: right to a tenth of its pixels."""
 
 
-class RectifiedView:
+class RectifiedPanel:
     """Draws one unit's frames, rectified, into its cell of the canvas: a title, and the image below it.
 
     Args:

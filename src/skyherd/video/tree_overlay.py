@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from skyherd.analysis.tree_snapshot import Ends, Link, TreeState
+from skyherd.analysis.tree_snapshot import Ends, Link, TreeSnapshot
 from skyherd.drawing.canvas import Color, Image, dashes, draw_circle, draw_lines, draw_ring, draw_segments
 from skyherd.drawing.palette import INK, MUTED, PAPER, rgb, unit_rgb
 from skyherd.geometry import Array, IntArray
@@ -19,14 +19,16 @@ TURN_AT = 0.28
 
 
 @dataclass
-class TreeView:
+class TreeOverlay:
     """Draws the tree of each step; `ids` are the robots in the order of their places."""
 
     ids: IntArray
     _pairs: dict[Ends, tuple[int, ...]] = field(default_factory=dict, init=False)
     _changed_s: dict[Ends, float] = field(default_factory=dict, init=False)
 
-    def draw_edges(self, image: Image, tree: TreeState, units: Array, robots: Array, time_s: float) -> None:
+    def draw_edges(
+        self, image: Image, tree: TreeSnapshot, units: Array, robots: Array, time_s: float
+    ) -> None:
         """Edges between the units' places (U, 2), with the pairs among the robots' places (N, 2)."""
         self._watch(tree, time_s)
         for ends, link in tree.links.items():
@@ -44,7 +46,7 @@ class TreeView:
         for unit, asked in tree.asks.items():
             draw_segments(image, *dashes(units[[unit]], units[[asked]], 3.0), unit_rgb(unit), 1)
 
-    def _watch(self, tree: TreeState, time_s: float) -> None:
+    def _watch(self, tree: TreeSnapshot, time_s: float) -> None:
         """Note pairs that are not what they were."""
         pairs = {ends: link.pair for ends, link in tree.links.items() if link.pair}
         for ends, pair in pairs.items():

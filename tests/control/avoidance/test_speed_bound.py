@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from skyherd.control import AvoidanceRule, BodyRule, MarkerGains, Surroundings, Wheels
+from skyherd.control import AvoidanceRule, BodyRule, MarkerGains, NeighborMemory, Wheels
 from skyherd.control.avoidance.detour import circle, slide
-from skyherd.control.avoidance.proximity import encounters
+from skyherd.control.avoidance.proximity import proximity
 from skyherd.control.avoidance.speed_bound import avoiding_law, closing_bounds, slowed
 from skyherd.control.robots.unicycle import wheel_law
 from skyherd.datasets.configuration.models import DriveModel
@@ -41,7 +41,7 @@ class Crowd:
     def __post_init__(self) -> None:
         ids = np.arange(self.count)
         self.positions_m, self.headings = self._start(), self.rng.uniform(-np.pi, np.pi, self.count)
-        self.around = Surroundings(ids, ids, self.rule.lifetime_s)
+        self.around = NeighborMemory(ids, ids, self.rule.lifetime_s)
         self.wheels = Drive(self.drive, self.count, STEP_S, int(self.rng.integers(1000)))
         self.waiting: list = []
         self.least_m = np.inf
@@ -61,7 +61,7 @@ class Crowd:
         seen = self.make_detections(
             np.arange(self.count), points, headings=-self.headings, sides=sides, time_s=tick * STEP_S
         )
-        self.waiting.append((tick + self.latency, encounters(seen, np.arange(self.count), BODIES)))
+        self.waiting.append((tick + self.latency, proximity(seen, np.arange(self.count), BODIES)))
 
     def wants(self) -> tuple[np.ndarray, np.ndarray]:
         others = to_complex(self.positions_m)
@@ -163,20 +163,20 @@ def test_what_a_unit_tells_is_true(make_detections) -> None:
 def test_an_obstacle_is_all_the_robots_own_to_keep_away_from(make_detections) -> None:
     seen = make_detections([0, 1, 40], [0, 300, 60], sides=[20, 20, 20])
     bodies = BodyRule(1.0, margin_sides=0.5, horizon_sides=4.0, obstacles={40: 0.25})
-    word = encounters(seen, np.array([0, 1, 2]), bodies)
+    word = proximity(seen, np.array([0, 1, 2]), bodies)
     assert word.robot_ids.tolist() == [0] and word.other_ids.tolist() == [40]
     assert word.distances_sides.tolist() == [3.0] and word.reaches_sides.tolist() == [1.75]
     assert word.shares.tolist() == [1.0]
 
 
 def test_news_replace_older_ones_and_clear_what_went_away(make_detections) -> None:
-    around = Surroundings(np.array([0, 1]), np.array([0, 1]), 2.0)
+    around = NeighborMemory(np.array([0, 1]), np.array([0, 1]), 2.0)
     bodies = BodyRule(1.0, horizon_sides=4.0)
 
     def tell(time_s: float, apart_px: float, ids=(0, 1)) -> None:
         points = [0, apart_px][: len(ids)]
         seen = make_detections(ids, points, sides=[20] * len(ids), time_s=time_s)
-        around.receive(encounters(seen, np.array([0, 1]), bodies))
+        around.receive(proximity(seen, np.array([0, 1]), bodies))
 
     tell(1.0, 100)
     tell(0.5, 60)
@@ -191,11 +191,11 @@ def test_news_replace_older_ones_and_clear_what_went_away(make_detections) -> No
 
 def test_directions_turn_with_the_robot(make_detections) -> None:
     """A message of time 0 that arrives at 0.3 s: the robot has turned by 0.3 rad meanwhile."""
-    around = Surroundings(np.array([0]), np.array([0, 1]), 2.0)
+    around = NeighborMemory(np.array([0]), np.array([0, 1]), 2.0)
     for tick in range(5):
         if tick == 3:
             seen = make_detections([0, 1], [0, 60], time_s=0.0)
-            around.receive(encounters(seen, np.array([0]), BodyRule(1.0, obstacles={1: 1.0})))
+            around.receive(proximity(seen, np.array([0]), BodyRule(1.0, obstacles={1: 1.0})))
         around.turn(np.array([1.0]), 0.1 * tick, 0.1)
     assert around.bearings_rad(around.fresh(0.5)) == pytest.approx([-0.5])
 
@@ -204,9 +204,9 @@ def test_nothing_near_leaves_the_law_alone(make_detections) -> None:
     """Bit for bit: robots 10 sides apart whose goals lead away from one another."""
     gains = MarkerGains(0.5, 2.0, 0.0, SIDE_M)
     rho = np.array([3 + 1j, -2 + 4j])
-    around = Surroundings(np.array([0, 1]), np.array([0, 1]), 2.0)
+    around = NeighborMemory(np.array([0, 1]), np.array([0, 1]), 2.0)
     points = np.array([0, 200])
-    around.receive(encounters(make_detections([0, 1], points), np.array([0, 1]), BODIES))
+    around.receive(proximity(make_detections([0, 1], points), np.array([0, 1]), BODIES))
     assert np.array_equal(avoiding_law(rho, gains, around, rule(), 0.0), wheel_law(rho, gains, WHEELS))
 
 

@@ -8,7 +8,7 @@ from skyherd.control.flight.image_memory import ImageMemory
 
 ROUNDING_PX = 1e-9
 """Similarities through some hundred pixels, fitted and applied: 1e-16 of them, some ten times over."""
-NOBODY: list[int] = []
+NO_ID: list[int] = []
 
 
 def scene(seed: int, count: int = 9):
@@ -43,7 +43,7 @@ def test_a_robot_outside_the_frame_is_placed_where_it_is(make_detections, make_r
     _, ground, (ours, theirs), template = scene(seed)
     ids = template.ids
     memory = ImageMemory(template)
-    report = make_report(1, ids, theirs(ground), NOBODY)
+    report = make_report(1, ids, theirs(ground), NO_ID)
     memory.update(make_detections(ids[:common], ours(ground[:common])), [report])
     np.testing.assert_allclose(known_points(memory, ids), ours(ground), rtol=0, atol=ROUNDING_PX)
     assert memory.seen_s[memory.rows(ids[common:])].max() == -np.inf, "placed, not seen"
@@ -54,7 +54,7 @@ def test_the_other_units_centre_is_found_in_the_own_image(make_detections, make_
     _, ground, (ours, theirs), template = scene(seed)
     memory = ImageMemory(template)
     size = (640, 480)
-    report = make_report(1, template.ids, theirs(ground), NOBODY, size=size)
+    report = make_report(1, template.ids, theirs(ground), NO_ID, size=size)
     memory.update(make_detections(template.ids[:4], ours(ground[:4])), [report])
     turn = theirs(1.0) - theirs(0.0)
     middle = (complex(319.5, 239.5) - theirs(0.0)) / turn
@@ -87,7 +87,7 @@ def test_one_robot_in_common_tells_nothing(make_detections, make_report) -> None
     """Neither a similarity to another image nor the own motion: what is not seen is unknown, or stays."""
     _, ground, (ours, theirs), template = scene(1)
     memory = ImageMemory(template)
-    report = make_report(1, template.ids, theirs(ground), NOBODY)
+    report = make_report(1, template.ids, theirs(ground), NO_ID)
     memory.update(make_detections(template.ids[:1], ours(ground[:1])), [report])
     assert memory.known.tolist() == [True] + [False] * 8 and not memory.centers_px
     before = known_points(memory, template.ids[:1])
@@ -101,7 +101,7 @@ def test_two_robots_on_one_spot_tell_nothing(make_detections, make_report) -> No
     theirs_px = theirs(ground)
     theirs_px[1] = theirs_px[0]
     memory.update(
-        make_detections(template.ids[:2], ours(ground[:2])), [make_report(1, template.ids, theirs_px, NOBODY)]
+        make_detections(template.ids[:2], ours(ground[:2])), [make_report(1, template.ids, theirs_px, NO_ID)]
     )
     assert memory.known.sum() == 2
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from skyherd.control import Template
-from skyherd.control.formation.registration import Panorama, panorama
+from skyherd.control.formation.registration import Registration, register_views
 from skyherd.control.formation.roles import RoleRule, Roles, newest_roles
 from skyherd.errors import MessageError
 from skyherd.geometry import to_points
@@ -23,11 +23,11 @@ def left(robots, points) -> float:
     return float(np.vdot(x, x).real - abs(np.vdot(p, x)) ** 2 / np.vdot(p, p).real)
 
 
-def whole(points) -> Panorama:
-    return Panorama(np.asarray(points), np.ones(N, dtype=bool))
+def whole(points) -> Registration:
+    return Registration(np.asarray(points), np.ones(N, dtype=bool))
 
 
-class Crew:
+class Agents:
     """Units that see all robots from anywhere, and hear each other's last report with some luck."""
 
     def __init__(self, make_report, units=3, loss=0.0, seed=0) -> None:
@@ -57,33 +57,33 @@ class Crew:
 @pytest.mark.parametrize(("loss", "longest"), [(0.0, 1), (0.3, 10), (0.8, 60)])
 def test_units_come_to_one_map_and_it_stays(make_report, seed, loss, longest) -> None:
     """Two units differ for as long as the newest map is not heard: `loss^longest` is below 1e-5."""
-    crew = Crew(make_report, loss=loss, seed=seed)
-    robots = crew.rng.normal(size=N) + 1j * crew.rng.normal(size=N)
+    agents = Agents(make_report, loss=loss, seed=seed)
+    robots = agents.rng.normal(size=N) + 1j * agents.rng.normal(size=N)
     before = left(robots, TEMPLATE.points_px)
     differ = 0
     for tick in range(400):
-        crew.step(0.2 * tick, robots)
-        differ = differ + 1 if len(crew.maps()) > 1 else 0
+        agents.step(0.2 * tick, robots)
+        differ = differ + 1 if len(agents.maps()) > 1 else 0
         assert differ <= longest
-    (name,) = crew.maps()
-    after = [left(robots, mine.shape.points_px) for mine in crew.roles.values()]
+    (name,) = agents.maps()
+    after = [left(robots, mine.shape.points_px) for mine in agents.roles.values()]
     assert len(set(after)) == 1 and after[0] < before and name[0] >= 1
     for tick in range(400, 500):
-        crew.step(0.2 * tick, robots)
-    assert crew.maps() == {name}, "what cannot be improved is left alone"
+        agents.step(0.2 * tick, robots)
+    assert agents.maps() == {name}, "what cannot be improved is left alone"
 
 
 def test_every_exchange_lowers_what_is_left_by_the_gain(make_report) -> None:
-    crew = Crew(make_report, units=1)
-    robots = crew.rng.normal(size=N) + 1j * crew.rng.normal(size=N)
+    agents = Agents(make_report, units=1)
+    robots = agents.rng.normal(size=N) + 1j * agents.rng.normal(size=N)
     versions = 0
     for tick in range(100):
-        robots = robots + 0.02 * (crew.rng.normal(size=N) + 1j * crew.rng.normal(size=N))
-        before = left(robots, crew.roles[0].shape.points_px)
-        crew.step(0.5 * tick, robots)
-        now = left(robots, crew.roles[0].shape.points_px)
-        if crew.roles[0].map.version > versions:
-            versions = crew.roles[0].map.version
+        robots = robots + 0.02 * (agents.rng.normal(size=N) + 1j * agents.rng.normal(size=N))
+        before = left(robots, agents.roles[0].shape.points_px)
+        agents.step(0.5 * tick, robots)
+        now = left(robots, agents.roles[0].shape.points_px)
+        if agents.roles[0].map.version > versions:
+            versions = agents.roles[0].map.version
             assert now < (1 - RULE.gain) * before
         else:
             assert now == pytest.approx(before)
@@ -91,19 +91,19 @@ def test_every_exchange_lowers_what_is_left_by_the_gain(make_report) -> None:
 
 
 def test_the_map_outlives_its_author_and_reaches_newcomers(make_report) -> None:
-    crew = Crew(make_report)
-    robots = crew.rng.normal(size=N) + 1j * crew.rng.normal(size=N)
+    agents = Agents(make_report)
+    robots = agents.rng.normal(size=N) + 1j * agents.rng.normal(size=N)
     for tick in range(20):
-        crew.step(0.2 * tick, robots)
-    (name,) = crew.maps()
+        agents.step(0.2 * tick, robots)
+    (name,) = agents.maps()
     author = -name[1]
-    del crew.roles[author]
-    crew.roles[7], crew.heard[7], crew.views = Roles(RULE, TEMPLATE), {}, np.ones(8)
-    for heard in crew.heard.values():
+    del agents.roles[author]
+    agents.roles[7], agents.heard[7], agents.views = Roles(RULE, TEMPLATE), {}, np.ones(8)
+    for heard in agents.heard.values():
         heard.pop(author, None)
     for tick in range(20, 23):
-        crew.step(0.2 * tick, robots)
-    assert crew.maps() == {name}
+        agents.step(0.2 * tick, robots)
+    assert agents.maps() == {name}
 
 
 def test_of_two_maps_made_at_once_the_lower_units_holds(make_report) -> None:
@@ -128,7 +128,7 @@ def test_robots_of_unknown_place_keep_their_roles() -> None:
     rng = np.random.default_rng(5)
     known = np.arange(N) < 8
     mine = Roles(RULE, TEMPLATE)
-    assert mine.exchange(0, Panorama(rng.normal(size=N) + 1j * rng.normal(size=N), known))
+    assert mine.exchange(0, Registration(rng.normal(size=N) + 1j * rng.normal(size=N), known))
     assert mine.map.roles[8:].tolist() == list(range(8, N))
 
 
@@ -146,7 +146,9 @@ def test_a_panorama_reaches_along_a_chain_of_views(make_detections, make_report)
     images = [turn * ground[view] + shift for turn, shift, view in zip(turns, shifts, views, strict=True)]
     seen = make_detections(np.arange(N)[views[0]], images[0])
     reports = [make_report(unit, np.arange(N)[views[unit]], images[unit], []) for unit in (2, 1)]
-    team = panorama(np.arange(N), seen, reports)
+    team = register_views(np.arange(N), seen, reports)
     assert team.known.all()
     assert to_points(team.points_px) == pytest.approx(to_points(turns[0] * ground + shifts[0]), rel=1e-9)
-    assert not panorama(np.arange(N), seen, reports[:1]).known[5:].any(), "without unit 1 there is no way"
+    assert not register_views(np.arange(N), seen, reports[:1]).known[5:].any(), (
+        "without unit 1 there is no way"
+    )

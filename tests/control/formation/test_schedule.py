@@ -5,7 +5,7 @@ import pytest
 
 from skyherd.analysis.history import make_history
 from skyherd.analysis.summary import summarize
-from skyherd.control import Program, Template
+from skyherd.control import Schedule, Template
 from skyherd.datasets import make_mission
 from skyherd.datasets.generated.crowded_missions import crowded_mission
 from skyherd.errors import InputError
@@ -18,7 +18,7 @@ FIRST, SECOND, THIRD = (Template(IDS, np.array([0, 1, z])) for z in (1j, 2j, 3j)
 
 
 def test_each_shape_holds_from_its_time_on() -> None:
-    program = Program(FIRST, ((5.0, SECOND), (8.0, THIRD)))
+    program = Schedule(FIRST, ((5.0, SECOND), (8.0, THIRD)))
     assert [program.at(t) for t in (0.0, 4.9, 5.0, 7.9, 8.0, 99.0)] == [
         FIRST,
         FIRST,
@@ -39,7 +39,7 @@ def test_each_shape_holds_from_its_time_on() -> None:
 )
 def test_a_program_that_makes_no_sense_is_refused(later, said) -> None:
     with pytest.raises(InputError, match=said):
-        Program(FIRST, later)
+        Schedule(FIRST, later)
 
 
 def test_a_wrong_later_shape_names_the_key(scenario_tree) -> None:
@@ -60,7 +60,7 @@ def two_shapes():
 
 def test_a_team_forms_one_shape_and_then_the_other(two_shapes) -> None:
     mission, steps = two_shapes
-    errors = {round(step.time_s, 1): step.observation.shape.error for step in steps}
+    errors = {round(step.time_s, 1): step.metrics.shape.error for step in steps}
     assert errors[14.8] < 0.01 and errors[30.0] < 0.01
     assert errors[15.0] > 0.1, "the new shape is another one"
     radii = np.abs(steps[-1].positions_m - steps[-1].positions_m.mean(axis=0))
@@ -86,5 +86,5 @@ def test_a_recording_has_the_roles_and_all_shapes(two_shapes, tmp_path) -> None:
     )
     assert before == after and before["role_exchanges"] >= 2 and before["collisions"] == 0
     first, again = steps[10].frames[0].decision, recording.steps[10].frames[0].decision
-    assert np.array_equal(first.encounters.distances_sides, again.encounters.distances_sides)
+    assert np.array_equal(first.proximity.distances_sides, again.proximity.distances_sides)
     assert first.report.roles.name == again.report.roles.name

@@ -107,7 +107,7 @@ def test_a_team_keeps_above_the_floor_or_takes_the_size_that_is_wanted(
     tree["control"] |= {"b_th": 0.0, "k": 0.3, "k_omega": 1.2}
     *_, last = run_steps(make_mission(tree))
     nearest_sides = pdist(last.positions_m).min() / 0.5
-    assert last.observation.shape.error < 0.01
+    assert last.metrics.shape.error < 0.01
     if spacing_sides is None:
         assert 3.0 < nearest_sides < 4.0
     else:

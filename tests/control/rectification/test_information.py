@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from skyherd.control.rectification.information import Evidence
+from skyherd.control.rectification.information import Information
 
 N = 6
 GROUPS = {"a": [0, 1], "b": [2], "c": [3, 4, 5]}
@@ -15,9 +15,9 @@ def lines(seed: int) -> tuple[np.ndarray, np.ndarray]:
     return rng.standard_normal((20, N)), rng.standard_normal(20)
 
 
-def evidence(seed: int) -> Evidence:
+def evidence(seed: int) -> Information:
     a, y = lines(seed)
-    return Evidence(a.T @ a, a.T @ y)
+    return Information(a.T @ a, a.T @ y)
 
 
 def chi_squared(seed: int, loose: list[int]) -> float:
@@ -61,7 +61,7 @@ def test_loosened_evidence_keeps_its_mean_and_adds_the_variance():
 
 
 def test_independent_unknowns_stand_beside_each_other():
-    both = evidence(0).followed_by(Evidence.prior(np.array([0.5, 2.0])))
+    both = evidence(0).followed_by(Information.prior(np.array([0.5, 2.0])))
     np.testing.assert_allclose(both.all_loose()[1][:N, :N], evidence(0).all_loose()[1], atol=1e-12)
     np.testing.assert_allclose(np.diag(both.all_loose()[1])[N:], [0.25, 4.0])
 
@@ -83,6 +83,6 @@ def test_groups_earn_their_place_by_the_chi_squared_that_they_save(seed, least):
 
 def test_a_group_waits_for_the_one_it_comes_after():
     """`b` would explain much, but says nothing without `a`, which explains nothing."""
-    told = Evidence(np.eye(N), np.array([0, 0, 10.0, 0, 0, 0]))
+    told = Information(np.eye(N), np.array([0, 0, 10.0, 0, 0, 0]))
     assert told.earned(GROUPS, {}, 20.0) == [2]
     assert told.earned(GROUPS, {"b": "a"}, 20.0) == []

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from skyherd.control import Inboxes, Template, motion_goals
+from skyherd.control import GoalInboxes, Template, motion_goals
 from skyherd.control.robots.goal_fusion import fuse_marker_sides, fuse_pixels, scale_ratios
 
 SIDE_M = 0.4
@@ -24,7 +24,7 @@ class Scene:
         self.template = rng.standard_normal(count) + 1j * rng.standard_normal(count)  # map sense
         self.scales = rng.uniform(10, 80, len(sets))
         self.yaws = rng.uniform(-np.pi, np.pi, len(sets))
-        self.inboxes = Inboxes(self.ids, np.arange(len(sets)), 1.0)
+        self.inboxes = GoalInboxes(self.ids, np.arange(len(sets)), 1.0)
         for unit, members in enumerate(self.sets):
             image = self.scales[unit] * np.conj(self.positions * np.exp(-1j * self.yaws[unit]))
             seen = make_detections(
@@ -84,9 +84,9 @@ def test_scale_ratios_are_the_true_ones(make_detections, seed) -> None:
             np.testing.assert_allclose(ratios[k, j, both] * ratios[j, k, both], 1.0, rtol=1e-14)
 
 
-def two_units(make_goals, near_0: dict, near_1: dict, sides=(20.0, 50.0)) -> Inboxes:
+def two_units(make_goals, near_0: dict, near_1: dict, sides=(20.0, 50.0)) -> GoalInboxes:
     """Robot 1 of four, told of its neighbours by two units."""
-    inboxes = Inboxes(np.arange(4), np.array([0, 1]), 1.0)
+    inboxes = GoalInboxes(np.arange(4), np.array([0, 1]), 1.0)
     inboxes.receive(make_goals(0, [1], [3 + 4j], sides=[sides[0]], neighbors=[near_0]), 0.0)
     inboxes.receive(make_goals(1, [1], [1 - 2j], sides=[sides[1]], neighbors=[near_1]), 0.0)
     return inboxes
@@ -122,7 +122,7 @@ def test_equation_4_by_hand(make_goals) -> None:
 
 
 def test_a_newer_image_wins_over_an_older_one_that_arrives_later(make_goals) -> None:
-    inboxes = Inboxes(np.arange(3), np.array([0, 1]), 1.0)
+    inboxes = GoalInboxes(np.arange(3), np.array([0, 1]), 1.0)
     inboxes.receive(make_goals(0, [0, 1], [1, 2], time_s=0.5, neighbors=[{2: 4.0}, {2: 4.0}]), 0.6)
     inboxes.receive(make_goals(0, [1, 2], [20, 30], time_s=0.4, neighbors=[{0: 9.0}, {0: 9.0}]), 0.7)
     np.testing.assert_array_equal(inboxes.rho_px[0], [1, 2, 30])
@@ -135,7 +135,7 @@ def test_a_newer_image_wins_over_an_older_one_that_arrives_later(make_goals) -> 
 
 
 def test_only_robots_that_heard_take_the_message_in(make_goals) -> None:
-    inboxes = Inboxes(np.array([3, 5, 8]), np.array([0]), 1.0)
+    inboxes = GoalInboxes(np.array([3, 5, 8]), np.array([0]), 1.0)
     inboxes.receive(make_goals(0, [8, 3, 5], [8j, 3j, 5j]), 0.0, np.array([True, False, True]))
     np.testing.assert_allclose(inboxes.rho_px[0], [0, 5j, 8j], atol=1e-14)
     np.testing.assert_array_equal(inboxes.fresh(0.0)[0], [False, True, True])
@@ -143,7 +143,7 @@ def test_only_robots_that_heard_take_the_message_in(make_goals) -> None:
 
 def test_goals_are_forgotten_after_their_lifetime(make_goals) -> None:
     """Counted from when it was heard: a late message is still followed for the whole time."""
-    inboxes = Inboxes(np.arange(2), np.array([0]), lifetime_s=0.5)
+    inboxes = GoalInboxes(np.arange(2), np.array([0]), lifetime_s=0.5)
     inboxes.receive(make_goals(0, [0], [7 + 0j], time_s=0.0), 0.3)
     assert fuse_pixels(inboxes, 0.8)[0] == 7
     assert fuse_marker_sides(inboxes, 0.8)[0] == pytest.approx(7 / 20)
@@ -153,7 +153,7 @@ def test_goals_are_forgotten_after_their_lifetime(make_goals) -> None:
 
 def test_a_forgotten_unit_leaves_the_mean(make_goals) -> None:
     """After unit 0 falls silent the fusion is unit 1's alone: card(C_i) counts units heard."""
-    inboxes = Inboxes(np.arange(4), np.array([0, 1]), lifetime_s=0.5)
+    inboxes = GoalInboxes(np.arange(4), np.array([0, 1]), lifetime_s=0.5)
     inboxes.receive(make_goals(0, [1], [3 + 4j], neighbors=[{0: 10.0}]), 0.0)
     inboxes.receive(make_goals(1, [1], [1 - 2j], neighbors=[{0: 30.0}]), 0.4)
     assert fuse_pixels(inboxes, 0.7)[1] == pytest.approx(1 - 2j)

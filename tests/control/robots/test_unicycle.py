@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from skyherd.control import Inboxes, MarkerGains, PixelGains, Template, motion_goals, robot_commands
+from skyherd.control import GoalInboxes, MarkerGains, PixelGains, Template, motion_goals, robot_commands
 from skyherd.control.robots.unicycle import unicycle_law
 from skyherd.geometry import wrap_angle
 
@@ -29,9 +29,9 @@ def paper_law(rho: float, alpha: float, k: float, k_omega: float) -> tuple[float
     return -k * np.sign(np.cos(alpha)) * rho, k_omega * in_half_open(alpha_d - alpha)
 
 
-def one_inbox(rho: np.ndarray) -> Inboxes:
+def one_inbox(rho: np.ndarray) -> GoalInboxes:
     """Robots that heard vectors `rho` in their own frames from one unit, with marker sides of 20 px."""
-    inboxes = Inboxes(np.arange(rho.size), np.array([0]), 1.0)
+    inboxes = GoalInboxes(np.arange(rho.size), np.array([0]), 1.0)
     inboxes.rho_px[0] = rho
     inboxes.sides_px[0] = 20.0
     inboxes.heard_s[0] = 0.0
@@ -76,7 +76,7 @@ def test_a_goal_to_the_left_on_the_ground_is_a_positive_bearing_and_turns_the_ax
     bearing = goals.bearings_rad[0]
     assert 0 < bearing < np.pi
     assert abs(bearing - np.pi / 2) > 0.1
-    inboxes = Inboxes(np.arange(3), np.array([0]), 1.0)
+    inboxes = GoalInboxes(np.arange(3), np.array([0]), 1.0)
     inboxes.receive(goals, 0.0)
     for gains in (PixelGains(0.01, 1.0, 0.0), MarkerGains(0.1, 1.0, 0.0, 0.5)):
         command = robot_commands(inboxes, gains, 0.0)

@@ -15,7 +15,7 @@ from skyherd.datasets.generated.random_missions import Crowd, random_mission
 from skyherd.geometry import wrap_angle
 from skyherd.loop import run_steps
 
-NOBODY = np.array([], dtype=np.int64)
+NO_ID = np.array([], dtype=np.int64)
 FIRM, GAIN = 0.25, 1.25
 
 
@@ -68,7 +68,7 @@ def test_the_closed_form_of_two_units_is_the_eigenvalue() -> None:
 def test_a_lone_pair_leaves_the_neighbours_rate_to_itself() -> None:
     """A set of a pair alone is always in shape: what remains is one projector, of rate 1."""
     points = cloud(np.random.default_rng(2), 6)
-    rates = pair_rates(points, np.arange(6), NOBODY, np.array([[0, 1], [2, 5]]))
+    rates = pair_rates(points, np.arange(6), NO_ID, np.array([[0, 1], [2, 5]]))
     np.testing.assert_allclose(rates, 1.0, atol=1e-7)
 
 
@@ -140,7 +140,7 @@ def test_the_goals_of_all_units_add_up_to_minus_l_p(make_detections) -> None:
             scale = rng.uniform(50, 200) * np.exp(1j * rng.uniform(-3, 3))
             headings = rng.uniform(-3, 3, count)
             seen = make_detections(np.arange(count), scale * ground + 300, headings=headings)
-            goals = motion_goals(seen, members, template, shared_ids=NOBODY, nearest=1)
+            goals = motion_goals(seen, members, template, shared_ids=NO_ID, nearest=1)
             directions = wrap_angle(headings[members] - goals.bearings_rad)
             total[members] += goals.rho_px * np.exp(1j * directions) / scale
         flow = -laplacian(template.points_px, sets) @ ground
@@ -235,7 +235,7 @@ def test_the_late_slope_of_a_mission_is_that_of_the_slowest_mode(seed) -> None:
         now = {unit: members.tolist() for unit, members in step.control_sets.items()}
         if now != sets:
             sets, since_s, story = now, step.time_s, []
-        error = step.observation.shape.error
+        error = step.metrics.shape.error
         if error < 5e-4:
             story.append((step.time_s, np.log(error)))
         if error < 1e-4:

@@ -121,7 +121,7 @@ def test_a_mission_is_given_up_when_it_takes_many_times_as_long_as_its_rival(
 def _count_from_the_start(see):
     def counted(watch, step) -> None:
         if watch.ready_s is None:
-            watch.ready_s, watch.log_need = 0.0, float(np.log(step.observation.shape.error / 0.01))
+            watch.ready_s, watch.log_need = 0.0, float(np.log(step.metrics.shape.error / 0.01))
         see(watch, step)
 
     return counted

@@ -12,7 +12,7 @@ from skyherd.control.tree.node_state import TreeRule
 from skyherd.datasets import make_mission
 from skyherd.datasets.generated.random_missions import Crowd, random_mission
 from skyherd.loop import Step, run_steps
-from skyherd.messages import NOBODY
+from skyherd.messages import NO_ID
 
 
 def is_ready(step: Step) -> bool:
@@ -29,7 +29,7 @@ def until_ready(tree: dict[str, Any], limit_s: float) -> list[Step]:
 
 
 def founders(step: Step) -> list[int]:
-    return [unit for unit, frame in step.frames.items() if frame.decision.report.tree.tree_id != NOBODY]
+    return [unit for unit, frame in step.frames.items() if frame.decision.report.tree.tree_id != NO_ID]
 
 
 @pytest.mark.parametrize("seed", [0, 3])
@@ -85,7 +85,7 @@ def test_units_that_see_little_in_common_fly_to_see_what_binds_them(firm) -> Non
     mission, ready_s = make_mission(tree), np.inf
     for step in run_steps(mission):
         ready_s = min(ready_s, step.time_s if is_ready(step) else np.inf)
-        assert step.observation.conditions.in_p or not is_ready(step)
+        assert step.metrics.conditions.in_p or not is_ready(step)
         if step.time_s > ready_s + 30:
             break
     rows = [np.searchsorted(mission.ids, members) for members in step.control_sets.values()]
@@ -108,4 +108,4 @@ def test_units_that_share_no_robots_climb_until_they_do() -> None:
     begun = next(step.time_s for step in steps if founders(step))
     assert begun <= steps[still[0]].time_s and steps[still[-1]].time_s >= begun + TreeRule().dwell_s
     assert is_ready(steps[-1]) and (heights[-1] > heights[0]).all()
-    assert steps[-1].observation.conditions.in_p
+    assert steps[-1].metrics.conditions.in_p

@@ -5,27 +5,27 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from skyherd.control.tree.edge import NO_ROBOTS, NO_TURN, Edge, first_turn, holds, word_of
-from skyherd.messages import NOBODY, TreeWord, UnitReport
+from skyherd.control.tree.edge import NO_ROBOTS, NO_TURN, Edge, edge_status, first_turn, holds
+from skyherd.messages import NO_ID, TreeStatus, UnitReport
 
 NONE = np.array([], dtype=np.int64)
 
 
 def report_of(edge: Edge, time_s: float = 0.0) -> UnitReport:
     """What the unit at this end reports, of this edge alone."""
-    lent, wished = sorted(edge.lent), sorted(edge.giving & edge.lent)
-    word = TreeWord(
+    offered, to_release = sorted(edge.offered), sorted(edge.releasing & edge.offered)
+    word = TreeStatus(
         tree_id=0,
-        asks_id=NOBODY,
+        asks_id=NO_ID,
         ask_turn=NO_TURN,
-        heir_id=NOBODY,
+        heir_id=NO_ID,
         ready=True,
         neighbor_ids=np.array([edge.neighbor_id]),
         turns=np.array([edge.turn]),
-        pairs=np.array([sorted(edge.pair) or [NOBODY, NOBODY]]),
-        lent_ids=np.array(lent, dtype=np.int64),
-        lent_to_ids=np.full(len(lent), edge.neighbor_id),
-        wished_ids=np.array(wished, dtype=np.int64),
+        pairs=np.array([sorted(edge.pair) or [NO_ID, NO_ID]]),
+        offered_ids=np.array(offered, dtype=np.int64),
+        offered_to_ids=np.full(len(offered), edge.neighbor_id),
+        to_release_ids=np.array(to_release, dtype=np.int64),
         missing_ids=NONE,
     )
     return UnitReport(edge.unit_id, time_s, np.array([800, 800]), NONE, np.zeros((0, 2)), NONE, NONE, word)
@@ -55,15 +55,15 @@ def test_the_turn_goes_over_with_pair_and_loans() -> None:
     one, two = ends()
     assert one.mine and not two.mine
     one.pair = frozenset({1, 5})
-    one.hand_over(lent=frozenset({8, 9}), giving=frozenset({9, 4}))
+    one.hand_over(offered=frozenset({8, 9}), releasing=frozenset({9, 4}))
     assert not one.mine and not two.mine, "on its way nobody has it"
     two.hear(report_of(one))
     assert two.mine and (two.turn, two.pair) == (1, {1, 5})
-    assert two.reach == {8, 9} and two.wished == {9}, "only what is lent can be wished away"
-    assert one.lent == {8, 9} and not two.lent, "promised until the turn is back"
-    two.hand_over(lent=frozenset({6}), giving=NO_ROBOTS)
+    assert two.reach == {8, 9} and two.to_release == {9}, "only what is lent can be wished away"
+    assert one.offered == {8, 9} and not two.offered, "promised until the turn is back"
+    two.hand_over(offered=frozenset({6}), releasing=NO_ROBOTS)
     one.hear(report_of(two))
-    assert one.mine and one.reach == {6} and not one.lent and not two.reach
+    assert one.mine and one.reach == {6} and not one.offered and not two.reach
 
 
 def test_repeated_and_older_words_change_nothing() -> None:
@@ -97,10 +97,10 @@ def test_an_end_that_was_given_up_goes_over_to_the_new_edge(turn) -> None:
 
     Unit 7 waited for the next turn of the first one for good, whether that was its own or not.
     """
-    old = Edge(7, 3, 0.0, turn, frozenset({1, 2}), lent=frozenset({8}))
+    old = Edge(7, 3, 0.0, turn, frozenset({1, 2}), offered=frozenset({8}))
     new = Edge(3, 7, 32.0, first_turn(32.0, 3, 7), frozenset({4, 5}))
     old.hear(report_of(new))
-    assert (old.turn, old.pair, old.mine) == (new.turn, {4, 5}, False) and not old.lent
+    assert (old.turn, old.pair, old.mine) == (new.turn, {4, 5}, False) and not old.offered
     new.hand_over(frozenset({6}), NO_ROBOTS)
     old.hear(report_of(new))
     assert old.mine and old.reach == {6}
@@ -108,7 +108,7 @@ def test_an_end_that_was_given_up_goes_over_to_the_new_edge(turn) -> None:
 
 def test_a_word_on_other_edges_is_none() -> None:
     one, two = ends()
-    assert word_of(report_of(one), 8) is None
+    assert edge_status(report_of(one), 8) is None
     before = (two.turn, two.pair)
     two.hear(report_of(Edge(3, 8, 0.0, 1, frozenset({6, 7}))))
     assert (two.turn, two.pair) == before

@@ -43,7 +43,7 @@ def test_a_dead_unit_has_no_image_no_set_and_does_not_move(tree_of) -> None:
     for step in between(steps, DIES_S, RETURNS_S):
         assert dead_units(mission.scenario, step.time_s) == [1]
         assert step.control_sets[1].size == 0 and step.control_sets[0].size == 6
-        assert step.observation.conditions.in_p, "one living unit with all robots"
+        assert step.metrics.conditions.in_p, "one living unit with all robots"
     places = np.array([step.fleet.positions_m[1] for step in steps])
     moved = np.linalg.norm(np.diff(places, axis=0), axis=1) > 0
     assert moved[:10].all() and not moved[10:20].any() and moved[20:].all()
@@ -124,5 +124,5 @@ def test_robots_that_a_unit_cannot_keep_in_view_are_taken_over() -> None:
     ready = next(row for row, yes in enumerate(covered) if yes)
     assert not all(covered[ready:]), "it has lost some on the way"
     assert all(covered[-50:])
-    assert step.observation.conditions.in_p
-    assert step.observation.shape.error < 0.01
+    assert step.metrics.conditions.in_p
+    assert step.metrics.shape.error < 0.01

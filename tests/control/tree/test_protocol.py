@@ -10,11 +10,11 @@ from protocol_world import ProtocolWorld
 
 from skyherd.control import Template
 from skyherd.control.tree.edge import NO_TURN, Edge
-from skyherd.control.tree.node_state import Standing, TreeRule
+from skyherd.control.tree.node_state import NodeState, TreeRule
 from skyherd.control.tree.orphans import Orphans, yield_claims
-from skyherd.control.tree.peer_reports import Hearsay
-from skyherd.control.tree.protocol import Roster
-from skyherd.messages import NOBODY, TreeWord, UnitReport
+from skyherd.control.tree.peer_reports import PeerReports
+from skyherd.control.tree.protocol import TreeProtocol
+from skyherd.messages import NO_ID, TreeStatus, UnitReport
 
 RULE = TreeRule()
 STEP_S = 0.5
@@ -39,26 +39,26 @@ def _formed(units: int, robots: int) -> ProtocolWorld:
     return world
 
 
-def no_tree() -> TreeWord:
+def no_tree() -> TreeStatus:
     """What a unit says that belongs to no tree and asks nobody."""
-    return Roster(RULE, Template(np.arange(6), np.arange(6.0) + 0j)).word(0.0)
+    return TreeProtocol(RULE, Template(np.arange(6), np.arange(6.0) + 0j)).word(0.0)
 
 
 def member_report(unit_id: int, time_s: float, controlled, seen: dict[int, float], pair=()) -> UnitReport:
     """What a member says; its edge, if any, is to unit 99."""
     edges = 1 if pair else 0
-    word = TreeWord(
+    word = TreeStatus(
         tree_id=0,
-        asks_id=NOBODY,
+        asks_id=NO_ID,
         ask_turn=NO_TURN,
-        heir_id=NOBODY,
+        heir_id=NO_ID,
         ready=True,
         neighbor_ids=np.full(edges, 99),
         turns=np.zeros(edges, dtype=int),
         pairs=np.array([pair] if pair else [], dtype=int).reshape(-1, 2),
-        lent_ids=NONE,
-        lent_to_ids=NONE,
-        wished_ids=NONE,
+        offered_ids=NONE,
+        offered_to_ids=NONE,
+        to_release_ids=NONE,
         missing_ids=NONE,
     )
     points = np.array([[399.5 + 400 * at, 399.5] for at in seen.values()]).reshape(-1, 2)
@@ -66,10 +66,10 @@ def member_report(unit_id: int, time_s: float, controlled, seen: dict[int, float
     return UnitReport(unit_id, time_s, np.array([800, 800]), ids, points, controlled, NONE, word)
 
 
-def member(unit_id: int, own: set[int], held_s: float, reports: list[UnitReport]) -> Standing:
+def member(unit_id: int, own: set[int], held_s: float, reports: list[UnitReport]) -> NodeState:
     """A member at 10 s, which has heard these reports."""
     template = Template(np.arange(8), np.exp(1j * np.arange(8)))
-    unit = Standing(RULE, template, Hearsay(RULE.silence_s), unit_id, own=set(own), tree_id=0, slot=5)
+    unit = NodeState(RULE, template, PeerReports(RULE.silence_s), unit_id, own=set(own), tree_id=0, slot=5)
     unit.held_s = dict.fromkeys(own, held_s)
     unit.heard.take(reports)
     return unit
@@ -101,14 +101,14 @@ def test_a_higher_unit_yields_and_a_pair_does_not() -> None:
 
 
 @pytest.mark.parametrize(
-    ("said_s", "claimed", "lent"),
+    ("said_s", "claimed", "offered"),
     [
         pytest.param(9.5, (), {2, 3}, id="a word since, which does not claim them"),
         pytest.param(8.5, (), set(), id="no word since it has them: another may have adopted them too"),
         pytest.param(9.5, (2,), {3}, id="one of them claimed"),
     ],
 )
-def test_only_what_nobody_else_may_have_is_lent(said_s, claimed, lent) -> None:
+def test_only_what_nobody_else_may_have_is_lent(said_s, claimed, offered) -> None:
     """Two units adopted robot 2 at once, and each lent it: two pairs had it, and neither ever let it go."""
     reports = [
         member_report(1, 9.8, (), everything(8)),
@@ -116,7 +116,7 @@ def test_only_what_nobody_else_may_have_is_lent(said_s, claimed, lent) -> None:
     ]
     unit = member(0, {2, 3}, 9.0, reports)
     unit.edges[1] = Edge(0, 1, 0.0, 0, frozenset({6, 7}))
-    assert unit.lendable(1, 10.0) == lent
+    assert unit.offerable(1, 10.0) == offered
 
 
 @pytest.mark.parametrize(("said_s", "adopts"), [(7.9, False), (8.0, True)])
@@ -183,12 +183,12 @@ def test_a_unit_that_asks_gets_both_of_two_robots_in_its_turn() -> None:
     """
     neighbor = member_report(2, 9.9, (), everything(8), pair=(6, 7))
     asking = member_report(0, 9.9, (), everything(8))
-    asking = replace(asking, tree=replace(asking.tree, tree_id=NOBODY, asks_id=1, ask_turn=9000))
+    asking = replace(asking, tree=replace(asking.tree, tree_id=NO_ID, asks_id=1, ask_turn=9000))
     unit = member(1, {4, 5}, 5.0, [neighbor, asking])
     unit.edges[2] = Edge(1, 2, 0.0, 0, frozenset({6, 7}))
     assert unit.askers(10.0) == {0}
     for unit.slot in range(5, 9):
-        assert {unit.lendable(0, 10.0), unit.lendable(2, 10.0)} == {frozenset({4, 5}), frozenset()}
+        assert {unit.offerable(0, 10.0), unit.offerable(2, 10.0)} == {frozenset({4, 5}), frozenset()}
 
 
 def test_a_founder_asks_nobody() -> None:
@@ -196,7 +196,7 @@ def test_a_founder_asks_nobody() -> None:
     world.quiet(10.0, STEP_S)
     world.crash(0)
     world.quiet(10.0, STEP_S)
-    assert world.rosters[1].unit.asks_id == NOBODY
+    assert world.rosters[1].unit.asks_id == NO_ID
 
 
 def test_the_choice_of_the_founder_stands_while_its_word_is_on_the_way() -> None:
@@ -299,9 +299,9 @@ def test_with_a_neighbour_that_has_nothing_left_no_pair_is_weighed() -> None:
             unit.edges[1].turn += 1
     world.deliver_all()
     report = world.latest[1]
-    gone = replace(report.tree, tree_id=NOBODY, neighbor_ids=NONE, turns=NONE, pairs=np.zeros((0, 2)))
+    gone = replace(report.tree, tree_id=NO_ID, neighbor_ids=NONE, turns=NONE, pairs=np.zeros((0, 2)))
     lost = replace(report, time_s=world.time_s + 1.9, controlled_ids=NONE, secure_ids=NONE)
-    lost = replace(lost, tree=replace(gone, lent_ids=NONE, lent_to_ids=NONE, wished_ids=NONE))
+    lost = replace(lost, tree=replace(gone, offered_ids=NONE, offered_to_ids=NONE, to_release_ids=NONE))
     world.time_s += RULE.dwell_s
     world.inbox[0][1] = lost
     world.image(0)

@@ -32,7 +32,7 @@ from protocol_world import ProtocolWorld
 
 from skyherd.control.tree.failover import GRACE
 from skyherd.control.tree.node_state import TreeRule
-from skyherd.control.tree.protocol import Roster
+from skyherd.control.tree.protocol import TreeProtocol
 
 IMAGE_S = 0.9
 """The longest time between two images of a unit."""
@@ -54,7 +54,7 @@ def healing_s(units: int) -> float:
 class Machine(RuleBasedStateMachine):
     """Images, letters and views; what holds is checked after every image."""
 
-    make: ClassVar[type[Roster]] = Roster
+    make: ClassVar[type[TreeProtocol]] = TreeProtocol
 
     @initialize(
         units=st.integers(2, 3),
@@ -190,7 +190,7 @@ class Faulty(Machine):
             assert not world.edge_faults()
 
 
-class Hasty(Roster):
+class Hasty(TreeProtocol):
     """Exchanges whenever it likes, without the turn: the rule that keeps TC3 and TC4, broken on purpose."""
 
     def update(self, seen, reports):
@@ -206,12 +206,12 @@ class FaithfulHasty(Faithful):
     make = Hasty
 
 
-class Careless(Roster):
+class Careless(TreeProtocol):
     """Forgets what it has lent, and lends it to others: the promise that keeps a robot from a third unit."""
 
     def update(self, seen, reports):
         for edge in self.unit.edges.values():
-            edge.lent = frozenset()
+            edge.offered = frozenset()
         return super().update(seen, reports)
 
 

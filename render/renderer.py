@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from skyherd.geometry import Array, IntArray, apply_homography, inverse
+from skyherd.geometry import UNIFORM_VARIANCE, Array, IntArray, apply_homography, inverse
 from skyherd.markers.cramer_rao import pose_covariances
 from skyherd.markers.dictionary import card_side, cells_per_side, marker_cells
 from skyherd.render.camera.camera import Camera, CameraPose
@@ -139,7 +139,7 @@ class Renderer:
         """
         sensor = self.sensor
         black, white, ground = (sensor.gain * level for level in (self.black, self.white, self.ground.mean))
-        variance = sensor.noise**2 + sensor.shot * (black + white) / 2 + 1 / 12
+        variance = sensor.noise**2 + sensor.shot * (black + white) / 2 + UNIFORM_VARIANCE
         seen = np.flatnonzero(truth.visible_fractions > 0)
         covariances = np.full((len(truth.ids), 3, 3), np.nan)
         covariances[seen] = pose_covariances(

@@ -7,14 +7,13 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from skyherd.geometry import Array, BoolArray, IntArray, to_points
-from skyherd.markers.dictionary import CORNERS
+from skyherd.geometry import ROBOT_FRAME_CORNERS, Array, BoolArray, IntArray, to_points
 from skyherd.render.camera.camera import Camera, CameraPose
 from skyherd.render.camera.motion import INSTANT, STILL, Motion, Shutter
 from skyherd.render.scene.occluders import Occluder
 from skyherd.render.view import ShapeImages, View
 
-SQUARE: Array = to_points(CORNERS.conj())
+SQUARE: Array = to_points(ROBOT_FRAME_CORNERS)
 """Corners (4, 2) of a marker in its own coordinates: forward and left, in sides."""
 
 SAMPLES = 64

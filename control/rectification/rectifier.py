@@ -25,8 +25,8 @@ from skyherd.control.rectification.ground_map import (
     local_maps,
 )
 from skyherd.control.rectification.information import Information
-from skyherd.control.rectification.square_shapes import Arms, Squares
-from skyherd.geometry import Array, ComplexArray, to_complex, to_points
+from skyherd.control.rectification.square_shapes import Squares, log_sides
+from skyherd.geometry import Array, ComplexArray, fit_squares, to_complex, to_points
 from skyherd.messages import Detections, centred
 
 LEAST_MARKERS = 3
@@ -143,7 +143,7 @@ def rectified(seen: Detections, ground_map: GroundMap) -> Detections:
         return seen
     size, half = seen.image_size_px, seen.image_size_px.min() / 2
     corners = ground_map.rectified_px(seen.corners_px.reshape(-1, 2), size).reshape(-1, 4, 2)
-    before, after = (Arms.of_corners(to_complex(c)) for c in (seen.corners_px, corners))
+    before, after = (fit_squares(to_complex(c)) for c in (seen.corners_px, corners))
     maps = local_maps(ground_map.unknowns + STEPS, to_complex(centred(seen.centers_px, size)))
     by_map = _but_for_similarity(_pose_by_map(maps, half), maps.values[0] * half)
     by_pose = _pose_by_pose(maps.slopes[0], maps.crosses[0], seen.headings_rad)
@@ -151,7 +151,7 @@ def rectified(seen: Detections, ground_map: GroundMap) -> Detections:
         seen,
         centers_px=(to_points(half * maps.values[0]) + (size - 1) / 2 + corners.mean(axis=1)) / 2,
         headings_rad=after.headings_rad(),
-        sides_px=seen.sides_px * np.exp(after.log_sides() - before.log_sides()),
+        sides_px=seen.sides_px * np.exp(log_sides(after) - log_sides(before)),
         corners_px=corners,
         covariances=by_pose @ seen.covariances @ by_pose.transpose(0, 2, 1)
         + by_map @ ground_map.covariance @ by_map.transpose(0, 2, 1),

@@ -4,11 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skyherd.geometry import Array, ComplexArray, IntArray, to_complex
+from skyherd.geometry import Array, ComplexArray, IntArray, SquareImages, fit_squares, to_complex
 from skyherd.messages import Detections, centred
-
-CORNERS: ComplexArray = np.array([-0.5 - 0.5j, 0.5 - 0.5j, 0.5 + 0.5j, -0.5 + 0.5j])
-"""Corners 0-3 of a marker, right + i down, in sides."""
 
 TINY = 1e-24
 """Areas of corners that all lie on one spot are held above this."""
@@ -22,31 +19,15 @@ UNKNOWN_ERROR_PX = 0.1
 """Error of a corner, per axis, where a detector tells no covariance: a first guess."""
 
 
-@dataclass(frozen=True)
-class Arms:
-    """Least-squares affine images of squares: `p = center + m z + k z̄`, all (N,)."""
+def relative_squeezes(squares: SquareImages) -> ComplexArray:
+    """(N,) `ε = squeeze / conj(arm)`: by how much each square is squeezed, however it is turned."""
+    return np.asarray(squares.squeezes * squares.arms / np.maximum(np.abs(squares.arms) ** 2, TINY))
 
-    arms: ComplexArray
-    crosses: ComplexArray
 
-    @classmethod
-    def of_corners(cls, corners: ComplexArray) -> "Arms":
-        """Of corners (N, 4)."""
-        power = float(np.sum(np.abs(CORNERS) ** 2))
-        return cls(corners @ CORNERS.conj() / power, corners @ CORNERS / power)
-
-    def squeezes(self) -> ComplexArray:
-        """ε = k / m̄, which does not depend on how the square is turned."""
-        return np.asarray(self.crosses * self.arms / np.maximum(np.abs(self.arms) ** 2, TINY))
-
-    def log_sides(self) -> Array:
-        """Logarithms of the sides of squares of the same area."""
-        areas = np.abs(self.arms) ** 2 - np.abs(self.crosses) ** 2
-        return np.asarray(np.log(np.maximum(np.abs(areas), TINY)) / 2)
-
-    def headings_rad(self) -> Array:
-        """Directions of forward, z = -i, that fit both of the square's axes."""
-        return np.angle(-1j * self.arms)
+def log_sides(squares: SquareImages) -> Array:
+    """(N,) natural logarithms of the sides of squares that have the same areas as the images."""
+    areas = np.abs(squares.arms) ** 2 - np.abs(squares.squeezes) ** 2
+    return np.asarray(np.log(np.maximum(np.abs(areas), TINY)) / 2)
 
 
 @dataclass(frozen=True)
@@ -72,13 +53,13 @@ class Squares:
     @classmethod
     def of(cls, seen: Detections) -> "Squares":
         """What detections tell."""
-        arms = Arms.of_corners(to_complex(centred(seen.corners_px, seen.image_size_px)))
+        images = fit_squares(to_complex(centred(seen.corners_px, seen.image_size_px)))
         variances = HEADING_SHARE * seen.covariances[:, 2, 2]
         told = bool((variances > 0).all())
         if not told:
             variances = (UNKNOWN_ERROR_PX / seen.sides_px) ** 2 / 2
         points = to_complex(centred(seen.centers_px, seen.image_size_px))
-        return cls(seen.ids, points, arms.log_sides(), arms.squeezes(), variances, told)
+        return cls(seen.ids, points, log_sides(images), relative_squeezes(images), variances, told)
 
     def __len__(self) -> int:
         return int(self.ids.size)

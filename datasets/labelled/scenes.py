@@ -15,10 +15,10 @@ import numpy.typing as npt
 from skyherd.datasets.configuration.scene_models import CameraModel, GroundModel, OccluderModel, SensorModel
 from skyherd.datasets.labelled.outlines import area
 from skyherd.files.images import read_grey
-from skyherd.geometry import Array, IntArray, to_points
+from skyherd.geometry import ROBOT_FRAME_CORNERS, UNIFORM_VARIANCE, Array, IntArray, to_points
 from skyherd.markers.blur_model import total_sigma_px
 from skyherd.markers.cramer_rao import pose_covariances
-from skyherd.markers.dictionary import CORNERS, card_side
+from skyherd.markers.dictionary import card_side
 from skyherd.render import (
     Camera,
     CameraPose,
@@ -32,8 +32,6 @@ from skyherd.render import (
 )
 
 CLUTTER_SIDES = (0.4, 1.2)
-ROUNDING_VARIANCE = 1.0 / 12.0
-"""Variance of rounding to whole grey levels, which the bound counts as noise."""
 
 
 @dataclass(frozen=True)
@@ -158,7 +156,7 @@ class Scene:
         at = np.rint(truth.centers_px).astype(int).clip(0, last)
         light = sensor.gain * sensor.illumination().of(self.camera.size_px)[at[:, 1], at[:, 0]].astype(float)
         signal = light * (self.black + self.white) / 2
-        variance = sensor.noise**2 + sensor.shot * signal + ROUNDING_VARIANCE
+        variance = sensor.noise**2 + sensor.shot * signal + UNIFORM_VARIANCE
         return np.asarray(bounds * (variance / light**2)[:, None, None])
 
 
@@ -179,5 +177,5 @@ def _floor(station: Station, folder: Path) -> Ground:
 
 def corners_m(positions_m: Array, headings_rad: Array, side_m: float) -> Array:
     """Corners (N, 4, 2) of squares on the ground, in the order of a marker's."""
-    offsets = side_m * CORNERS.conj() * np.exp(1j * headings_rad)[:, None]
+    offsets = side_m * ROBOT_FRAME_CORNERS * np.exp(1j * headings_rad)[:, None]
     return positions_m[:, None] + to_points(offsets)

@@ -5,7 +5,8 @@ import pytest
 from scipy.special import ndtr
 
 from skyherd.errors import InputError
-from skyherd.markers.blur_model import PIXEL_VARIANCE, cell_edges, total_sigma_px
+from skyherd.geometry import UNIFORM_VARIANCE
+from skyherd.markers.blur_model import cell_edges, total_sigma_px
 from skyherd.markers.cramer_rao import pose_covariances, sides_px
 from skyherd.markers.dictionary import card_side, marker_cells
 
@@ -253,5 +254,5 @@ def test_bad_input_is_named_and_no_marker_is_no_error():
 
 
 def test_the_pixels_own_aperture_is_part_of_the_blur():
-    """The same total blur from a sharper lens gives no less: PIXEL_VARIANCE is in it."""
-    assert total_sigma_px(0.8) ** 2 == pytest.approx(0.64 + PIXEL_VARIANCE)
+    """The same total blur from a sharper lens gives no less: UNIFORM_VARIANCE is in it."""
+    assert total_sigma_px(0.8) ** 2 == pytest.approx(0.64 + UNIFORM_VARIANCE)

@@ -27,8 +27,8 @@ import numpy as np
 import numpy.typing as npt
 
 from skyherd.errors import InputError
-from skyherd.geometry import Array, IntArray, to_complex
-from skyherd.markers.dictionary import CORNERS, load_dictionary, pose_of_corners
+from skyherd.geometry import Array, IntArray, fit_squares, to_complex
+from skyherd.markers.dictionary import load_dictionary, pose_of_corners
 from skyherd.messages import Detections
 from skyherd.vision.detectors.corners import detections_of_corners
 from skyherd.vision.grey import check_grey
@@ -112,19 +112,19 @@ def peer_names() -> list[str]:
 def headings_in_plane(corners_px: Array) -> Array:
     """Headings (N,) of markers with corners (N, 4, 2) that lie in one plane, which may be tilted.
 
-    Seen at a slant, a marker's points q are at `a q + b conj(q)` about their centre z in the image, with a
-    stretch `b / conj(a) = μ + κ z` to first order: μ and κ, complex, are the plane's affine and projective
-    parameters, found from all markers by least squares. The forward axis, q = 1, is then along
-    `a + (μ + κ z) conj(a)`. Fewer than three markers are taken as seen from above.
+    Seen at a slant, a marker has the squeeze `k = (μ + κ c) conj(m)` to first order, with its arm m and
+    centre c (`skyherd.geometry.SquareImages`): μ and κ, complex, are the affine and projective parameters of
+    the plane, found from all markers by least squares. Forward, z = -i of the marker, is then along `-i (m -
+    k)`. Fewer than three markers are taken as seen from above.
     """
-    corners = to_complex(corners_px)
-    a, b = corners @ CORNERS.conj(), corners @ CORNERS
-    if len(corners) < 3:
-        return np.asarray(np.angle(a))
-    center = corners.mean(axis=1)
-    plane = np.column_stack([np.ones_like(center), (center - center.mean()) / np.abs(a).max()])
-    stretch = plane @ np.linalg.lstsq(plane, b / a.conj(), rcond=None)[0]
-    return np.asarray(np.angle(a + stretch * a.conj()))
+    squares = fit_squares(to_complex(corners_px))
+    if len(corners_px) < 3:
+        return squares.headings_rad()
+    away = (squares.centers - squares.centers.mean()) / np.abs(squares.arms).max()
+    plane = np.column_stack([np.ones_like(away), away])
+    relative = squares.squeezes / squares.arms.conj()
+    squeezes = plane @ np.linalg.lstsq(plane, relative, rcond=None)[0] * squares.arms.conj()
+    return np.asarray(np.angle(-1j * (squares.arms - squeezes)))
 
 
 def _largest_of_each(ids: IntArray, corners: Array) -> tuple[IntArray, Array]:

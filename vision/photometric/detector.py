@@ -12,13 +12,13 @@ from statistics import median
 
 import numpy as np
 
-from skyherd.geometry import Array, BoolArray, IntArray, to_complex, to_points
+from skyherd.geometry import SQUARE_CORNERS, Array, BoolArray, IntArray, to_complex, to_points
 from skyherd.markers.blur_model import total_sigma_px
 from skyherd.messages import Detections
 from skyherd.vision.grey import Image, check_grey
 from skyherd.vision.photometric.fit import FOLLOWED_ROUNDS, ROUNDS, USUAL_NOISE
 from skyherd.vision.photometric.fit_result import Fits, no_fits
-from skyherd.vision.photometric.local_homography import CORNERS, Shapes
+from skyherd.vision.photometric.local_homography import Shapes
 from skyherd.vision.photometric.plane import Plane
 from skyherd.vision.photometric.scales import fit_all_sizes, visible_all_sizes
 from skyherd.vision.photometric.tracks import Tracks, in_view, no_tracks
@@ -274,6 +274,6 @@ def _detections(found: Fits, image: Image, time_s: float, unit_id: int) -> Detec
         centers_px=to_points(found.shapes.centers),
         headings_rad=found.shapes.headings_rad(),
         sides_px=found.shapes.sides_px(),
-        corners_px=to_points(found.shapes.images(CORNERS)),
+        corners_px=to_points(found.shapes.images(SQUARE_CORNERS)),
         covariances=found.covariances,
     )

@@ -14,11 +14,8 @@ from functools import cached_property
 
 import numpy as np
 
-from skyherd.geometry import Array, ComplexArray, to_complex
+from skyherd.geometry import Array, ComplexArray, fit_squares, to_complex
 from skyherd.vision.row_record import Rows
-
-CORNERS: ComplexArray = np.array([-0.5 - 0.5j, 0.5 - 0.5j, 0.5 + 0.5j, -0.5 + 0.5j])
-"""Corners 0-3 in marker coordinates: the first two ahead, left and right."""
 
 
 @dataclass(frozen=True)
@@ -43,14 +40,9 @@ class Shapes(Rows):
     @classmethod
     def of_corners(cls, corners_px: Array) -> "Shapes":
         """Least-squares affine shapes of corners (N, 4, 2)."""
-        corners = to_complex(corners_px)
-        power = np.sum(np.abs(CORNERS) ** 2)
-        return cls(
-            centers=corners.mean(axis=1),
-            arms=corners @ CORNERS.conj() / power,
-            squeezes=corners @ CORNERS / power,
-            horizons=np.zeros(len(corners), dtype=complex),
-        )
+        squares = fit_squares(to_complex(corners_px))
+        horizons = np.zeros(len(corners_px), dtype=complex)
+        return cls(squares.centers, squares.arms, squares.squeezes, horizons)
 
     def moved(self, shift: ComplexArray, grow: ComplexArray, squeeze: ComplexArray) -> "Shapes":
         """After `z ↦ shift + (1 + grow) z + squeeze z̄` in marker coordinates, to first order in each."""

@@ -12,8 +12,7 @@ from functools import reduce
 import cv2
 import numpy as np
 
-from skyherd.geometry import IntArray
-from skyherd.markers.blur_model import PIXEL_VARIANCE
+from skyherd.geometry import UNIFORM_VARIANCE, IntArray
 from skyherd.vision.grey import Image
 from skyherd.vision.photometric.fit import ROUNDS, fit_markers
 from skyherd.vision.photometric.fit_result import Fits
@@ -23,9 +22,6 @@ from skyherd.vision.photometric.plane import Plane
 
 LARGEST_SIDE_PX = 144.0
 """Larger markers are fitted in a shrunk image."""
-
-ROUNDING = 12**-0.5
-"""Deviation of what rounding to whole grey levels does."""
 
 
 def fit_all_sizes(
@@ -97,11 +93,11 @@ class Level:
 
     def sigma_px(self, sigma_px: float) -> float:
         """Blur of lens and pixel, small pixels."""
-        return math.sqrt(max((sigma_px**2 - PIXEL_VARIANCE) / self.shrink**2, 0.0) + PIXEL_VARIANCE)
+        return math.sqrt(max((sigma_px**2 - UNIFORM_VARIANCE) / self.shrink**2, 0.0) + UNIFORM_VARIANCE)
 
     def noise(self, noise: float) -> float:
         """Standard deviation of a small pixel, grey levels: a mean's, rounded once more."""
-        return noise if self.shrink == 1 else math.hypot(noise / self.shrink, ROUNDING)
+        return noise if self.shrink == 1 else math.hypot(noise / self.shrink, UNIFORM_VARIANCE**0.5)
 
     def plane(self, plane: Plane) -> Plane:
         """The plane in small pixels."""

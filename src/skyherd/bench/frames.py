@@ -13,10 +13,9 @@ import numpy.typing as npt
 
 from skyherd.bench.design import Cell
 from skyherd.bench.scene import Shot, camera_shots
-from skyherd.geometry import Array, BoolArray, IntArray
+from skyherd.geometry import ROBOT_FRAME_CORNERS, UNIFORM_VARIANCE, Array, BoolArray, IntArray
 from skyherd.markers.blur_model import total_sigma_px
 from skyherd.markers.cramer_rao import pose_covariances
-from skyherd.markers.dictionary import CORNERS
 from skyherd.render import (
     Clutter,
     Disc,
@@ -29,9 +28,6 @@ from skyherd.render import (
     Shutter,
     footprint_m,
 )
-
-ROUNDING_VARIANCE = 1.0 / 12.0
-"""Variance of rounding to whole grey levels, which the bound counts as noise."""
 
 EXPOSURE_S = 0.01
 COVER_LEVEL = 40.0
@@ -152,7 +148,7 @@ def make_frame(shot: Shot, image: npt.NDArray[np.uint8], truth: FrameTruth, boun
 
 def marker_bounds(cell: Cell, dictionary: str, blur_px: float, truth: FrameTruth) -> Array:
     """Bound (N, 3, 3) at a cell's noise and levels; a streak L px long adds L² / 24 of variance."""
-    noise = float(np.hypot(cell.noise, ROUNDING_VARIANCE**0.5))
+    noise = float(np.hypot(cell.noise, UNIFORM_VARIANCE**0.5))
     return pose_covariances(
         dictionary,
         truth.ids,
@@ -176,6 +172,6 @@ def _covers(cell: Cell, shot: Shot, rng: np.random.Generator) -> list[Disc]:
     if not cell.occlusion:
         return []
     radius = float(np.sqrt(4.0 * cell.occlusion / np.pi))
-    corners = CORNERS.conj()[rng.integers(0, 4, len(shot.ids))] * np.exp(1j * shot.headings_rad)
+    corners = ROBOT_FRAME_CORNERS[rng.integers(0, 4, len(shot.ids))] * np.exp(1j * shot.headings_rad)
     places = shot.positions_m + np.column_stack([corners.real, corners.imag])
     return [Disc((float(x), float(y)), radius, COVER_LEVEL) for x, y in places]

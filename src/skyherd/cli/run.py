@@ -79,9 +79,7 @@ class Watcher(Progress):
             self._started.add(unit)
         seen = sum(frame.sight.found_ids.size for frame in step.frames.values())
         whole = sum(frame.sight.whole_ids.size for frame in step.frames.values())
-        state = (
-            f"{step.time_s:.0f}/{self._duration_s:g} s  V {step.metrics.V:.3g} m²  found {seen}/{whole}"
-        )
+        state = f"{step.time_s:.0f}/{self._duration_s:g} s  V {step.metrics.V:.3g} m²  found {seen}/{whole}"
         if step.time_s >= self._duration_s - 1e-9:
             state = "drawing figures and page …"
         self.update(self._bar, completed=step.time_s, state=state)

@@ -12,16 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ndtr
 
-from skyherd.geometry import Array
+from skyherd.geometry import UNIFORM_VARIANCE, Array
 from skyherd.markers.dictionary import QUIET_ZONE_CELLS
-
-PIXEL_VARIANCE = 1.0 / 12.0
-"""Variance of a box one pixel wide: the pixel's own aperture, taken as a Gaussian beside the lens's."""
 
 
 def total_sigma_px(psf_px: float) -> float:
     """Standard deviation, px, of lens and pixel together."""
-    return float(np.sqrt(psf_px**2 + PIXEL_VARIANCE))
+    return float(np.sqrt(psf_px**2 + UNIFORM_VARIANCE))
 
 
 def cell_edges(n_cells: int, side: float) -> Array:

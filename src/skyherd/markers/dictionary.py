@@ -12,11 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from skyherd.errors import InputError
-from skyherd.geometry import Array, ComplexArray, to_complex
+from skyherd.geometry import SQUARE_CORNERS, Array, fit_squares, to_complex, to_points
 from skyherd.markers.codes import CODES, code_bits
-
-CORNERS: ComplexArray = np.array([0.5 - 0.5j, 0.5 + 0.5j, -0.5 + 0.5j, -0.5 - 0.5j])
-"""Corners 0-3 of a marker of side 1 at heading 0: real part forward, imaginary part to the right."""
 
 QUIET_ZONE_CELLS = 1.0
 """Width of the white card around the black square, in cells."""
@@ -77,18 +74,16 @@ def card_side(name: str) -> float:
 
 def corners_of_pose(centers_px: npt.ArrayLike, headings_rad: npt.ArrayLike, sides_px: npt.ArrayLike) -> Array:
     """Image corners (N, 4, 2) of squares at centres (N, 2), headings (N,) and sides (N,)."""
-    turn = np.asarray(sides_px) * np.exp(1j * np.asarray(headings_rad))
-    corners = to_complex(centers_px)[:, None] + turn[:, None] * CORNERS
+    arms = 1j * np.asarray(sides_px) * np.exp(1j * np.asarray(headings_rad))
+    corners = to_complex(centers_px)[:, None] + arms[:, None] * SQUARE_CORNERS
     return np.stack([corners.real, corners.imag], axis=-1)
 
 
 def pose_of_corners(corners_px: npt.ArrayLike) -> tuple[Array, Array, Array]:
     """Centre (N, 2), heading (N,) and side (N,) of the squares nearest to corners (N, 4, 2).
 
-    The least-squares similarity of the unit square: `a = Σ conj(q_k) p_k / Σ |q_k|²`, side `|a|`,
-    heading `arg a`.
+    The least-squares similarity of the unit square (`skyherd.geometry.fit_squares`): side `|arm|`, heading
+    `arg(-i arm)`.
     """
-    corners = to_complex(np.asarray(corners_px, dtype=float).reshape(-1, 4, 2))
-    turn = corners @ CORNERS.conj() / np.sum(np.abs(CORNERS) ** 2)
-    center = corners.mean(axis=1)
-    return np.stack([center.real, center.imag], axis=-1), np.angle(turn), np.abs(turn)
+    squares = fit_squares(to_complex(np.asarray(corners_px, dtype=float).reshape(-1, 4, 2)))
+    return to_points(squares.centers), squares.headings_rad(), np.abs(squares.arms)

@@ -7,7 +7,8 @@ from seen_squares import FOCAL_PX, View, random_robots
 
 from skyherd.control import GroundMap
 from skyherd.control.rectification.ground_map import HORIZON, LENS, SQUEEZE, UNKNOWNS, USUAL_FOCAL, local_maps
-from skyherd.control.rectification.square_shapes import Arms
+from skyherd.control.rectification.square_shapes import log_sides, relative_squeezes
+from skyherd.geometry import fit_squares
 from skyherd.render import Camera, Distortion
 from skyherd.render.camera.camera import rotation_camera_world
 
@@ -76,10 +77,10 @@ def test_squares_on_the_ground_are_squeezed_and_sized_as_told():
     points = ((seen.centers_px - 399.5) / 400) @ np.array([1, 1j])
     maps = local_maps(true_unknowns(view), points)
     corners = ((seen.corners_px - 399.5) / 400) @ np.array([1, 1j])
-    arms = Arms.of_corners(corners)
-    assert np.abs(arms.squeezes()).max() > 0.05
-    np.testing.assert_allclose(arms.squeezes(), maps.squeezes(), atol=2e-4, rtol=0)
-    sides = arms.log_sides() - maps.log_scales()
+    squares = fit_squares(corners)
+    assert np.abs(relative_squeezes(squares)).max() > 0.05
+    np.testing.assert_allclose(relative_squeezes(squares), maps.squeezes(), atol=2e-4, rtol=0)
+    sides = log_sides(squares) - maps.log_scales()
     np.testing.assert_allclose(sides, sides.mean(), atol=5e-4, rtol=0)
 
 

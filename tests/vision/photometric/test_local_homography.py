@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from skyherd.geometry import to_points
+from skyherd.geometry import SQUARE_CORNERS, to_points
 from skyherd.markers.dictionary import corners_of_pose
-from skyherd.vision.photometric.local_homography import CORNERS, Shapes
+from skyherd.vision.photometric.local_homography import Shapes
 
 COUNT = 40
-POINTS = np.concatenate([CORNERS, [0j, 0.3 - 0.1j, 1.4 + 0.8j]])
+POINTS = np.concatenate([SQUARE_CORNERS, [0j, 0.3 - 0.1j, 1.4 + 0.8j]])
 
 
 def random_shapes(seed=0, *, horizon=1e-3, squeeze=0.25):
@@ -34,7 +34,7 @@ def test_axes_lead_back_from_images():
 
 def test_an_affine_shape_is_that_of_its_corners():
     shapes = random_shapes(1, horizon=0.0)
-    again = Shapes.of_corners(to_points(shapes.images(CORNERS)))
+    again = Shapes.of_corners(to_points(shapes.images(SQUARE_CORNERS)))
     for name in ("centers", "arms", "squeezes", "horizons"):
         np.testing.assert_allclose(getattr(again, name), getattr(shapes, name), atol=1e-10, rtol=0)
 

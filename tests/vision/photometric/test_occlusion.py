@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from skyherd.geometry import ROBOT_FRAME_CORNERS
 from skyherd.markers.blur_model import total_sigma_px
-from skyherd.markers.dictionary import CORNERS, card_side
+from skyherd.markers.dictionary import card_side
 from skyherd.render import Camera, CameraPose, Disc, Ground, Renderer, Sensor, project_markers
 from skyherd.vision import PhotometricDetector, create_detector
 from skyherd.vision.photometric.fit import fit_markers
@@ -25,7 +26,7 @@ def scene(seed: int, covered: list[int], radius: float, inward: float = 0.0):
     home = 4.4 * np.stack(np.meshgrid(np.arange(4) - 1.5, np.arange(4) - 1.5), axis=-1).reshape(-1, 2)
     positions, headings = home + rng.uniform(-0.5, 0.5, home.shape), rng.uniform(-np.pi, np.pi, IDS.size)
     axes = np.exp(1j * headings)
-    corners = (CORNERS[0] * (1 - inward)) * axes
+    corners = (ROBOT_FRAME_CORNERS[1] * (1 - inward)) * axes
     discs = [
         Disc((positions[row, 0] + corners[row].real, positions[row, 1] + corners[row].imag), radius, 40.0)
         for row in covered
@@ -101,7 +102,7 @@ def test_large_markers_are_seen_in_part_as_well(side_px):
     rng = np.random.default_rng(7)
     renderer = Renderer(DICTIONARY, 1.0, Ground(7, sigma_px=SIGMA_PX), Sensor(NOISE, rng), psf_px=0.8)
     axis = np.exp(0.3j)
-    corner = CORNERS[0] * axis
+    corner = ROBOT_FRAME_CORNERS[1] * axis
     disc = Disc((corner.real, corner.imag), 0.16, 40.0)
     image = renderer.render(camera, POSE, np.array([7]), np.zeros((1, 2)), np.array([0.3]), occluders=[disc])
     truth = project_markers(camera, POSE, np.zeros((1, 2)), np.array([0.3]), 1.0, card_side(DICTIONARY))

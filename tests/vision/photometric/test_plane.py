@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy.stats import binom, chi2
 
-from skyherd.vision.photometric.local_homography import CORNERS, Shapes
+from skyherd.geometry import SQUARE_CORNERS
+from skyherd.vision.photometric.local_homography import Shapes
 from skyherd.vision.photometric.plane import SIGNIFICANT, Plane, fit_plane
 
 POINTS = np.random.default_rng(0).uniform(-400, 400, (2, 16)).T @ np.array([1, 1j])
@@ -74,7 +75,7 @@ def test_horizons_make_the_shapes_images_those_of_the_true_camera(seed):
     homography = random_homography(seed)
     ground, turns, shapes = squares_at(homography, POINTS)
     shapes = Shapes(shapes.centers, shapes.arms, shapes.squeezes, plane_of(homography).horizons(POINTS))
-    z = np.concatenate([CORNERS, 6 * CORNERS])
+    z = np.concatenate([SQUARE_CORNERS, 6 * SQUARE_CORNERS])
     truth = mapped(homography, ground[:, None] + turns[:, None] * z)
     np.testing.assert_allclose(shapes.images(z), truth, atol=1e-5, rtol=0)
 

@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from skyherd.geometry import to_points
+from skyherd.geometry import SQUARE_CORNERS, to_points
 from skyherd.markers.dictionary import cells_per_side, dictionary_size
 from skyherd.vision import PhotometricDetector
-from skyherd.vision.photometric.local_homography import CORNERS
 from skyherd.vision.search.decode import MIN_LIKENESS, decode_quads
 
 SIGMA_PX = 0.85
@@ -21,7 +20,8 @@ def grid(place_markers, side_px, headings):
     index = np.arange(count)
     centers = step * ((index % columns + 0.5) + 1j * (index // columns + 0.5))
     matrices = place_markers(centers, headings, side_px)
-    corners = np.concatenate([to_points(CORNERS), np.ones((4, 1))], axis=1) @ matrices.transpose(0, 2, 1)
+    square = np.concatenate([to_points(SQUARE_CORNERS), np.ones((4, 1))], axis=1)
+    corners = square @ matrices.transpose(0, 2, 1)
     return matrices, corners[..., :2], (int(step * columns), int(step * rows))
 
 

@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
-from skyherd.geometry import to_complex, to_points
-from skyherd.vision.photometric.local_homography import CORNERS, Shapes
+from skyherd.geometry import SQUARE_CORNERS, to_complex, to_points
+from skyherd.vision.photometric.local_homography import Shapes
 from skyherd.vision.search.quads import MIN_SIDE_PX, find_quads
 
 HEADINGS = {"upright": 0.0, "a little turned": 0.02, "diagonal": np.pi / 4, "any": None}
@@ -23,7 +23,8 @@ def scene(place_markers, draw_markers, rng, side_px, heading=None, camera=None, 
         matrices = camera @ matrices
     size = int(step * ROWS)
     image = draw_markers(matrices, rng.permutation(50)[:16], (size, size), rng, noise=noise)
-    corners = np.concatenate([to_points(CORNERS), np.ones((4, 1))], axis=1) @ matrices.transpose(0, 2, 1)
+    square = np.concatenate([to_points(SQUARE_CORNERS), np.ones((4, 1))], axis=1)
+    corners = square @ matrices.transpose(0, 2, 1)
     return image, to_complex(corners[..., :2] / corners[..., 2:])
 
 
@@ -63,7 +64,7 @@ def test_markers_under_perspective_have_quads_too(place_markers, draw_markers, s
     squeeze = 0.1 * np.exp(2j * np.pi * rng.uniform())
     middle = 132 * (1 + 1j)
     plane = Shapes(*(np.array([z], dtype=complex) for z in (middle, 1.0, squeeze, horizon)))
-    square = 100 * CORNERS
+    square = 100 * SQUARE_CORNERS
     seen = to_points(plane.images(square)[0])
     camera = cv2.getPerspectiveTransform(
         to_points(square + middle).astype(np.float32), seen.astype(np.float32)

@@ -10,9 +10,10 @@ from time import perf_counter
 
 import numpy as np
 
+from skyherd.control import Delivery
 from skyherd.datasets import make_mission
 from skyherd.datasets.generated.crowded_missions import crowded_mission
-from skyherd.sim.agents import make_mind, make_team
+from skyherd.sim.agents import make_controller, make_team
 from skyherd.sim.perception import make_perception
 from skyherd.sim.world import World
 
@@ -39,7 +40,7 @@ def tree(parts: bool) -> dict:
 def times_ms(parts: bool) -> tuple[float, float]:
     """Median times of a unit's step and of the team's command."""
     mission = make_mission(tree(parts))
-    mind, world = make_mind(mission, 0), World(mission)
+    controller, world = make_controller(mission, 0), World(mission)
     team = make_team(mission, world)
     perception = make_perception(mission, np.random.default_rng(0))
     steps, commands = [], []
@@ -47,13 +48,12 @@ def times_ms(parts: bool) -> tuple[float, float]:
         time_s = 0.2 * image
         seen = perception.look(world, [0], time_s)[0].detections
         started = perf_counter()
-        decision = mind.decide(seen, [])
+        decision = controller.step(seen)
         steps.append(perf_counter() - started)
-        for message in (decision.goals, decision.proximity):
-            if message is not None:
-                team.receive(message, time_s, np.ones(len(message), dtype=bool))
+        messages = (m for m in (decision.goals, decision.proximity) if m is not None)
+        delivered = [Delivery(message, np.ones(len(message), dtype=bool)) for message in messages]
         started = perf_counter()
-        command = team.command(time_s)
+        command = team.decide(time_s, delivered).command
         commands.append(perf_counter() - started)
         world.advance(command, time_s, 0.2)
     return 1e3 * float(np.median(steps)), 1e3 * float(np.median(commands))

@@ -28,7 +28,7 @@ from skyherd.datasets import load_mission
 from skyherd.loop import run_steps
 from skyherd.markers.dictionary import load_dictionary
 from skyherd.recording.writer import Recorder
-from skyherd.sim.perception import Rendered
+from skyherd.sim.perception import RenderedPerception
 
 KEEP_EVERY = 10
 
@@ -56,7 +56,7 @@ def measure(name: str, duration_s: float) -> dict[str, Any]:
     """Run one scenario for `duration_s` of simulated time and account for its wall time."""
     mission = load_mission(name, [f"duration_s={duration_s}", "perception=rendered"])
     laps, step_s, images = Laps(), [], []
-    perception = Rendered(mission, np.random.default_rng(mission.scenario.seed))
+    perception = RenderedPerception(mission, np.random.default_rng(mission.scenario.seed))
     perception.renderer.render = laps.timed("render", perception.renderer.render)  # type: ignore[method-assign]
     perception.detector.detect = laps.timed("detect", perception.detector.detect)  # type: ignore[method-assign]
     originals = AerialController.step, Team.command

@@ -18,7 +18,7 @@ from itertools import combinations
 import numpy as np
 from scipy.optimize import brentq
 
-from skyherd.control.topology.convergence_rate import laplacian, slowest_rate
+from skyherd.control import laplacian, slowest_rate
 from skyherd.datasets import Mission, make_mission
 from skyherd.datasets.generated.random_missions import star_mission
 from skyherd.geometry import Array, BoolArray, ComplexArray, IntArray, to_complex

@@ -28,7 +28,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from skyherd.control import Rectifier, rectified
+from skyherd.control import Rectifier
 from skyherd.datasets import Mission, load_mission, make_mission
 from skyherd.datasets.configuration.cameras import CAMERAS
 from skyherd.datasets.configuration.scene_models import CameraModel
@@ -39,7 +39,7 @@ from skyherd.markers.dictionary import card_side
 from skyherd.messages import Detections
 from skyherd.render import Camera, CameraPose, homography_image_ground, project_markers
 from skyherd.render.camera.camera import undistort
-from skyherd.sim.perception import Projected, Rendered
+from skyherd.sim.perception import ProjectedPerception, RenderedPerception
 from skyherd.sim.world import World
 from skyherd.study.plan import mission_key
 
@@ -134,7 +134,7 @@ def draw_mission(robots: int, seed: int, *, ideal: bool, rectify: bool, duration
         except InputError:
             continue
         marker = mission.scenario.marker
-        seen = Projected(marker.side_m, marker.dictionary).look(World(mission), [0], 0.0)[0]
+        seen = ProjectedPerception(marker.side_m, marker.dictionary).look(World(mission), [0], 0.0)[0]
         if seen.whole_ids.size == robots:
             return mission
 
@@ -188,7 +188,7 @@ def fly(mission: Mission, average_s: float) -> Outcome:
         if step.time_s > duration_s - average_s:
             errors.append(step.metrics.shape.error)
         if mission.scenario.control.rectify and np.isclose(step.time_s, NEES_AT_S, atol=1e-6).any():
-            seen = rectified(step.frames[0].sight.detections, step.frames[0].ground_map)
+            seen = step.frames[0].decision.detections
             told.append(nees(true_errors(step, seen, camera, step.fleet.pose(0)), seen))
     return Outcome(float(np.mean(errors)), float(np.mean(told)) if told else float("nan"))
 
@@ -309,7 +309,7 @@ def print_cost(seconds: float) -> None:
     """Times of detector and rectifier on the same images, from the second second on."""
     cv2.setNumThreads(1)
     mission = draw_mission(16, 0, ideal=False, rectify=True, duration_s=seconds)
-    perception = Rendered(mission, np.random.default_rng(0))
+    perception = RenderedPerception(mission, np.random.default_rng(0))
     detector, rectifier = perception.detector, Rectifier()
     detect_ms, rectify_ms, markers = [], [], []
     for step in run_steps(mission, perception):

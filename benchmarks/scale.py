@@ -26,7 +26,7 @@ from typing import Any
 
 import numpy as np
 
-from skyherd.control import AerialController, KeepInView, Template, TreeRule, fit_similarity
+from skyherd.control import AerialController, KeepInView, Template, TreeProtocol, TreeRule, fit_similarity
 from skyherd.datasets import make_mission
 from skyherd.drawing.palette import INK, MUTED, UNIT_COLORS
 from skyherd.loop import Step, run_steps
@@ -102,7 +102,12 @@ def measure_step(images: int = 400, robots: int = 50) -> dict[str, float]:
     points = rng.uniform(50, 950, (2 * robots - 6, 2))
     template = Template.from_image_points(np.arange(len(points)), points + rng.normal(0, 5, points.shape))
     views = np.arange(robots), np.arange(robots - 6, len(points))
-    agents = [AerialController(template, TreeRule(radius=5), KeepInView(template)) for _ in views]
+    agents = [
+        AerialController(
+            template, TreeProtocol(TreeRule(radius=5)), KeepInView(template, desired_radius=0.75)
+        )
+        for _ in views
+    ]
     heard: list[list[UnitReport]] = [[], []]
     fit, step_s, fit_s = make_fit(robots), [], []
     for image in range(images):

@@ -32,7 +32,7 @@ from skyherd.drawing.palette import INK, PAPER, UNIT_COLORS
 from skyherd.loop import run_steps
 from skyherd.messages import Detections
 from skyherd.plots.style import drawing_style, new_figure
-from skyherd.sim.perception import Perception, Projected, Rendered, Sight
+from skyherd.sim.perception import Perception, ProjectedPerception, RenderedPerception, Sight
 from skyherd.sim.world import World
 
 FIGURE = Path(__file__).parent.parent / "docs" / "shape_error.png"
@@ -76,7 +76,7 @@ class Watched:
 
     def __init__(self, inner: Perception, dictionary: str, side_m: float, start_s: float) -> None:
         self.inner, self.start_s = inner, start_s
-        self._exact = Projected(side_m, dictionary)
+        self._exact = ProjectedPerception(side_m, dictionary)
         self.errors_px: list[np.ndarray] = []
         self.sides_px: list[np.ndarray] = []
         self.whole = self.found = 0
@@ -100,7 +100,9 @@ class Watched:
 class Erring:
     """Exact projections with Gaussian errors of `sigma` marker sides, new in each image or `fixed`."""
 
-    def __init__(self, exact: Projected, sigma: float, rng: np.random.Generator, *, fixed: bool) -> None:
+    def __init__(
+        self, exact: ProjectedPerception, sigma: float, rng: np.random.Generator, *, fixed: bool
+    ) -> None:
         self.exact, self.sigma, self.rng = exact, sigma, rng
         self.fixed: dict[tuple[int, int], np.ndarray] | None = {} if fixed else None
 
@@ -172,14 +174,16 @@ def fly_detector(name: str, tree: dict[str, Any], settle_s: float) -> Flight:
     mission = make_mission(
         tree | {"detector": name, "marker": tree["marker"] | {"dictionary": dictionary}}, where=SCENARIO
     )
-    return fly(mission, Rendered(mission, np.random.default_rng(mission.scenario.seed)), name, settle_s)
+    return fly(
+        mission, RenderedPerception(mission, np.random.default_rng(mission.scenario.seed)), name, settle_s
+    )
 
 
 def fly_erring(sigma: float, tree: dict[str, Any], settle_s: float, *, fixed: bool) -> Flight:
     """Fly on exact projections with errors added."""
     mission = make_mission(tree, where=SCENARIO)
     marker = mission.scenario.marker
-    exact = Projected(marker.side_m, marker.dictionary)
+    exact = ProjectedPerception(marker.side_m, marker.dictionary)
     erring = Erring(exact, sigma, np.random.default_rng(mission.scenario.seed), fixed=fixed)
     return fly(mission, erring, "fixed errors" if fixed else "errors new in each image", settle_s)
 

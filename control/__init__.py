@@ -1,24 +1,49 @@
-"""Detections to motion goals to robot commands; nothing here sees truth or calibration."""
+"""Detections to motion goals to robot commands. Nothing here sees the truth or a camera's calibration.
 
-from skyherd.control.aerial_controller import AerialController, Decision, Selection
+Start with `AerialController` (one unit: an image's detections in, goals, a report and a flight command out)
+and `GoalFollowers` (the robots: messages in, wheel speeds out). `skyherd.control.policy` has the interfaces
+of what can be exchanged.
+"""
+
+from skyherd.control.aerial_controller import AerialController, Decision
+from skyherd.control.avoidance.detour import Detour
 from skyherd.control.avoidance.neighbor_memory import NeighborMemory
 from skyherd.control.avoidance.proximity import BodyRule
 from skyherd.control.avoidance.speed_bound import AvoidanceRule
 from skyherd.control.flight.keep_in_view import KeepInView
 from skyherd.control.flight.laws import Follow, Hover, Perimeter
+from skyherd.control.formation.assignment import ascend
 from skyherd.control.formation.roles import RoleRule, newest_roles
 from skyherd.control.formation.schedule import Schedule
 from skyherd.control.formation.similarity import Similarity, desired_points, fit_similarities, fit_similarity
 from skyherd.control.formation.size import SizeRule
 from skyherd.control.formation.template import Template
 from skyherd.control.goals import motion_goals
-from skyherd.control.hybrid_selection import HybridRule, HybridSelection
+from skyherd.control.hybrid_selection import HybridSelection
+from skyherd.control.policy import (
+    Delivery,
+    FlightLaw,
+    FlightTask,
+    RobotTeam,
+    Selection,
+    SelectionPolicy,
+    TeamOrders,
+)
 from skyherd.control.rectification.ground_map import GroundMap
 from skyherd.control.rectification.rectifier import Rectifier, rectified
-from skyherd.control.robot_team import Team
+from skyherd.control.robot_team import GoalFollowers
 from skyherd.control.robots.goal_fusion import GoalInboxes
-from skyherd.control.robots.unicycle import MarkerGains, PixelGains, Wheels, robot_commands
-from skyherd.control.topology.safety_radius import ControlSet, SafetyRadius
+from skyherd.control.robots.unicycle import Gains, MarkerGains, PixelGains, Wheels, robot_commands, wheel_law
+from skyherd.control.topology.conditions import (
+    Conditions,
+    ControlSets,
+    check_conditions,
+    control_matrix,
+    graph_edges,
+    owners_by_robot,
+)
+from skyherd.control.topology.convergence_rate import laplacian, slowest_rate
+from skyherd.control.topology.safety_radius import SafetyRadius
 from skyherd.control.tree.node_state import TreeRule
 from skyherd.control.tree.protocol import TreeProtocol
 
@@ -26,13 +51,19 @@ __all__ = [
     "AerialController",
     "AvoidanceRule",
     "BodyRule",
-    "ControlSet",
+    "Conditions",
+    "ControlSets",
     "Decision",
+    "Delivery",
+    "Detour",
+    "FlightLaw",
+    "FlightTask",
     "Follow",
+    "Gains",
+    "GoalFollowers",
     "GoalInboxes",
     "GroundMap",
     "Hover",
-    "HybridRule",
     "HybridSelection",
     "KeepInView",
     "MarkerGains",
@@ -40,22 +71,32 @@ __all__ = [
     "Perimeter",
     "PixelGains",
     "Rectifier",
+    "RobotTeam",
     "RoleRule",
     "SafetyRadius",
     "Schedule",
     "Selection",
+    "SelectionPolicy",
     "Similarity",
     "SizeRule",
-    "Team",
+    "TeamOrders",
     "Template",
     "TreeProtocol",
     "TreeRule",
     "Wheels",
+    "ascend",
+    "check_conditions",
+    "control_matrix",
     "desired_points",
     "fit_similarities",
     "fit_similarity",
+    "graph_edges",
+    "laplacian",
     "motion_goals",
     "newest_roles",
+    "owners_by_robot",
     "rectified",
     "robot_commands",
+    "slowest_rate",
+    "wheel_law",
 ]

@@ -1,135 +1,149 @@
-"""One aerial unit's mind: detections and reports in; goals, a report and a flight command out."""
+"""One aerial unit's controller: detections and reports in; goals, a report and a flight command out."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-
-import numpy as np
+from dataclasses import dataclass, field
 
 from skyherd.control.avoidance.proximity import BodyRule, proximity
-from skyherd.control.flight.laws import Duty, Flight
 from skyherd.control.formation.registration import register_views
 from skyherd.control.formation.roles import RoleRule, Roles
 from skyherd.control.formation.schedule import Schedule
 from skyherd.control.formation.size import SizeRule, Yardstick
 from skyherd.control.formation.template import Template
-from skyherd.control.goals import motion_goals
-from skyherd.control.hybrid_selection import HybridRule, HybridSelection, cost_share
-from skyherd.control.topology.safety_radius import ControlSet, SafetyRadius
-from skyherd.control.tree.node_state import TreeRule
-from skyherd.control.tree.protocol import TreeProtocol
+from skyherd.control.goals import cost_share, motion_goals
+from skyherd.control.policy import FlightLaw, FlightTask, Selection, SelectionPolicy
+from skyherd.control.rectification.ground_map import GroundMap
+from skyherd.control.rectification.rectifier import Rectifier
 from skyherd.errors import DegenerateSetError
-from skyherd.geometry import IntArray
 from skyherd.messages import Detections, FlightCommand, MotionGoals, Proximity, UnitReport, shared_ids
-
-Selection = SafetyRadius | TreeRule | HybridRule
 
 
 @dataclass(frozen=True)
 class Decision:
-    """What a unit does after one image.
+    """What a unit decides after one image.
 
-    `goals` is None if it sees too few of its robots for a shape, `encounters` where robots are points.
+    Attributes:
+        detections: what it decided on: all markers of the image, rectified if the unit rectifies.
+        goals: for its robots; None if it sees too few of them for a shape, or if they may not move yet.
+        report: for the other units.
+        flight: for its own autopilot.
+        proximity: gaps between bodies, for its robots; None where robots are points.
+        ground_map: the map through which the detections were taken; ideal (the identity) without a rectifier.
     """
 
+    detections: Detections
     goals: MotionGoals | None
     report: UnitReport
     flight: FlightCommand
     proximity: Proximity | None = None
+    ground_map: GroundMap = field(default_factory=GroundMap)
 
 
 class AerialController:
     """Steers the robots of one unit from its detections alone.
 
+    Everything that it keeps from image to image is in its parts, of which it has its own instances: the
+    rectifier, the selection policy, the flight law, the roles and the agreed marker side.
+
     Args:
-        program: the whole shape, by robot, or several one after the other.
-        selection: which robots it controls, by the safety radius alone or by agreement with its neighbours.
-        flight: how it flies.
-        nearest: neighbours whose distances it tells each robot.
-        report_lifetime_s: a report older than this counts no more: its sender may be gone.
-        roles: how robots exchange their places; None for places that are fixed.
-        size: bounds on the shape's size.
+        schedule: the whole shape, by robot, or several shapes one after the other.
+        selection: which robots it controls; an instance of this unit's own.
+        flight: how it flies; an instance of this unit's own.
+        rectifier: learns from the markers what the camera does to the ground, and takes it off the
+            detections; None takes detections as they are, which is right for square pixels, no lens
+            distortion and no tilt only.
+        nearest: neighbours whose distances it sends to each robot, besides the robots shared with other
+            units.
+        report_lifetime_s: a report older than this counts no more, since its sender may be gone.
+        roles: how robots exchange their places in the shape; None for places that are fixed.
+        size: bounds on the shape's size; None for a size that is free, as in the paper.
         bodies: how large robots and obstacles are; None for points.
     """
 
     def __init__(
         self,
-        program: Template | Schedule,
-        selection: Selection,
-        flight: Flight,
+        schedule: Template | Schedule,
+        selection: SelectionPolicy,
+        flight: FlightLaw,
         *,
+        rectifier: Rectifier | None = None,
         nearest: int = 3,
         report_lifetime_s: float = 2.0,
         roles: RoleRule | None = None,
         size: SizeRule | None = None,
         bodies: BodyRule | None = None,
     ) -> None:
-        self.program = Schedule(program) if isinstance(program, Template) else program
-        self.template, self.flight, self.nearest = self.program.first, flight, nearest
-        self.report_lifetime_s = report_lifetime_s
-        self.control_set = _begin(selection, self.template)
+        self.schedule = Schedule(schedule) if isinstance(schedule, Template) else schedule
+        self.template, self.selection, self.flight = self.schedule.first, selection, flight
+        self.rectifier, self.nearest, self.report_lifetime_s = rectifier, nearest, report_lifetime_s
         self.roles, self.bodies = Roles(roles, self.template), bodies
         self.size, self.yardstick = size or SizeRule(), Yardstick()
+        self._last_report: UnitReport | None = None
 
     def step(self, detections: Detections, reports: Sequence[UnitReport] = ()) -> Decision:
-        """Decide on one image, given the last report heard from each other unit."""
+        """Decide on one image.
+
+        Args:
+            detections: all markers found in it, of robots, obstacles and others.
+            reports: the last report received from each other unit, however old.
+        """
+        if self.rectifier is not None:
+            detections = self.rectifier.rectify(detections)
         seen = detections.select(self.template.members)
         reports = [r for r in reports if r.time_s >= detections.time_s - self.report_lifetime_s]
         self._choose_roles(seen, reports)
         side_px = 0.0 if self.size.is_free else self.yardstick.update(seen, reports)
-        controlled = self.control_set.update(seen, reports)
-        goals = self._goals(seen, controlled, reports, side_px) if self.control_set.ready else None
-        report = UnitReport(
+        selection = self.selection.choose(seen, reports, self.roles.shape, self._last_report)
+        goals = self._goals(seen, selection, reports, side_px) if selection.may_move else None
+        self._last_report = UnitReport(
             unit_id=seen.unit_id,
             time_s=seen.time_s,
             image_size_px=seen.image_size_px,
             ids=seen.ids,
             points_px=seen.centers_px,
-            controlled_ids=controlled,
-            secure_ids=self.control_set.secure(seen),
-            tree=self.control_set.word(seen.time_s),
+            controlled_ids=selection.controlled_ids,
+            secure_ids=selection.secure_ids,
+            tree=selection.tree_status,
             cost_sides2=cost_share(goals),
             side_px=side_px,
             roles=self.roles.word,
         )
-        self.control_set.note(seen.time_s, report, reports)
-        near = proximity(detections, self.template.ids, self.bodies) if self.bodies else None
-        return Decision(goals, report, self._fly(seen, controlled, reports), near)
+        return Decision(
+            detections=detections,
+            goals=goals,
+            report=self._last_report,
+            flight=self._fly(seen, selection, reports),
+            proximity=proximity(detections, self.template.ids, self.bodies) if self.bodies else None,
+            ground_map=GroundMap() if self.rectifier is None else self.rectifier.ground_map,
+        )
 
     def _choose_roles(self, seen: Detections, reports: Sequence[UnitReport]) -> None:
-        self.roles.take_up(self.program.at(seen.time_s))
+        """Take up the shape of this time and the newest roles; exchange roles in the unit's own slot."""
+        self.roles.take_up(self.schedule.at(seen.time_s))
         self.roles.hear(reports)
         if self.roles.may_exchange(seen.unit_id, seen.time_s, reports):
             self.roles.exchange(seen.unit_id, register_views(self.template.ids, seen, reports))
-        self.control_set.reshape(self.roles.shape)
 
-    def _fly(self, seen: Detections, controlled: IntArray, reports: Sequence[UnitReport]) -> FlightCommand:
-        """Serve the set and what is sought; while robots wait for the tree hold the place, or search."""
-        if self.control_set.ready:
-            return self.flight.command(seen, Duty(controlled, self.control_set.sought), reports)
-        if self.control_set.searches:
-            return self.flight.search(seen, controlled, reports)
-        return FlightCommand(seen.unit_id, np.zeros(2), 0.0, 0.0)
+    def _fly(self, seen: Detections, selection: Selection, reports: Sequence[UnitReport]) -> FlightCommand:
+        """Keep the control set in view; while robots may not move yet, hold the place or widen the view."""
+        if selection.may_move:
+            task = FlightTask(selection.controlled_ids, selection.sought_ids)
+        elif selection.searches:
+            task = FlightTask(selection.controlled_ids, seen.ids, widen=True)
+        else:
+            return FlightCommand.hold(seen.unit_id)
+        return self.flight.command(seen, task, reports)
 
     def _goals(
-        self, seen: Detections, controlled: IntArray, reports: Sequence[UnitReport], side_px: float
+        self, seen: Detections, selection: Selection, reports: Sequence[UnitReport], side_px: float
     ) -> MotionGoals | None:
         try:
             return motion_goals(
                 seen,
-                controlled,
+                selection.controlled_ids,
                 self.roles.shape,
-                shared_ids=shared_ids(controlled, reports),
+                shared_ids=shared_ids(selection.controlled_ids, reports),
                 nearest=self.nearest,
                 scales=self.size.scales(self.roles.shape, side_px),
             )
         except DegenerateSetError:
             return None
-
-
-def _begin(selection: Selection, template: Template) -> ControlSet | TreeProtocol | HybridSelection:
-    """The set of a unit that has seen and heard nothing yet."""
-    if isinstance(selection, TreeRule):
-        return TreeProtocol(selection, template)
-    if isinstance(selection, HybridRule):
-        return HybridSelection(selection, template)
-    return ControlSet(selection)

@@ -40,8 +40,8 @@ def motion_goals(
     points, current = template.points_of(ids), seen_px[rows]
     rho = fit_similarity(points, current).resized(*scales)(points) - current
     distances = np.abs(current[:, None] - seen_px)
-    told = (_nearest_mask(distances, nearest) | among(seen.ids, shared_ids)) & (ids[:, None] != seen.ids)
-    neighbor_ids, neighbor_distances = _listed(told, seen.ids, distances)
+    is_sent = (_nearest_mask(distances, nearest) | among(seen.ids, shared_ids)) & (ids[:, None] != seen.ids)
+    neighbor_ids, neighbor_distances = _as_rows(is_sent, seen.ids, distances)
     return MotionGoals(
         unit_id=seen.unit_id,
         time_s=seen.time_s,
@@ -54,15 +54,27 @@ def motion_goals(
     )
 
 
-def _listed(told: BoolArray, ids: IntArray, distances: Array) -> tuple[IntArray, Array]:
-    """Ids (N, K), filled with -1, and distances (N, K), filled with 0, of the neighbours to tell of."""
-    counts = told.sum(axis=1)
+def cost_share(goals: MotionGoals | None) -> float:
+    """A unit's share of the cost function (paper, eq. 9), in marker sides squared; 0 without goals.
+
+    `V_j = 1/2 Σ_i (rho_i / side_i)²` over the robots i that it sends goals to, each in sides of its own
+    marker.
+    """
+    return 0.0 if goals is None else float(((goals.rho_px / goals.sides_px) ** 2).sum() / 2)
+
+
+def _as_rows(is_sent: BoolArray, ids: IntArray, distances: Array) -> tuple[IntArray, Array]:
+    """Ids (N, K), filled with -1, and distances (N, K), filled with 0, of the neighbours that are sent.
+
+    `is_sent` (N, M) names them for each robot, among the M robots `ids` at `distances` (N, M).
+    """
+    counts = is_sent.sum(axis=1)
     width = int(counts.max(initial=0))
-    neighbor_ids = np.full((len(told), width), -1, dtype=np.int64)
-    neighbor_distances = np.zeros((len(told), width))
+    neighbor_ids = np.full((len(is_sent), width), -1, dtype=np.int64)
+    neighbor_distances = np.zeros((len(is_sent), width))
     filled = np.arange(width) < counts[:, None]
-    neighbor_ids[filled] = np.broadcast_to(ids, told.shape)[told]
-    neighbor_distances[filled] = distances[told]
+    neighbor_ids[filled] = np.broadcast_to(ids, is_sent.shape)[is_sent]
+    neighbor_distances[filled] = distances[is_sent]
     return neighbor_ids, neighbor_distances
 
 

@@ -1,51 +1,50 @@
-"""The robots' minds, all at once: each follows what it heard, and nothing else."""
+"""The robots' own computers, all at once: each follows the goals that it received, and nothing else."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from skyherd.control.avoidance.neighbor_memory import NeighborMemory
 from skyherd.control.avoidance.speed_bound import AvoidanceRule, avoiding_law
+from skyherd.control.policy import Delivery, RobotTeam, TeamOrders
 from skyherd.control.robots.goal_fusion import GoalInboxes
 from skyherd.control.robots.unicycle import Gains, Wheels, robot_commands
-from skyherd.geometry import BoolArray, IntArray
-from skyherd.messages import MotionGoals, Proximity, VelocityCommand
+from skyherd.messages import MotionGoals, VelocityCommand
 
 
 @dataclass
-class Team:
-    """The robots: what they have heard, and the law that they follow.
+class GoalFollowers(RobotTeam):
+    """Robots that fuse the goals of all units that control them (eq. 4) and drive there (eq. 7-8).
 
     Attributes:
-        inboxes: goals heard from units.
+        inboxes: goals received, by unit and robot.
         gains: of the robots' law.
-        wheels: what the robots can do.
-        around: bodies heard of; None where robots are points.
-        rule: how robots keep apart; None where they do not.
+        wheels: what the robots' wheels can do.
+        neighbors: bodies near each robot, as units reported them; None where robots are points.
+        avoidance: how robots keep apart from these; None where they do not.
     """
 
     inboxes: GoalInboxes
     gains: Gains
     wheels: Wheels
-    around: NeighborMemory | None = None
-    rule: AvoidanceRule | None = None
+    neighbors: NeighborMemory | None = None
+    avoidance: AvoidanceRule | None = None
 
-    def receive(self, message: MotionGoals | Proximity, time_s: float, heard: BoolArray) -> None:
-        """Take in a unit's message that arrives now at those of its robots that `heard` (N,) it."""
-        if isinstance(message, MotionGoals):
-            self.inboxes.receive(message, time_s, heard)
-        elif self.around is not None:
-            self.around.receive(message, heard)
+    def decide(self, time_s: float, delivered: Sequence[Delivery]) -> TeamOrders:
+        """Take in the messages; then steer by all goals that are not too old."""
+        for delivery in delivered:
+            if isinstance(delivery.message, MotionGoals):
+                self.inboxes.receive(delivery.message, time_s, delivery.received)
+            elif self.neighbors is not None:
+                self.neighbors.receive(delivery.message, delivery.received)
+        commanded = self.inboxes.ids[self.inboxes.fresh(time_s).any(axis=0)]
+        return TeamOrders(self._command(time_s), np.asarray(commanded))
 
-    def command(self, time_s: float) -> VelocityCommand:
-        """What all robots do from now on until the next command."""
-        if self.around is None or self.rule is None:
+    def _command(self, time_s: float) -> VelocityCommand:
+        if self.neighbors is None or self.avoidance is None:
             return robot_commands(self.inboxes, self.gains, time_s, self.wheels)
         rho = self.gains.follow(self.inboxes, time_s)
-        v_mps, omega_radps = avoiding_law(rho, self.gains, self.around, self.rule, time_s)
-        self.around.turn(omega_radps, time_s, self.rule.step_s)
+        v_mps, omega_radps = avoiding_law(rho, self.gains, self.neighbors, self.avoidance, time_s)
+        self.neighbors.turn(omega_radps, time_s, self.avoidance.step_s)
         return VelocityCommand(self.inboxes.ids, v_mps, omega_radps)
-
-    def commanded_ids(self, time_s: float) -> IntArray:
-        """Robots that follow a goal heard of late."""
-        return np.asarray(self.inboxes.ids[self.inboxes.fresh(time_s).any(axis=0)])

@@ -1,58 +1,35 @@
-"""How a unit flies, from image quantities alone.
+"""Flight laws of the paper and its companion: hover, follow the robots, fly along their convex hull.
 
-Lengths are in halves of the image's shorter side, measured from the image centre, so that gains do not
-depend on the camera; the autopilot that obeys is part of the world.
+Lengths are in halves of the image's shorter side, measured from the image centre, so that gains do not depend
+on the camera; the autopilot that obeys is part of the world. `skyherd.control.policy.FlightLaw` says what a
+law has to keep to.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
 
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
-from skyherd.control.topology.safety_radius import NO_ROBOTS, centre_distances
+from skyherd.control.policy import NO_ROBOTS, FlightLaw, FlightTask
+from skyherd.control.topology.safety_radius import centre_distances
 from skyherd.geometry import Array, IntArray
 from skyherd.messages import Detections, FlightCommand, UnitReport, centred, shared_ids
 
 
 @dataclass(frozen=True)
-class Duty:
-    """What a unit is to have in view: robots it controls, and robots sought so far as those stay there."""
-
-    controlled: IntArray
-    sought: IntArray = field(default_factory=lambda: NO_ROBOTS)
-
-
-class Flight(Protocol):
-    """A motion law of one aerial unit."""
-
-    def command(self, seen: Detections, duty: Duty, reports: Sequence[UnitReport]) -> FlightCommand:
-        """Velocity to fly now, given the robots seen, those to be seen, and the other units' reports."""
-        ...
-
-    def search(self, seen: Detections, controlled: IntArray, reports: Sequence[UnitReport]) -> FlightCommand:
-        """What to fly while the tree does not grow: keep in view all that is seen as well."""
-        return self.command(seen, Duty(controlled, seen.ids), reports)
-
-
-def _hover(unit_id: int, yaw_rate_radps: float = 0.0) -> FlightCommand:
-    return FlightCommand(unit_id, np.zeros(2), 0.0, yaw_rate_radps)
-
-
-@dataclass(frozen=True)
-class Hover(Flight):
+class Hover(FlightLaw):
     """Stay, turning at a constant rate if asked."""
 
     yaw_rate_radps: float = 0.0
 
-    def command(self, seen: Detections, duty: Duty, reports: Sequence[UnitReport]) -> FlightCommand:
+    def command(self, seen: Detections, task: FlightTask, reports: Sequence[UnitReport]) -> FlightCommand:
         """No translation."""
-        return _hover(seen.unit_id, self.yaw_rate_radps)
+        return FlightCommand.hold(seen.unit_id, self.yaw_rate_radps)
 
 
 @dataclass
-class Follow(Flight):
+class Follow(FlightLaw):
     """Algorithm 1 of the companion paper (Aranda et al., T-RO 2015): keep in view what duty demands.
 
     To be kept are, for each neighbour in the initial graph, the two robots in common that are nearest to
@@ -79,9 +56,9 @@ class Follow(Flight):
     _charges: IntArray = field(default_factory=lambda: NO_ROBOTS, init=False)
     _start: dict[int, float] | None = field(default=None, init=False)
 
-    def command(self, seen: Detections, duty: Duty, reports: Sequence[UnitReport]) -> FlightCommand:
+    def command(self, seen: Detections, task: FlightTask, reports: Sequence[UnitReport]) -> FlightCommand:
         """Velocity towards the centroid of the robots to be kept, and the height that keeps them."""
-        controlled = duty.controlled
+        controlled = task.controlled_ids
         if self._start is None:
             self._start, self._charges = _distances(seen), controlled
         for report in reports:
@@ -91,9 +68,9 @@ class Follow(Flight):
                 self._charges = np.setdiff1d(
                     self._charges, _nearer_there(shared, self._start, seen.unit_id, report)
                 )
-        keep = np.isin(seen.ids, np.union1d(self._robots_to_keep(seen, controlled, reports), duty.sought))
+        keep = np.isin(seen.ids, np.union1d(self._robots_to_keep(seen, controlled, reports), task.sought_ids))
         if not keep.any():
-            return _hover(seen.unit_id)
+            return FlightCommand.hold(seen.unit_id)
         points = centred(seen.centers_px, seen.image_size_px)[keep]
         excess = float(np.linalg.norm(points, axis=1).max()) - self.desired_radius
         climb = excess - np.clip(excess, -self.dead_band, self.dead_band)
@@ -138,7 +115,7 @@ def _nearer_there(shared: IntArray, start: dict[int, float], unit_id: int, repor
 
 
 @dataclass(frozen=True)
-class Perimeter(Flight):
+class Perimeter(FlightLaw):
     """Fly along the perimeter of the robots' convex hull, turning slowly (the paper's one-camera case).
 
     The velocity is along the hull's edge nearest to the image centre, plus a pull towards that edge.
@@ -157,13 +134,13 @@ class Perimeter(Flight):
     climb_gain_mps: float = 1.0
     yaw_rate_radps: float = 0.0
 
-    def command(self, seen: Detections, duty: Duty, reports: Sequence[UnitReport]) -> FlightCommand:
+    def command(self, seen: Detections, task: FlightTask, reports: Sequence[UnitReport]) -> FlightCommand:
         """Velocity along the hull of the controlled robots."""
-        robots = seen.select(duty.controlled)
+        robots = seen.select(task.controlled_ids)
         points = centred(robots.centers_px, robots.image_size_px)
         edge = _nearest_hull_edge(points)
         if edge is None:
-            return _hover(seen.unit_id, self.yaw_rate_radps)
+            return FlightCommand.hold(seen.unit_id, self.yaw_rate_radps)
         foot, along = edge
         excess = float(np.linalg.norm(points, axis=1).max()) - self.desired_radius
         return FlightCommand(

@@ -50,7 +50,7 @@ def control_matrix(sets: ControlSets, robot_ids: IntArray) -> BoolArray:
     return matrix
 
 
-def edges(sets: ControlSets) -> list[tuple[int, int]]:
+def graph_edges(sets: ControlSets) -> list[tuple[int, int]]:
     """Edges (j, k), j < k, of G_c."""
     units = sorted(sets)
     return [

@@ -1,81 +1,96 @@
 """When a neighbour falls silent: its heir takes over its robots and edges, the others turn to the heir.
 
-Two adjoining units make one, so that what was a tree with one pair an edge still is.
+Two adjoining units are made one, so that what was a tree with one pair an edge still is.
 """
+
+from dataclasses import replace
 
 import numpy as np
 
-from skyherd.control.tree.edge import NO_TURN, Edge, first_turn
-from skyherd.control.tree.node_state import NodeState
+from skyherd.control.tree.edge import NO_ROBOTS, NO_TURN, Edge, Robots, first_turn
+from skyherd.control.tree.node_state import Changes, NodeState, Situation, resigned
 from skyherd.control.tree.peer_reports import PeerReport
 from skyherd.messages import NO_ID
 
 GRACE = 2
-"""Silences after which the other end of a new edge must know of it."""
+"""Silences after which the other end of a new edge must know of it. Chosen: one in which the report of the
+edge arrives for certain, and one in which the answer does."""
 
 
-def succeed(unit: NodeState, time_s: float) -> None:
-    """Go on without neighbours that fell silent or left the tree; start anew if they gave up this unit."""
-    for neighbor, edge in list(unit.edges.items()):
-        if unit.edges.get(neighbor) is not edge:
-            continue  # a burial or a resignation before was about it as well
-        heard = unit.heard.newest.get(neighbor)
-        last_s = max(edge.since_s, -np.inf if heard is None else heard.report.time_s)
-        if time_s - last_s > unit.rule.silence_s:
-            _bury(unit, edge, time_s)
-        elif heard is not None and _is_left(unit, edge, heard):
-            if heard.is_member and edge.pair:
-                unit.resign()
+def fail_over(state: NodeState, now: Situation) -> Changes:
+    """Go on without neighbours that fell silent or left the tree; start anew if they gave this unit up."""
+    for neighbor, edge in list(state.edges.items()):
+        if state.edges.get(neighbor) is not edge:
+            continue  # what was done about a neighbour before concerned this edge as well
+        peer = now.peers.newest.get(neighbor)
+        last_s = max(edge.since_s, -np.inf if peer is None else peer.time_s)
+        if now.time_s - last_s > now.rule.silence_s:
+            state = _without(state, now, edge)
+        elif peer is not None and _is_abandoned(now, edge, peer):
+            if peer.is_member and edge.pair:
+                state = replace(state, **resigned())
             else:
-                _bury(unit, edge, time_s)
+                state = _without(state, now, edge)
+    return Changes(
+        own=state.own, edges=state.edges, ready=state.ready, tree_id=state.tree_id, asks_id=state.asks_id
+    )
 
 
-def name_heir(unit: NodeState, heir_id: int) -> int:
-    """The heir so far, or else the neighbour with fewest robots; for good, so that all know who it is."""
-    if heir_id in unit.edges:
-        return heir_id
+def name_heir(state: NodeState, now: Situation) -> Changes:
+    """Name the neighbour with fewest robots as the heir, and keep to it, so that all know who it is."""
+    if state.heir_id in state.edges:
+        return Changes()
     robots = {
-        neighbor: len(unit.heard.newest[neighbor].controlled)
-        for neighbor, edge in unit.edges.items()
-        if edge.pair and neighbor in unit.heard.newest
+        neighbor: len(now.peers.newest[neighbor].controlled)
+        for neighbor, edge in state.edges.items()
+        if edge.pair and neighbor in now.peers.newest
     }
-    return min(robots, key=lambda neighbor: (robots[neighbor], neighbor), default=NO_ID)
+    return Changes(heir_id=min(robots, key=lambda neighbor: (robots[neighbor], neighbor), default=NO_ID))
 
 
-def _is_left(unit: NodeState, edge: Edge, heard: PeerReport) -> bool:
-    """Whether the neighbour knows nothing of the edge, although it must by now: or it left the tree."""
-    if unit.unit_id in heard.tree.rows:
+def _is_abandoned(now: Situation, edge: Edge, peer: PeerReport) -> bool:
+    """Whether the neighbour knows nothing of the edge, although it must by now: then it left the tree."""
+    if now.unit_id in peer.tree.rows:
         return False
     if not edge.pair:
-        return heard.is_member or (heard.tree.asks_id, heard.tree.ask_turn) != (unit.unit_id, edge.turn)
-    return not heard.is_member or heard.report.time_s > edge.since_s + GRACE * unit.rule.silence_s
+        return peer.is_member or (peer.tree.asks_id, peer.tree.ask_turn) != (now.unit_id, edge.turn)
+    return not peer.is_member or peer.time_s > edge.since_s + GRACE * now.rule.silence_s
 
 
-def _bury(unit: NodeState, edge: Edge, time_s: float) -> None:
-    """Close the edge to a unit that is gone; as its heir take over what was its, else turn to the heir."""
-    del unit.edges[edge.neighbor_id]
-    heard = unit.heard.bequest.get(edge.neighbor_id)
-    if heard is None or not edge.pair:
-        return
-    heir = heard.tree.heir_id
-    if heir == unit.unit_id or not unit.heard.alive(heir, time_s):
-        unit.own |= edge.pair
-        _inherit(unit, heard, time_s)
-    elif heir in unit.edges:
-        unit.own |= edge.pair
-    else:
-        unit.open_edge(heir, time_s, first_turn(time_s, unit.unit_id, heir), edge.pair)
+def _without(state: NodeState, now: Situation, edge: Edge) -> NodeState:
+    """The state without the edge to a unit that is gone.
 
-
-def _inherit(unit: NodeState, dead: PeerReport, time_s: float) -> None:
-    """Take the dead unit's robots, unless somebody else has them, and its other edges.
-
-    The other ends know best which pairs they had: their first turn tells.
+    Its heir, or whoever does not know of a living heir, takes over what was its. Another neighbour keeps the
+    pair as its own if it has an edge to the heir, and else opens one with that pair and has the first turn on
+    it.
     """
-    living = [
-        heard.controlled for heard in unit.heard.fresh(time_s) if heard.report.unit_id != dead.report.unit_id
-    ]
-    unit.own |= dead.controlled - unit.controlled.union(*living)
-    for neighbor, pair in zip(dead.tree.neighbor_ids.tolist(), dead.tree.pairs.tolist(), strict=True):
-        if NO_ID not in pair and neighbor not in unit.edges and unit.heard.alive(neighbor, time_s):
-            unit.open_edge(neighbor, time_s, NO_TURN, frozenset(pair))
+    edges = {neighbor: other for neighbor, other in state.edges.items() if neighbor != edge.neighbor_id}
+    state = replace(state, edges=edges)
+    gone = now.peers.last_as_member.get(edge.neighbor_id)
+    if gone is None or not edge.pair:
+        return state
+    heir = gone.tree.heir_id
+    if heir == now.unit_id or not now.is_alive(heir):
+        return _inherit(replace(state, own=state.own | edge.pair), now, gone)
+    if heir in state.edges:
+        return replace(state, own=state.own | edge.pair)
+    turn = first_turn(now.time_s, now.unit_id, heir)
+    return _with_new_edge(state, now, heir, turn, edge.pair)
+
+
+def _inherit(state: NodeState, now: Situation, gone: PeerReport) -> NodeState:
+    """The state with the robots of a dead unit, unless somebody else has them, and with its other edges.
+
+    The other ends know best which pairs they had with it: their first turn tells.
+    """
+    others = [peer.controlled for peer in now.living if peer.unit_id != gone.unit_id]
+    state = replace(state, own=state.own | (gone.controlled - state.controlled.union(*others)))
+    for neighbor, pair in zip(gone.tree.neighbor_ids.tolist(), gone.tree.pairs.tolist(), strict=True):
+        if NO_ID not in pair and neighbor not in state.edges and now.is_alive(neighbor):
+            state = _with_new_edge(state, now, neighbor, NO_TURN, frozenset(pair))
+    return state
+
+
+def _with_new_edge(state: NodeState, now: Situation, neighbor: int, turn: int, pair: Robots) -> NodeState:
+    edge = Edge(now.unit_id, neighbor, now.time_s, turn=turn, pair=pair, offered=NO_ROBOTS)
+    return replace(state, edges={**state.edges, neighbor: edge})

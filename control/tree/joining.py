@@ -1,99 +1,119 @@
-"""How units become one tree: found it, ask to be admitted, grant an edge; and when it is complete."""
+"""How units become one tree: one founds it, the others ask to be admitted and are granted an edge each."""
 
-from dataclasses import dataclass
+from dataclasses import replace
 
-from skyherd.control.tree.edge import NO_ROBOTS, NO_TURN, edge_status, first_turn
-from skyherd.control.tree.node_state import NodeState
+from skyherd.control.tree.edge import Edge, edge_status, first_turn
+from skyherd.control.tree.node_state import Changes, Extent, NodeState, Situation
+from skyherd.control.tree.offers import offerable
 from skyherd.control.tree.peer_reports import PeerReport
 from skyherd.messages import NO_ID
 
+STALLED_SLOTS = 1
+"""Slots without growth after which units look around. Chosen: the shortest time in which an edge can be
+granted and its first pair be taken; twice as long only delays deployment by a slot."""
 
-def seek(unit: NodeState, time_s: float, at_slot: bool) -> None:
-    """Without a tree: ask one to be admitted to it; if there is none, let the unit found it that sees most.
 
-    Large sets bind the team firmly (docs/topology.md), and the founder's is all that it sees. So that there
-    is one founder, however late reports are, the lowest unit chooses: it founds the tree, or asks another
-    to and keeps to that while it hears of it, since the other may have done so by then.
+def join_tree(state: NodeState, now: Situation) -> Changes:
+    """Outside of a tree: ask a member to be admitted; if there is no tree, see that one is founded.
+
+    Large control sets bind a team firmly (docs/topology.md), and the founder's set is all that it sees. So
+    the unit that sees most robots is to be the founder. For there to be one founder only, however late
+    reports are, the lowest unit chooses: after a dwell time it founds the tree itself, or asks another unit
+    to, and keeps to that choice while it receives reports of the chosen one, which may have founded the tree
+    by then.
     """
-    members = unit.heard.members(time_s)
-    if members:
-        _ask(unit, members, time_s)
-        return
-    fresh = {heard.report.unit_id: heard for heard in unit.heard.fresh(time_s)}
-    lowest = min(fresh, default=unit.unit_id)
-    if lowest < unit.unit_id:
-        if lowest in unit.askers(time_s):
-            _found(unit)
-    elif at_slot and time_s - unit.since_s >= unit.rule.dwell_s and unit.asks_id not in fresh:
-        inside = {other: len(heard.near(unit.rule.radius)) for other, heard in fresh.items()}
-        inside[unit.unit_id] = len(unit.visible)
-        chosen = max(inside, key=lambda other: (inside[other], -other))
-        if chosen == unit.unit_id:
-            _found(unit)
-        else:
-            unit.asks_id, unit.ask_turn = chosen, first_turn(time_s, unit.unit_id, chosen)
+    if state.is_member:
+        return Changes()
+    if now.members:
+        return _ask(state, now)
+    living = {peer.unit_id: peer for peer in now.living}
+    lowest = min(living, default=now.unit_id)
+    if lowest < now.unit_id:
+        return _found(now) if lowest in now.askers else Changes()
+    if not now.at_slot or now.time_s - state.since_s < now.rule.dwell_s or state.asks_id in living:
+        return Changes()
+    inside = {unit: len(peer.near(now.rule.radius)) for unit, peer in living.items()}
+    inside[now.unit_id] = len(now.visible)
+    chosen = max(inside, key=lambda unit: (inside[unit], -unit))
+    if chosen == now.unit_id:
+        return _found(now)
+    return Changes(asks_id=chosen, ask_turn=first_turn(now.time_s, now.unit_id, chosen))
 
 
-def _found(unit: NodeState) -> None:
+def _found(now: Situation) -> Changes:
     """Begin the tree, with all robots in view as the unit's own."""
-    unit.tree_id, unit.asks_id, unit.own = unit.unit_id, NO_ID, unit.visible
+    return Changes(tree_id=now.unit_id, asks_id=NO_ID, own=now.visible)
 
 
-def _ask(unit: NodeState, members: list[PeerReport], time_s: float) -> None:
-    """Ask the member with most own robots in common; open the edge that the one asked grants.
+def _ask(state: NodeState, now: Situation) -> Changes:
+    """Open the edge that the member that was asked grants; else ask the one with most own robots in common.
 
-    The question names the turn at which the edge is to begin, another one each time: a grant that comes late
-    answers a question that is no longer put, and is void.
+    The question names the turn at which the edge is to begin, another one each time, so that a grant that
+    arrives late, after the question was given up, is void.
     """
-    if unit.edges:
-        return
-    for heard in members:
-        asked, word = heard.report.unit_id, edge_status(heard.report, unit.unit_id)
-        if asked == unit.asks_id and word and not word.pair and word.turn == unit.ask_turn:
-            unit.open_edge(asked, time_s, NO_TURN, NO_ROBOTS)
-            unit.edges[asked].hear(heard.report)
-            return
-    visible = unit.visible
-    common = {
-        heard.report.unit_id: len(visible.intersection(heard.report.secure_ids.tolist()) - heard.paired)
-        for heard in members
-    }
+    if state.edges:
+        return Changes()
+    for peer in now.members:
+        status = edge_status(peer.report, now.unit_id)
+        if peer.unit_id == state.asks_id and status and not status.pair and status.turn == state.ask_turn:
+            edge = Edge(now.unit_id, peer.unit_id, now.time_s).received(peer.report)
+            return Changes(edges={peer.unit_id: edge})
+    common = {peer.unit_id: _common(now, peer) for peer in now.members}
+    if common.get(state.asks_id, 0) >= 2:
+        return Changes()
     best = max(common, key=lambda member: (common[member], -member))
-    if common.get(unit.asks_id, 0) < 2:
-        unit.asks_id = best if common[best] >= 2 else NO_ID
-        unit.ask_turn = first_turn(time_s, unit.unit_id, best)
-
-
-def admit(unit: NodeState, time_s: float) -> None:
-    """Grant an edge, yet without a pair, to each unit that asks for one."""
-    for asking in sorted(unit.askers(time_s) - unit.edges.keys()):
-        offered = unit.offerable(asking, time_s)
-        if len(offered) >= 2:
-            unit.open_edge(asking, time_s, unit.heard.newest[asking].tree.ask_turn, NO_ROBOTS, offered)
-
-
-@dataclass(frozen=True)
-class Extent:
-    """How far the tree reaches, as one unit knows it: units outside of it, robots that some unit holds."""
-
-    outside: frozenset[int]
-    held: frozenset[int]
-
-
-def extent_of(unit: NodeState, time_s: float) -> Extent:
-    """The tree's reach, by what was heard of late."""
-    fresh = unit.heard.fresh(time_s)
-    outside = {heard.report.unit_id for heard in fresh if not heard.is_member}
-    return Extent(
-        frozenset(outside if unit.is_member else outside | {unit.unit_id}),
-        frozenset(unit.controlled.union(*(heard.controlled for heard in fresh))),
+    return Changes(
+        asks_id=best if common[best] >= 2 else NO_ID, ask_turn=first_turn(now.time_s, now.unit_id, best)
     )
 
 
-def is_complete(unit: NodeState, extent: Extent, time_s: float) -> bool:
-    """Whether all units heard belong to the tree and all robots to a unit, or waiting has lasted too long."""
-    if not unit.is_member:
-        return False
-    told = any(heard.tree.ready for heard in unit.heard.fresh(time_s))
-    waited = time_s - unit.since_s > unit.rule.patience_s
-    return told or waited or (not extent.outside and extent.held >= unit.template.members)
+def _common(now: Situation, member: PeerReport) -> int:
+    """How many own robots of a member the unit sees as well."""
+    return len(now.visible.intersection(member.report.secure_ids.tolist()) - member.paired)
+
+
+def admit(state: NodeState, now: Situation) -> Changes:
+    """As a member: grant an edge, yet without a pair, to each unit that asks for one."""
+    if not state.is_member:
+        return Changes()
+    for asking in sorted(now.askers - state.edges.keys()):
+        offered = offerable(state, now, asking)
+        if len(offered) >= 2:
+            turn = now.peers.newest[asking].tree.ask_turn
+            edge = Edge(now.unit_id, asking, now.time_s, turn=turn, offered=offered)
+            state = replace(state, edges={**state.edges, asking: edge})
+    return Changes(edges=state.edges)
+
+
+def watch_growth(state: NodeState, now: Situation) -> Changes:
+    """Until the tree is complete: tell whether it is, and whether to look around because it does not grow.
+
+    It is complete when all units heard of belong to it and all robots to a unit, when a neighbour says so, or
+    when the unit's patience has ended. Units look around before the tree has been founded, and from the first
+    slot on in which it did not grow; meanwhile they hold their place, so that others can count on what they
+    see.
+    """
+    if state.ready:
+        return Changes()
+    outside = {peer.unit_id for peer in now.living if not peer.is_member}
+    extent = Extent(
+        frozenset(outside if state.is_member else outside | {now.unit_id}),
+        state.controlled.union(*(peer.controlled for peer in now.living)),
+    )
+    is_begun = state.is_member or bool(now.members)
+    grew_slot = now.slot if extent != state.extent or not is_begun else state.grew_slot
+    stalled = state.stalled or now.slot - grew_slot >= STALLED_SLOTS
+    ready = state.is_member and _is_complete(state, now, extent)
+    return Changes(
+        extent=extent,
+        grew_slot=grew_slot,
+        stalled=stalled,
+        ready=ready,
+        searches=not ready and (stalled or not is_begun),
+    )
+
+
+def _is_complete(state: NodeState, now: Situation, extent: Extent) -> bool:
+    is_told = any(peer.tree.ready for peer in now.living)
+    is_patience_over = now.time_s - state.since_s > now.rule.patience_s
+    return is_told or is_patience_over or (not extent.outside and extent.held >= now.shape.members)

@@ -1,17 +1,20 @@
-"""A unit's standing in the tree: its own robots, its edges, and what it knows."""
+"""A unit's state in the tree protocol, and its situation at one image: values that never change."""
 
+from collections.abc import Mapping
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field
-from typing import Literal
+from functools import cached_property
+from typing import Literal, TypedDict
 
 import numpy as np
 
 from skyherd.control.formation.template import Template
-from skyherd.control.topology.safety_radius import centre_distances
 from skyherd.control.tree.edge import NO_ROBOTS, NO_TURN, Edge, Robots
-from skyherd.control.tree.peer_reports import PeerReports
-from skyherd.messages import NO_ID, Detections
+from skyherd.control.tree.peer_reports import PeerReport, PeerReports
+from skyherd.messages import NO_ID
 
 Share = Literal["leverage", "nearest"]
+"""How two neighbours choose the pair that they share."""
 
 
 @dataclass(frozen=True)
@@ -19,18 +22,23 @@ class TreeRule:
     """Settings of the protocol (control/tree/protocol.py).
 
     Attributes:
-        share: which pair two neighbours share.
-        radius: robots are given and taken inside this distance, in halves of the image's shorter side.
-        hysteresis: a unit wishes to lose a robot outside `radius (1 + hysteresis)`.
-        dwell_s: sets change at multiples of this, but for succession.
-        gain: a new pair must be better by this factor.
-        firm: while an edge binds at a rate below this, its units fly to see robots that bind it better.
-        silence_s: a unit that was not heard for so long is dead, a robot not seen for so long is missing.
-        patience_s: robots move after this even if some unit or robot has not been found.
+        share: which pair two neighbours share: the one that makes their fits agree fastest (`leverage`,
+            control/topology/convergence_rate.py), or the two robots nearest to the image centre (`nearest`,
+            the paper's rule).
+        radius: robots are given and taken inside this distance from the image centre, in halves of the
+            image's shorter side.
+        hysteresis: a unit would rather lose a robot outside `radius (1 + hysteresis)`.
+        dwell_s: length of a slot; control sets change at the first image of a slot, but for failover.
+        gain: a new pair must be better than the present one by this factor, so that noise exchanges nothing.
+        firm: while an edge agrees at a lower rate than this (in units of the robots' gain k), its units fly
+            to see robots that would make a better pair.
+        silence_s: a unit from which nothing was received for so long counts as dead, and a robot that was not
+            seen for so long as missing.
+        patience_s: robots may move after this even if some unit or robot has not been found.
     """
 
     share: Share = "leverage"
-    radius: float = 0.92
+    radius: float = 0.85
     hysteresis: float = 0.06
     dwell_s: float = 2.0
     gain: float = 1.25
@@ -39,46 +47,69 @@ class TreeRule:
     patience_s: float = 60.0
 
 
-@dataclass
-class NodeState:
-    """All that a unit's part in the protocol goes by.
+@dataclass(frozen=True)
+class Extent:
+    """How far the tree reaches, as one unit knows it.
 
     Attributes:
-        rule: settings.
-        template: the whole shape.
-        heard: the other units' reports.
-        unit_id: the unit itself, once it has seen an image.
-        since_s: when it saw the first one.
-        own: robots that only this unit controls.
-        edges: by neighbour.
-        tree_id: the tree it belongs to, or NO_ID.
-        asks_id: the unit that it asks to admit it, or to found the tree, or NO_ID,
-        ask_turn: and the turn at which it expects the edge to begin.
-        ready: whether the tree is known to be complete, so that robots may move.
-        slot: the dwell time that it is in, counted on the common clock.
-        distances: of the robots seen now from the image centre.
-        seen_s: when each robot was seen last.
-        held_s: since when the unit controls each robot of its set.
+        outside: units that were heard of and belong to no tree.
+        held: robots that some unit controls.
     """
 
-    rule: TreeRule
-    template: Template
-    heard: PeerReports
-    unit_id: int = NO_ID
-    since_s: float = np.inf
-    own: set[int] = field(default_factory=set)
-    edges: dict[int, Edge] = field(default_factory=dict)
+    outside: frozenset[int]
+    held: Robots
+
+
+@dataclass(frozen=True)
+class NodeState:
+    """A unit's part in the protocol. Only `TreeProtocol` replaces it, by what its rules return.
+
+    Attributes:
+        own: robots that only this unit controls.
+        edges: by neighbour.
+        tree_id: the tree that it belongs to, by the number of the founder, or `NO_ID`.
+        asks_id: the unit that it asks to admit it, or to found the tree, or `NO_ID`.
+        ask_turn: the turn at which it expects the edge that it asks for to begin.
+        heir_id: the neighbour that takes over its robots and edges if it falls silent, or `NO_ID`.
+        ready: whether the tree is known to be complete, so that robots may move.
+        searches: whether the unit is to look around for what the tree lacks.
+        sought: robots to be got into view, besides those that it controls.
+        since_s: time of its first image.
+        slot: number of the slot that its last image fell in.
+        seen_s: when it saw each robot last.
+        missed_since_s: since when it knows that a robot which it never saw is missing.
+        held_s: since when it has controlled each robot of its set.
+        orphaned_s: since when it has seen each robot that no member claims.
+        distances_before: what it saw in the last image as a member: robots' distances from the image centre.
+        minority_s: since when its part of a divided tree has been the smaller one; infinite if it is not.
+        extent: the tree's reach at the last image before the tree was complete.
+        grew_slot: slot in which the tree grew last.
+        stalled: whether the tree stopped growing for a slot before it was complete.
+    """
+
+    own: Robots = NO_ROBOTS
+    edges: Mapping[int, Edge] = field(default_factory=dict)
     tree_id: int = NO_ID
     asks_id: int = NO_ID
     ask_turn: int = NO_TURN
+    heir_id: int = NO_ID
     ready: bool = False
+    searches: bool = False
+    sought: Robots = NO_ROBOTS
+    since_s: float = np.inf
     slot: int = -1
-    distances: dict[int, float] = field(default_factory=dict)
-    seen_s: dict[int, float] = field(default_factory=dict)
-    held_s: dict[int, float] = field(default_factory=dict)
+    seen_s: Mapping[int, float] = field(default_factory=dict)
+    missed_since_s: Mapping[int, float] = field(default_factory=dict)
+    held_s: Mapping[int, float] = field(default_factory=dict)
+    orphaned_s: Mapping[int, float] = field(default_factory=dict)
+    distances_before: Mapping[int, float] = field(default_factory=dict)
+    minority_s: float = np.inf
+    extent: Extent | None = None
+    grew_slot: int = 0
+    stalled: bool = False
 
-    @property
-    def controlled(self) -> set[int]:
+    @cached_property
+    def controlled(self) -> Robots:
         """S_j^c: the unit's own robots and the pairs of its edges."""
         return self.own.union(*(edge.pair for edge in self.edges.values()))
 
@@ -87,86 +118,104 @@ class NodeState:
         """Whether the unit belongs to a tree."""
         return self.tree_id != NO_ID
 
-    @property
-    def visible(self) -> set[int]:
-        """Robots seen inside the radius."""
-        return {robot for robot, distance in self.distances.items() if distance < self.rule.radius}
-
-    def look(self, seen: Detections) -> bool:
-        """Take in an image; whether it is the first one of a slot."""
-        self.unit_id, self.since_s = seen.unit_id, min(self.since_s, seen.time_s)
-        self.distances = dict(zip(seen.ids.tolist(), centre_distances(seen).tolist(), strict=True))
-        self.seen_s.update(dict.fromkeys(self.distances, seen.time_s))
-        slot, before = int(np.floor(seen.time_s / self.rule.dwell_s + 1e-9)), self.slot
-        self.slot = slot
-        return slot != before
+    def offered(self, but: int = NO_ID) -> Robots:
+        """Robots promised to neighbours, but for those promised to the unit `but`."""
+        return NO_ROBOTS.union(*(edge.offered for unit, edge in self.edges.items() if unit != but))
 
     def unseen_s(self, robot: int, time_s: float) -> float:
-        """How long a robot has not been seen; counted from now on if it never was."""
-        return time_s - self.seen_s.setdefault(robot, time_s)
+        """How long a robot has not been seen; counted from when it was first missed if it never was."""
+        return time_s - self.seen_s.get(robot, self.missed_since_s.get(robot, time_s))
 
-    def lost(self, time_s: float) -> set[int]:
-        """Own robots that went out of view: seen since the unit has them, and not for a silence.
 
-        Those that it has not seen since they are its own it has inherited, and flies to where they are.
-        """
-        return {
-            robot
-            for robot in self.own
-            if self.seen_s.get(robot, -np.inf) > self.held_s.get(robot, time_s)
-            and time_s - self.seen_s[robot] > self.rule.silence_s
-        }
+class Changes(TypedDict, total=False):
+    """What a rule changes of a `NodeState`: new values of some of its fields."""
 
-    def offered(self, but: int = NO_ID) -> set[int]:
-        """Robots promised to neighbours, but for one of them."""
-        return set().union(*(edge.offered for unit, edge in self.edges.items() if unit != but))
+    own: Robots
+    edges: Mapping[int, Edge]
+    tree_id: int
+    asks_id: int
+    ask_turn: int
+    heir_id: int
+    ready: bool
+    searches: bool
+    sought: Robots
+    since_s: float
+    slot: int
+    seen_s: Mapping[int, float]
+    missed_since_s: Mapping[int, float]
+    held_s: Mapping[int, float]
+    orphaned_s: Mapping[int, float]
+    distances_before: Mapping[int, float]
+    minority_s: float
+    extent: Extent | None
+    grew_slot: int
+    stalled: bool
 
-    def undisputed(self, time_s: float) -> set[int]:
-        """Own robots that no member claims, by a word of each since the unit has them.
 
-        Others may have adopted or inherited them at the same time. Two units can settle that while the robots
-        are their own (control/tree/orphans.py), and no more once they share them with third ones.
-        """
-        members = self.heard.members(time_s)
-        known_s = min((heard.report.time_s for heard in members), default=np.inf)
-        free = self.own - self.heard.claimed(time_s)
-        return {robot for robot in free if self.held_s.get(robot, time_s) <= known_s}
+def resigned() -> Changes:
+    """What changes when a unit leaves the tree to join it anew."""
+    return Changes(own=NO_ROBOTS, edges={}, ready=False, tree_id=NO_ID, asks_id=NO_ID)
 
-    def askers(self, time_s: float) -> set[int]:
-        """Units that ask this one to be admitted."""
-        asking = (heard for heard in self.heard.fresh(time_s) if not heard.is_member)
-        return {heard.report.unit_id for heard in asking if heard.tree.asks_id == self.unit_id}
 
-    def offerable(self, unit: int, time_s: float) -> Robots:
-        """Own robots, undisputed and in view of late, that a unit sees and that are lent to nobody else.
+@dataclass(frozen=True)
+class Situation:
+    """What a unit goes by at one image, besides its own state.
 
-        Robots that several neighbours see, or units that ask to become neighbours, go to one after the other,
-        slot by slot, two by two: so none is left out, and none gets a robot alone, which makes no pair. Those
-        that have no pair yet come first.
-        """
-        free = self.undisputed(time_s).intersection(self.heard.seen_by(unit)) - self.offered(but=unit)
-        free -= self.lost(time_s)
-        newcomers = self.askers(time_s) | {other for other, edge in self.edges.items() if not edge.pair}
-        sharers = {
-            other: self.heard.seen_by(other) for other in sorted(newcomers | self.edges.keys() | {unit})
-        }
-        offered = set()
-        for rank, robot in enumerate(sorted(self.own)):
-            if robot not in free:
-                continue
-            seeing = [other for other, seen in sharers.items() if robot in seen]
-            first = [other for other in seeing if other in newcomers] or seeing
-            if first[(rank // 2 + self.slot) % len(first)] == unit:
-                offered.add(robot)
-        return frozenset(offered)
+    Attributes:
+        rule: settings.
+        shape: the whole template, under the robots' present roles.
+        unit_id: the unit itself.
+        time_s: when the image was taken.
+        slot: the slot that it falls in,
+        at_slot: and whether it is the unit's first image in that slot.
+        distances: of the robots in the image from its centre, in half images.
+        news: reports that arrived since the last image.
+        peers: the newest report of each other unit.
+    """
 
-    def open_edge(
-        self, neighbor: int, time_s: float, turn: int, pair: Robots, offered: Robots = NO_ROBOTS
-    ) -> None:
-        """A new edge, at the given turn."""
-        self.edges[neighbor] = Edge(self.unit_id, neighbor, time_s, turn, pair, offered)
+    rule: TreeRule
+    shape: Template
+    unit_id: int
+    time_s: float
+    slot: int
+    at_slot: bool
+    distances: Mapping[int, float]
+    news: tuple[PeerReport, ...]
+    peers: PeerReports
 
-    def resign(self) -> None:
-        """Leave the tree, to join it anew."""
-        self.edges, self.own, self.ready = {}, set(), False
-        self.tree_id = self.asks_id = NO_ID
+    @cached_property
+    def visible(self) -> Robots:
+        """Robots in the image inside the radius."""
+        return frozenset(robot for robot, at in self.distances.items() if at < self.rule.radius)
+
+    @cached_property
+    def living(self) -> tuple[PeerReport, ...]:
+        """The newest reports of the units that are not silent, in the order of the units."""
+        newest = sorted(self.peers.newest.items())
+        return tuple(peer for _, peer in newest if self.time_s - peer.time_s <= self.rule.silence_s)
+
+    @cached_property
+    def members(self) -> tuple[PeerReport, ...]:
+        """Those of them that belong to a tree."""
+        return tuple(peer for peer in self.living if peer.is_member)
+
+    @cached_property
+    def claimed(self) -> Robots:
+        """Robots that members report to control."""
+        return NO_ROBOTS.union(*(peer.controlled for peer in self.members))
+
+    @cached_property
+    def askers(self) -> frozenset[int]:
+        """Units that ask this one to be admitted, or to found the tree."""
+        outside = (peer for peer in self.living if not peer.is_member)
+        return frozenset(peer.unit_id for peer in outside if peer.tree.asks_id == self.unit_id)
+
+    def is_alive(self, unit: int) -> bool:
+        """Whether a unit has been heard of within a silence."""
+        peer = self.peers.newest.get(unit)
+        return peer is not None and self.time_s - peer.time_s <= self.rule.silence_s
+
+    def seen_by(self, unit: int) -> AbstractSet[int]:
+        """Robots that a unit last reported to see."""
+        peer = self.peers.newest.get(unit)
+        return NO_ROBOTS if peer is None else peer.distances.keys()

@@ -1,58 +1,62 @@
 """Robots that nobody controls find a unit; robots that two units claim lose one."""
 
-from dataclasses import dataclass, field
-
 import numpy as np
 
-from skyherd.control.tree.node_state import NodeState
+from skyherd.control.tree.node_state import Changes, NodeState, Situation
+from skyherd.control.tree.offers import lost
 
 
-@dataclass
-class Orphans:
-    """Robots that a unit sees and that no member controls.
-
-    After half a dwell time in which nobody took them, so that reports on their way have arrived, each becomes
-    the own of the member that sees it nearest to its image centre, by what all were told last. A robot goes
-    from hand to hand by being shared for a slot at least: so nobody has it only if that is what all members
-    say of the slot before, or of this one.
-    """
-
-    since_s: dict[int, float] = field(default_factory=dict, init=False)
-    _told: dict[int, float] = field(default_factory=dict, init=False)
-
-    def adopt(self, unit: NodeState, time_s: float, at_slot: bool) -> None:
-        """Watch orphans, and at a slot adopt those that are the unit's to adopt."""
-        members = unit.heard.members(time_s)
-        orphans = unit.distances.keys() - unit.heard.claimed(time_s) - unit.controlled
-        self.since_s = {robot: self.since_s.get(robot, time_s) for robot in orphans}
-        told, self._told = self._told, unit.distances
-        said_s = min((heard.report.time_s for heard in members), default=np.inf)
-        if not at_slot or said_s < (unit.slot - 1) * unit.rule.dwell_s:
-            return
-        for robot in orphans:
-            nearest = min(
-                ((heard.distances.get(robot, np.inf), heard.report.unit_id) for heard in members),
-                default=(np.inf, unit.unit_id),
-            )
-            waited_s = time_s - self.since_s[robot]
-            if waited_s >= unit.rule.dwell_s / 2 and (told.get(robot, np.inf), unit.unit_id) <= nearest:
-                unit.own.add(robot)
-
-
-def disown(unit: NodeState, time_s: float) -> None:
-    """Leave robots that went out of view to the members that see them."""
-    secured = set().union(*(heard.near(unit.rule.radius) for heard in unit.heard.members(time_s)))
-    unit.own -= (unit.lost(time_s) & secured) - unit.offered()
-
-
-def yield_claims(unit: NodeState, time_s: float) -> None:
+def yield_claims(state: NodeState, now: Situation) -> Changes:
     """Drop own robots that a lower unit controls as well, or that an edge of other units shares.
 
-    What a unit said before this one had the robot is no claim: it may have given the robot away since.
+    What a unit reported before this one had the robot is no claim: it may have given the robot away since.
     """
-    if unit.own.isdisjoint(unit.heard.claimed(time_s)):
-        return
-    for heard in unit.heard.members(time_s):
-        claimed = heard.controlled if heard.report.unit_id < unit.unit_id else heard.paired
-        said_s = heard.report.time_s
-        unit.own -= {robot for robot in unit.own & claimed if unit.held_s.get(robot, time_s) <= said_s}
+    if state.own.isdisjoint(now.claimed):
+        return Changes()
+    own = state.own
+    for peer in now.members:
+        claimed = peer.controlled if peer.unit_id < now.unit_id else peer.paired
+        own -= {robot for robot in own & claimed if state.held_s.get(robot, now.time_s) <= peer.time_s}
+    return Changes(own=own)
+
+
+def adopt_orphans(state: NodeState, now: Situation) -> Changes:
+    """As a member: make robots one's own that are in view and that no member controls.
+
+    After half a dwell time in which nobody took it, so that reports on their way have arrived, such a robot
+    becomes the own of the member that sees it nearest to its image centre, by what all reported last; of
+    equals, of the lower unit. A robot goes from hand to hand by being shared for a slot at least. So nobody
+    has it only if that is what all members report of this slot or of the one before.
+    """
+    if not state.is_member:
+        return Changes()
+    orphans = now.distances.keys() - now.claimed - state.controlled
+    since_s = {robot: state.orphaned_s.get(robot, now.time_s) for robot in orphans}
+    reported_s = min((peer.time_s for peer in now.members), default=np.inf)
+    adopted: set[int] = set()
+    if now.at_slot and reported_s >= (now.slot - 1) * now.rule.dwell_s:
+        waiting_s = now.rule.dwell_s / 2
+        adopted = {
+            robot
+            for robot in orphans
+            if now.time_s - since_s[robot] >= waiting_s and _is_nearest(state, now, robot)
+        }
+    return Changes(own=state.own | adopted, orphaned_s=since_s, distances_before=now.distances)
+
+
+def _is_nearest(state: NodeState, now: Situation, robot: int) -> bool:
+    """Whether no member reported to see the robot nearer than this unit did in its last image."""
+    others = ((peer.distances.get(robot, np.inf), peer.unit_id) for peer in now.members)
+    here = (state.distances_before.get(robot, np.inf), now.unit_id)
+    return here <= min(others, default=(np.inf, now.unit_id))
+
+
+def disown_lost(state: NodeState, now: Situation) -> Changes:
+    """As a member, at a slot: leave robots that went out of view to the members that see them.
+
+    Robots that are promised to a neighbour are kept until its turn is over.
+    """
+    if not (state.is_member and now.at_slot):
+        return Changes()
+    secured = frozenset[int]().union(*(peer.near(now.rule.radius) for peer in now.members))
+    return Changes(own=state.own - ((lost(state, now) & secured) - state.offered()))

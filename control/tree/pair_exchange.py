@@ -1,71 +1,99 @@
-"""A unit's turn on an edge: exchange the pair if that is worth while, then hand the turn over."""
+"""Turns on the edges: received with a report, used to exchange the pair, and handed over again."""
+
+from dataclasses import replace
 
 import numpy as np
 
 from skyherd.control.tree.edge import NO_ROBOTS, Edge, Robots
-from skyherd.control.tree.node_state import NodeState
+from skyherd.control.tree.node_state import Changes, NodeState, Situation
+from skyherd.control.tree.offers import offerable
 from skyherd.control.tree.pair_selection import choose_pair
 from skyherd.messages import NO_ID
 
 
-def take_turns(unit: NodeState, time_s: float, at_slot: bool) -> None:
-    """Take the turn on each edge where it is the unit's.
+def receive_turns(state: NodeState, now: Situation) -> Changes:
+    """Take the turns that the reports hand over.
+
+    The neighbour may have exchanged the pair in its turn. A robot that left the pair is the unit's own again,
+    and one that came into it, which the unit had offered, is its own no more; the unit's control set stays as
+    it is.
+    """
+    own, edges = state.own, dict(state.edges)
+    for peer in now.news:
+        if peer.unit_id in edges:
+            before = edges[peer.unit_id].pair
+            edges[peer.unit_id] = edges[peer.unit_id].received(peer.report)
+            own = (own | (before - edges[peer.unit_id].pair)) - edges[peer.unit_id].pair
+    return Changes(own=own, edges=edges)
+
+
+def use_turns(state: NodeState, now: Situation) -> Changes:
+    """Exchange the pair where it is the unit's turn and another pair is better, then hand the turn over.
 
     A unit that has nothing to change hands the turn over at once; else it waits for the next slot, changes
-    the pair there if that is still better, and hands over. It looks again only in a new slot or with new
-    robots in reach.
+    the pair there if that is still better, and hands over. It looks for a better pair only in a new slot, or
+    when other robots have come into its reach. With the first pair of its first edge a unit becomes a member
+    of the neighbour's tree.
     """
-    for edge in unit.edges.values():
-        if not edge.mine:
+    for neighbor in list(state.edges):
+        edge = state.edges[neighbor]
+        if not edge.is_my_turn:
             continue
-        at_hand = (unit.slot, edge.reach)
-        if at_slot:
-            edge.wants, pair = False, _better_pair(unit, edge)
-            if pair is not None:
-                _exchange(unit, edge, pair)
-        elif edge.considered != at_hand:
-            edge.wants = _better_pair(unit, edge) is not None
-        edge.considered = at_hand
+        at_hand = (now.slot, edge.reach)
+        if now.at_slot or edge.considered != at_hand:
+            pair = _better_pair(state, now, edge)
+            if now.at_slot and pair is not None:
+                state = _exchanged(state, now, edge, pair)
+                edge = state.edges[neighbor]
+            edge = replace(edge, wants=pair is not None and not now.at_slot)
+        edge = replace(edge, considered=at_hand)
         if not edge.wants:
-            offered = unit.offerable(edge.neighbor_id, time_s)
-            edge.hand_over(offered, _unwanted(unit, edge, offered))
+            offered = offerable(_with_edge(state, edge), now, neighbor)
+            edge = edge.handed_over(offered, _to_release(now, edge, offered))
+        state = _with_edge(state, edge)
+    return Changes(edges=state.edges, tree_id=state.tree_id, ready=state.ready, asks_id=state.asks_id)
 
 
-def _exchange(unit: NodeState, edge: Edge, pair: Robots) -> None:
-    """Share `pair` instead of the present one, which the neighbour keeps; a first pair makes a member."""
-    edge.pair = pair
-    if not unit.is_member:
-        tree = unit.heard.newest[edge.neighbor_id].tree
-        unit.tree_id, unit.ready, unit.asks_id = tree.tree_id, tree.ready, NO_ID
+def _with_edge(state: NodeState, edge: Edge) -> NodeState:
+    return replace(state, edges={**state.edges, edge.neighbor_id: edge})
 
 
-def _better_pair(unit: NodeState, edge: Edge) -> Robots | None:
-    """The pair to exchange the present one for, if any is better."""
-    there = unit.heard.newest[edge.neighbor_id]
-    ours = unit.controlled - edge.pair
-    within_view = unit.visible & (there.near(unit.rule.radius) | edge.to_release)
+def _exchanged(state: NodeState, now: Situation, edge: Edge, pair: Robots) -> NodeState:
+    """The state with `pair` shared instead of the present pair, which the neighbour keeps."""
+    state = _with_edge(state, replace(edge, pair=pair))
+    if state.is_member:
+        return state
+    tree = now.peers.newest[edge.neighbor_id].tree
+    return replace(state, tree_id=tree.tree_id, ready=tree.ready, asks_id=NO_ID)
+
+
+def _better_pair(state: NodeState, now: Situation, edge: Edge) -> Robots | None:
+    """The pair to exchange the present one for; None if none is better."""
+    neighbor = now.peers.newest[edge.neighbor_id]
+    ours = state.controlled - edge.pair
+    within_view = now.visible & (neighbor.near(now.rule.radius) | edge.to_release)
     return choose_pair(
-        unit.rule.share,
-        unit.template,
-        candidates=frozenset((edge.pair | edge.reach) & there.controlled & within_view - ours),
-        distances=unit.distances,
+        now.rule.share,
+        now.shape,
+        candidates=frozenset((edge.pair | edge.reach) & neighbor.controlled & within_view - ours),
+        distances=now.distances,
         present=edge.pair,
-        theirs=there.report.controlled_ids,
+        theirs=neighbor.report.controlled_ids,
         ours=np.array(sorted(ours), dtype=np.int64),
-        wanted=edge.to_release,
-        unwanted=edge.pair & edge.releasing,
-        gain=unit.rule.gain,
+        to_take=edge.to_release,
+        to_leave=edge.pair & edge.releasing,
+        gain=now.rule.gain,
     )
 
 
-def _unwanted(unit: NodeState, edge: Edge, offered: Robots) -> Robots:
-    """Of the robots lent those that leave the unit's view and that the neighbour sees well.
+def _to_release(now: Situation, edge: Edge, offered: Robots) -> Robots:
+    """Of the robots offered, those that leave the unit's view and that the neighbour sees inside its radius.
 
-    None, if it could take none of the neighbour's in return: the pair would only change about.
+    None, if the unit could take none of the neighbour's robots in return: the pair would only go to and fro.
     """
-    there = unit.heard.newest[edge.neighbor_id]
-    near = there.near(unit.rule.radius)
-    if len((there.controlled - there.paired) & unit.visible & near) < 2:
+    neighbor = now.peers.newest[edge.neighbor_id]
+    near = neighbor.near(now.rule.radius)
+    if len((neighbor.controlled - neighbor.paired) & now.visible & near) < 2:
         return NO_ROBOTS
-    leaving = unit.rule.radius * (1 + unit.rule.hysteresis)
-    return frozenset(r for r in offered & near if unit.distances.get(r, np.inf) > leaving)
+    leaving = now.rule.radius * (1 + now.rule.hysteresis)
+    return frozenset(r for r in offered & near if now.distances.get(r, np.inf) > leaving)

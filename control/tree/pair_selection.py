@@ -1,5 +1,6 @@
-"""Which two robots two neighbours share: those nearest to the unit, or those that bind the two best."""
+"""Which two robots two neighbours share: the nearest, or those by which their fits agree fastest."""
 
+from collections.abc import Mapping
 from itertools import combinations
 
 import numpy as np
@@ -10,26 +11,30 @@ from skyherd.control.tree.edge import NO_ROBOTS, Robots
 from skyherd.control.tree.node_state import Share
 from skyherd.geometry import Array, IntArray
 
+LEAST_DISTANCE = 1e-9
+"""Sums of distances, in half images, are held above this, since two robots may lie exactly at the image
+centre."""
+
 
 def choose_pair(
     share: Share,
     template: Template,
     *,
     candidates: Robots,
-    distances: dict[int, float],
+    distances: Mapping[int, float],
     present: Robots,
     theirs: IntArray,
     ours: IntArray,
-    wanted: Robots,
-    unwanted: Robots,
+    to_take: Robots,
+    to_leave: Robots,
     gain: float,
 ) -> Robots | None:
     """The pair to change to, or None where the present one is good enough.
 
-    Of all pairs of candidates the one that moves most robots to where they are wanted; of those, with
-    `leverage`, the one whose two units agree fastest (`pair_rates`), with `nearest` the two nearest to the
-    unit's image centre (the paper's rule). A pair that moves nobody must be better than the present one by
-    the factor `gain`, so that noise changes nothing.
+    Of all pairs of candidates the one that moves most robots to the unit that should have them; of those,
+    with `leverage`, the one whose two units' fits agree fastest (`pair_rates`), with `nearest` the two
+    nearest to the unit's image centre (the paper's rule). A pair that moves nobody must be better than the
+    present one by the factor `gain`, so that noise changes nothing.
 
     Args:
         share: the rule.
@@ -39,8 +44,8 @@ def choose_pair(
         present: the pair shared now; empty, or with a member that is no candidate, it must be changed.
         theirs: the neighbour's set, ascending.
         ours: the unit's set without the present pair, ascending.
-        wanted: robots that the neighbour would rather lose.
-        unwanted: robots of the present pair that the unit would rather lose.
+        to_take: robots that the neighbour would rather lose.
+        to_leave: robots of the present pair that the unit would rather lose.
         gain: factor by which a new pair must be better.
     """
     robots = sorted(candidates)
@@ -48,8 +53,8 @@ def choose_pair(
         return None
     pairs = np.array(list(combinations(robots, 2)), dtype=np.int64)
     merit = _leverage(template, pairs, theirs, ours) if share == "leverage" else _nearness(pairs, distances)
-    moved = np.isin(pairs, list(wanted)).sum(axis=1)
-    moved += _left(pairs, unwanted)
+    moved = np.isin(pairs, list(to_take)).sum(axis=1)
+    moved += _count_left(pairs, to_leave)
     best = int(np.lexsort((-merit, -moved))[0])
     if not merit[best] > 0:
         return None
@@ -89,18 +94,19 @@ def firmer_pair(
 
 
 def _leverage(template: Template, pairs: IntArray, theirs: IntArray, ours: IntArray) -> Array:
+    """(P,) rate at which the fits of two units with these sets agree, for each pair that they might share."""
     rows = np.searchsorted(template.ids, pairs)
     fixed, moving = (np.searchsorted(template.ids, ids) for ids in (theirs, ours))
     return pair_rates(template.points_px, fixed, moving, rows)
 
 
-def _nearness(pairs: IntArray, distances: dict[int, float]) -> Array:
-    """Inverse of the pair's summed distance from the image centre."""
+def _nearness(pairs: IntArray, distances: Mapping[int, float]) -> Array:
+    """(P,) inverse of each pair's summed distance from the image centre, in half images."""
     total = [distances[a] + distances[b] for a, b in pairs.tolist()]
-    return 1 / np.maximum(total, 1e-9)
+    return 1 / np.maximum(total, LEAST_DISTANCE)
 
 
-def _left(pairs: IntArray, unwanted: Robots) -> IntArray:
-    """How many of the unwanted robots each pair leaves to the neighbour."""
-    members = np.isin(pairs, sorted(unwanted)).sum(axis=1)
-    return np.asarray(len(unwanted) - members, dtype=np.int64)
+def _count_left(pairs: IntArray, to_leave: Robots) -> IntArray:
+    """How many of the robots `to_leave` each pair does not contain, and so leaves to the neighbour."""
+    members = np.isin(pairs, sorted(to_leave)).sum(axis=1)
+    return np.asarray(len(to_leave) - members, dtype=np.int64)

@@ -1,56 +1,55 @@
-"""Whether the tree holds together: of parts that lost one another the smaller ones join anew."""
-
-from dataclasses import dataclass, field
+"""Whether the tree holds together: of two trees, or of parts that lost one another, all but one join anew."""
 
 import numpy as np
 
-from skyherd.control.tree.node_state import NodeState
+from skyherd.control.tree.node_state import Changes, NodeState, Situation, resigned
+from skyherd.messages import NO_ID
 
 
-@dataclass
-class PartitionWatch:
-    """Two ends of an edge that hear nothing of each other for long each go on without the other.
+def leave_for_lower_tree(state: NodeState, now: Situation) -> Changes:
+    """Leave a tree as soon as one with a lower number is heard of, so that of two trees one stays."""
+    others = [peer.tree.tree_id for peer in now.news]
+    return resigned() if any(NO_ID < tree_id < state.tree_id for tree_id in others) else Changes()
 
-    Once they hear each other again there are two parts of one tree, with no edge in between. Every unit can
-    tell its part by the edges that all members name. A part that for a silence is not the largest resigns,
-    unit by unit; of equal ones the one with the lowest unit stays.
+
+def heal_partition(state: NodeState, now: Situation) -> Changes:
+    """Leave the tree if the unit's part of it has not been the largest one for a silence.
+
+    Two ends of an edge that receive nothing from each other for long each go on without the other. Once they
+    do again, one tree is in two parts with no edge in between. Every unit can tell its part by the edges that
+    all members name. The units of the smaller part leave the tree one by one, and join it anew; of equal
+    parts the one with the lowest unit stays.
     """
-
-    _since_s: float = field(default=np.inf, init=False)
-
-    def keep(self, unit: NodeState, time_s: float) -> None:
-        """Resign if the unit's part of the tree is to give way to another one."""
-        parts = _parts(unit, time_s)
-        largest = min(parts, key=lambda part: (-len(part), min(part)))
-        if not unit.is_member or unit.unit_id in largest:
-            self._since_s = np.inf
-            return
-        self._since_s = min(self._since_s, time_s)
-        if time_s - self._since_s >= unit.rule.silence_s:
-            self._since_s = np.inf
-            unit.resign()
+    largest = min(_parts(state, now), key=lambda part: (-len(part), min(part)))
+    if not state.is_member or now.unit_id in largest:
+        return Changes(minority_s=np.inf)
+    since_s = min(state.minority_s, now.time_s)
+    if now.time_s - since_s < now.rule.silence_s:
+        return Changes(minority_s=since_s)
+    return Changes(minority_s=np.inf, **resigned())
 
 
-def _parts(unit: NodeState, time_s: float) -> list[set[int]]:
-    """Members that are heard and this unit, by the edges that they name, dead units in between as well.
+def _parts(state: NodeState, now: Situation) -> list[set[int]]:
+    """The parts of the tree: this unit and the members heard of, by the edges that they name.
 
-    Parts with an edge to a unit that is not heard, dead or out of range, may be one part beyond it.
+    Dead units that edges lead to count in between. Parts with an edge to a unit that is not heard of, because
+    it is dead or out of range, may be one part beyond it, and count as one.
     """
-    links = {heard.report.unit_id: set(heard.tree.rows) for heard in unit.heard.members(time_s)}
-    links[unit.unit_id] = set(unit.edges)
+    links = {peer.unit_id: set(peer.tree.rows) for peer in now.members}
+    links[now.unit_id] = set(state.edges)
+    known = set(links)
     for member, neighbors in list(links.items()):
         for neighbor in neighbors:
             links.setdefault(neighbor, set()).add(member)
-    heard = {unit.unit_id, *(heard.report.unit_id for heard in unit.heard.members(time_s))}
-    ended, open_ended, left = [], set(), set(links)
-    while left:
-        part = _reached(left.pop(), links)
-        left -= part
-        if part <= heard:
-            ended.append(part)
+    closed, beyond, unvisited = [], set(), set(links)
+    while unvisited:
+        part = _reached(unvisited.pop(), links)
+        unvisited -= part
+        if part <= known:
+            closed.append(part)
         else:
-            open_ended |= part & heard
-    return ended + ([open_ended] if open_ended else [])
+            beyond |= part & known
+    return closed + ([beyond] if beyond else [])
 
 
 def _reached(start: int, links: dict[int, set[int]]) -> set[int]:

@@ -1,150 +1,175 @@
-"""S_j^c of one unit as an assignment that keeps TC1-TC5: its own robots, and a pair on each edge of a tree.
+"""Control sets that keep TC1-TC5 by agreement: each unit's own robots, and a pair on each edge of a tree.
 
-Every robot is one unit's own or in the pair of one edge; the edges form a tree. Then TC1-TC5 hold whatever
-the assignment is. It changes only
+Every robot is one unit's own or in the pair of one edge, and the edges form a tree; then TC1-TC5 hold
+whatever the assignment is (docs/topology.md has the proofs). The assignment changes only
 
-- by turns (control/tree/pair_exchange.py, edge.py): a unit exchanges the pair of an edge, at a slot of the
-  common clock, a dwell time apart; a robot goes from one unit to another by being shared in between;
-- by joining (control/tree/joining.py): a unit asks a member of the tree, which grants an edge without a pair;
-  the new unit takes its first pair as its first turn;
-- by succession (control/tree/failover.py): each unit names an heir among its neighbours. When it falls silent
-  the heir takes its robots and its edges; the other neighbours turn to the heir and have the first turn;
-- by adoption (control/tree/orphans.py): a robot that nobody controls becomes the own of the unit that sees it
-  nearest to its image centre.
+- by turns (`pair_exchange`, `edge`): a unit exchanges the pair of an edge, at a slot of the common clock. A
+  robot goes from one unit to another by being shared in between. Every change is made by one unit alone, the
+  one that has the turn, so that nothing has to be agreed on and nothing can be half agreed;
+- by joining (`joining`): a unit asks a member of the tree, which grants an edge without a pair; the new unit
+  takes the first pair in its first turn;
+- by failover (`failover`): each unit names an heir among its neighbours. When the unit falls silent the heir
+  takes its robots and edges; the other neighbours turn to the heir and have the first turn;
+- by adoption (`orphans`): a robot that nobody controls becomes the own of the unit that sees it nearest to
+  its centre.
 
-Turns and joining are safe however messages are lost, late, repeated or reordered, while every two units hear
-each other once in a silence. Succession and adoption rest on what was heard: should two units hold one robot
-the higher one drops it, and neither lends it before that is settled; a unit that learns that it was given up
-for dead starts anew, and so does the smaller of two parts of the tree that lost one another
-(control/tree/partition.py). docs/topology.md proves what holds.
+Turns and joining are safe however messages are lost, late, repeated or reordered, while every two units
+receive a report of each other once in a silence: the protocol assumes that every unit can hear every other
+one. Failover and adoption rest on what was received. Should two units hold one robot, the higher one drops
+it, and neither offers it before that is settled. A unit that learns that it was given up for dead starts
+anew, and so does the smaller of two parts of the tree that lost one another (`partition`).
+
+A unit's state is one value (`NodeState`). Each rule reads it and the unit's situation (time, view, reports)
+and returns what is to change; `TreeProtocol.choose` applies the rules in the order of `RULES`.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from skyherd.control.formation.template import Template
-from skyherd.control.topology.safety_radius import NO_ROBOTS
-from skyherd.control.tree.failover import name_heir, succeed
-from skyherd.control.tree.joining import Extent, admit, extent_of, is_complete, seek
-from skyherd.control.tree.node_state import NodeState, TreeRule
-from skyherd.control.tree.orphans import Orphans, disown, yield_claims
-from skyherd.control.tree.pair_exchange import take_turns
-from skyherd.control.tree.partition import PartitionWatch
+from skyherd.control.policy import Selection, SelectionPolicy
+from skyherd.control.topology.safety_radius import centre_distances
+from skyherd.control.topology.slots import slot_at
+from skyherd.control.tree.failover import fail_over, name_heir
+from skyherd.control.tree.joining import admit, join_tree, watch_growth
+from skyherd.control.tree.node_state import Changes, NodeState, Situation, TreeRule
+from skyherd.control.tree.orphans import adopt_orphans, disown_lost, yield_claims
+from skyherd.control.tree.pair_exchange import receive_turns, use_turns
+from skyherd.control.tree.partition import heal_partition, leave_for_lower_tree
 from skyherd.control.tree.peer_reports import PeerReports
-from skyherd.control.tree.view_targets import robots_sought
+from skyherd.control.tree.view_targets import seek_robots
 from skyherd.geometry import IntArray
 from skyherd.messages import NO_ID, Detections, TreeStatus, UnitReport
 
-STALLED = 1
-"""Dwell times without growth after which units look around."""
+
+def note_view(state: NodeState, now: Situation) -> Changes:
+    """Note the time, the slot, and which robots are in view."""
+    return Changes(
+        since_s=min(state.since_s, now.time_s),
+        slot=now.slot,
+        seen_s={**state.seen_s, **dict.fromkeys(now.distances, now.time_s)},
+    )
+
+
+def note_holding(state: NodeState, now: Situation) -> Changes:
+    """Note since when the unit has had each robot of its set, and which own robots it has never seen."""
+    never_seen = state.own - now.distances.keys() - state.seen_s.keys() - state.missed_since_s.keys()
+    return Changes(
+        held_s={robot: state.held_s.get(robot, now.time_s) for robot in state.controlled},
+        missed_since_s={**state.missed_since_s, **dict.fromkeys(never_seen, now.time_s)},
+    )
+
+
+Transition = Callable[[NodeState, Situation], Changes]
+"""A rule of the protocol: from a unit's state and situation to what changes of the state."""
+
+RULES: tuple[tuple[Transition, str], ...] = (
+    (note_view, "first, since all other rules read when robots were seen"),
+    (receive_turns, "before any rule that reads pairs, so that each edge is known as its neighbour left it"),
+    (
+        leave_for_lower_tree,
+        "before the tree is mended: what belongs to the tree that gives way is dropped anyhow",
+    ),
+    (fail_over, "before claims and offers, so that no robot of a dead neighbour is taken for nobody's"),
+    (heal_partition, "after failover, since parts are told apart by the edges that are left"),
+    (
+        yield_claims,
+        "before robots are offered or adopted: a robot that another unit claims must not be promised",
+    ),
+    (
+        admit,
+        "before this unit's own turns, so that units that ask get robots before neighbours with a pair do",
+    ),
+    (adopt_orphans, "after failover and claims, when it is settled what this unit controls"),
+    (
+        disown_lost,
+        "after admission and adoption, so that a robot just promised or adopted is not dropped at once",
+    ),
+    (
+        join_tree,
+        "after the rules for members: a founder begins to grant edges at its next image",
+    ),
+    (use_turns, "after all that changes own robots, so that what is offered is the unit's own and stays it"),
+    (watch_growth, "after turns, by which the tree grows"),
+    (name_heir, "after turns, since only an edge with a pair can have the heir"),
+    (seek_robots, "after turns, so that a pair that was just taken is not sought"),
+    (note_holding, "last: it notes what all other rules have decided"),
+)
+"""All rules in the order in which they are applied, each with the reason for its place."""
 
 
 @dataclass
-class TreeProtocol:
-    """One unit's part of the assignment.
+class TreeProtocol(SelectionPolicy):
+    """One unit's part in the protocol, as a selection policy.
 
-    `searches` while the unit is to look around for what the tree lacks; `sought` are robots to get into view,
-    with which it could bind the tree firmly.
+    Attributes:
+        rule: settings.
+        rules: what is applied, in this order; tests replace it.
+        state: after the last image.
+        peers: reports received.
     """
 
-    rule: TreeRule
-    template: Template
-    unit: NodeState = field(init=False)
-    searches: bool = field(default=False, init=False)
-    sought: IntArray = field(default_factory=lambda: NO_ROBOTS, init=False)
-    _orphans: Orphans = field(default_factory=Orphans, init=False)
-    _cohesion: PartitionWatch = field(default_factory=PartitionWatch, init=False)
-    _heir_id: int = field(default=NO_ID, init=False)
-    _extent: Extent | None = field(default=None, init=False)
-    _grew_slot: int = field(default=0, init=False)
-    _stalled: bool = field(default=False, init=False)
+    rule: TreeRule = field(default_factory=TreeRule)
+    rules: tuple[tuple[Transition, str], ...] = RULES
+    state: NodeState = field(default_factory=NodeState, init=False)
+    peers: PeerReports = field(default_factory=PeerReports, init=False)
 
-    def __post_init__(self) -> None:
-        self.unit = NodeState(self.rule, self.template, PeerReports(self.rule.silence_s))
-
-    @property
-    def ready(self) -> bool:
-        """Whether robots may move."""
-        return self.unit.ready
-
-    def update(self, seen: Detections, reports: Sequence[UnitReport]) -> IntArray:
-        """S_j^c after an image, ascending, given the last report heard from each other unit."""
-        unit, time_s = self.unit, seen.time_s
-        at_slot = unit.look(seen)
-        self._hear(reports)
-        succeed(unit, time_s)
-        self._cohesion.keep(unit, time_s)
-        yield_claims(unit, time_s)
-        if unit.is_member:
-            admit(unit, time_s)
-            self._orphans.adopt(unit, time_s, at_slot)
-            if at_slot:
-                disown(unit, time_s)
-        else:
-            seek(unit, time_s, at_slot)
-        take_turns(unit, time_s, at_slot)
-        if not unit.ready:
-            self._deploy(time_s)
-        self._heir_id = name_heir(unit, self._heir_id)
-        if at_slot:
-            self.sought = robots_sought(unit, time_s)
-        unit.held_s = {robot: unit.held_s.get(robot, time_s) for robot in unit.controlled}
-        return np.array(sorted(unit.held_s), dtype=np.int64)
-
-    def secure(self, seen: Detections) -> IntArray:
-        """Robots of the set that are seen inside the radius now."""
-        return np.array(sorted(self.unit.controlled & self.unit.visible), dtype=np.int64)
-
-    def reshape(self, template: Template) -> None:
-        """Robots have exchanged places: which pairs bind best follows the new ones."""
-        self.unit.template = template
-
-    def word(self, time_s: float) -> TreeStatus:
-        """What the unit says of its standing."""
-        unit = self.unit
-        edges = list(unit.edges.values())
-        offered = [(robot, edge.neighbor_id) for edge in edges for robot in sorted(edge.offered)]
-        to_release = set().union(*(edge.releasing & edge.offered for edge in edges))
-        hidden = unit.own - unit.distances.keys()
-        missing = [robot for robot in hidden if unit.unseen_s(robot, time_s) > self.rule.silence_s]
-        return TreeStatus(
-            tree_id=unit.tree_id,
-            asks_id=unit.asks_id,
-            ask_turn=unit.ask_turn,
-            heir_id=self._heir_id,
-            ready=unit.ready,
-            neighbor_ids=np.array([edge.neighbor_id for edge in edges], dtype=np.int64),
-            turns=np.array([edge.turn for edge in edges], dtype=np.int64),
-            pairs=np.array([sorted(edge.pair) or [NO_ID, NO_ID] for edge in edges], dtype=np.int64),
-            offered_ids=np.array([robot for robot, _ in offered], dtype=np.int64),
-            offered_to_ids=np.array([neighbor for _, neighbor in offered], dtype=np.int64),
-            to_release_ids=np.array(sorted(to_release), dtype=np.int64),
-            missing_ids=np.array(sorted(missing), dtype=np.int64),
+    def choose(
+        self, seen: Detections, reports: Sequence[UnitReport], shape: Template, last: UnitReport | None
+    ) -> Selection:
+        """Apply all rules to one image and to the reports received."""
+        now = self._situation(seen, reports, shape)
+        for transition, _ in self.rules:
+            self.state = replace(self.state, **transition(self.state, now))
+        state = self.state
+        return Selection(
+            controlled_ids=_ascending(state.controlled),
+            secure_ids=_ascending(state.controlled & now.visible),
+            may_move=state.ready,
+            sought_ids=_ascending(state.sought),
+            searches=state.searches,
+            tree_status=tree_status(state, now),
         )
 
-    def note(self, time_s: float, own: UnitReport, reports: Sequence[UnitReport]) -> None:
-        """V falls by itself where TC1-TC5 hold: nothing to watch."""
+    def _situation(self, seen: Detections, reports: Sequence[UnitReport], shape: Template) -> Situation:
+        slot = slot_at(seen.time_s, self.rule.dwell_s)
+        return Situation(
+            rule=self.rule,
+            shape=shape,
+            unit_id=seen.unit_id,
+            time_s=seen.time_s,
+            slot=slot,
+            at_slot=slot != self.state.slot,
+            distances=dict(zip(seen.ids.tolist(), centre_distances(seen).tolist(), strict=True)),
+            news=self.peers.take(reports),
+            peers=self.peers,
+        )
 
-    def _deploy(self, time_s: float) -> None:
-        """Watch the tree grow until it is complete; look around before it is begun, and where it stalls."""
-        extent = extent_of(self.unit, time_s)
-        begun = self.unit.is_member or bool(self.unit.heard.members(time_s))
-        if extent != self._extent or not begun:
-            self._extent, self._grew_slot = extent, self.unit.slot
-        self._stalled = self._stalled or self.unit.slot - self._grew_slot >= STALLED
-        self.unit.ready = is_complete(self.unit, extent, time_s)
-        self.searches = not self.unit.ready and (self._stalled or not begun)
 
-    def _hear(self, reports: Sequence[UnitReport]) -> None:
-        """Take the turns that are handed over; of two trees the one with the lower number stays."""
-        unit = self.unit
-        for heard in unit.heard.take(reports):
-            edge = unit.edges.get(heard.report.unit_id)
-            if edge is not None:
-                before = edge.pair
-                edge.hear(heard.report)
-                unit.own = (unit.own | (before - edge.pair)) - edge.pair
-            if NO_ID < heard.tree.tree_id < unit.tree_id:
-                unit.resign()
+def tree_status(state: NodeState, now: Situation) -> TreeStatus:
+    """What the unit's report says of the tree; missing are own robots that it has not seen for a silence."""
+    edges = list(state.edges.values())
+    offers = [(robot, edge.neighbor_id) for edge in edges for robot in sorted(edge.offered)]
+    to_release = frozenset[int]().union(*(edge.releasing & edge.offered for edge in edges))
+    hidden = state.own - now.distances.keys()
+    missing = [robot for robot in hidden if state.unseen_s(robot, now.time_s) > now.rule.silence_s]
+    return TreeStatus(
+        tree_id=state.tree_id,
+        asks_id=state.asks_id,
+        ask_turn=state.ask_turn,
+        heir_id=state.heir_id,
+        ready=state.ready,
+        neighbor_ids=np.array([edge.neighbor_id for edge in edges], dtype=np.int64),
+        turns=np.array([edge.turn for edge in edges], dtype=np.int64),
+        pairs=np.array([sorted(edge.pair) or [NO_ID, NO_ID] for edge in edges], dtype=np.int64),
+        offered_ids=np.array([robot for robot, _ in offers], dtype=np.int64),
+        offered_to_ids=np.array([neighbor for _, neighbor in offers], dtype=np.int64),
+        to_release_ids=_ascending(to_release),
+        missing_ids=_ascending(missing),
+    )
+
+
+def _ascending(robots: Sequence[int] | frozenset[int]) -> IntArray:
+    return np.array(sorted(robots), dtype=np.int64)

@@ -1,27 +1,36 @@
 """Which robots a unit flies to see, besides those that it controls."""
 
-import numpy as np
-
-from skyherd.control.tree.node_state import NodeState
+from skyherd.control.tree.node_state import Changes, NodeState, Situation
 from skyherd.control.tree.pair_selection import firmer_pair
-from skyherd.geometry import IntArray
 
 
-def robots_sought(unit: NodeState, time_s: float) -> IntArray:
-    """Robots, ascending, that a unit flies to see: to bind a weak edge firmly, or that its neighbour lost."""
+def seek_robots(state: NodeState, now: Situation) -> Changes:
+    """At a slot: choose robots to get into view: missing ones, and pairs that would bind weak edges firmly.
+
+    A neighbour reports robots of its own that it has not seen for a silence; the unit looks for those that it
+    saw itself, or began to look for, within its patience. Both units of an edge know each other's control set
+    and the shape, and so which pair would bind them firmly, seen or not; while theirs is weak they fly to see
+    a better one.
+    """
+    if not now.at_slot:
+        return Changes()
     robots: set[int] = set()
-    for edge in unit.edges.values():
-        there = unit.heard.newest[edge.neighbor_id]
-        lost = there.tree.missing_ids.tolist()
-        robots.update(robot for robot in lost if unit.unseen_s(robot, time_s) < unit.rule.patience_s)
-        if unit.rule.share == "leverage" and edge.pair and edge.pair <= there.controlled:
+    missed_since_s = dict(state.missed_since_s)
+    for edge in state.edges.values():
+        neighbor = now.peers.newest[edge.neighbor_id]
+        missing = neighbor.tree.missing_ids.tolist()
+        for robot in missing:
+            if robot not in state.seen_s:
+                missed_since_s.setdefault(robot, now.time_s)
+        robots.update(r for r in missing if state.unseen_s(r, now.time_s) < now.rule.patience_s)
+        if now.rule.share == "leverage" and edge.pair and edge.pair <= neighbor.controlled:
             robots |= firmer_pair(
-                unit.template,
+                now.shape,
                 edge.pair,
-                candidates=(there.controlled - there.paired) - unit.controlled,
-                theirs=there.controlled,
-                ours=frozenset(unit.controlled - edge.pair),
-                firm=unit.rule.firm,
-                gain=unit.rule.gain,
+                candidates=(neighbor.controlled - neighbor.paired) - state.controlled,
+                theirs=neighbor.controlled,
+                ours=state.controlled - edge.pair,
+                firm=now.rule.firm,
+                gain=now.rule.gain,
             )
-    return np.array(sorted(robots), dtype=np.int64)
+    return Changes(sought=frozenset(robots), missed_since_s=missed_since_s)

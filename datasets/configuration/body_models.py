@@ -4,7 +4,7 @@ from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
-from skyherd.control.avoidance.detour import Detour
+from skyherd.control import Detour
 from skyherd.datasets.configuration.fields import Model, NotNegative, Positive
 
 

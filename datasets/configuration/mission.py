@@ -29,6 +29,7 @@ from skyherd.errors import DegenerateSetError, InputError
 from skyherd.files.images import Grey, read_grey
 from skyherd.geometry import Array, IntArray
 from skyherd.markers.dictionary import dictionary_size
+from skyherd.random_streams import RunStream, generator
 from skyherd.vision import detector_names
 
 BUILT_IN = "skyherd.datasets.scenarios"
@@ -67,13 +68,13 @@ class Mission:
     later: tuple[tuple[float, Template], ...] = ()
 
     @cached_property
-    def program(self) -> Schedule:
+    def schedule(self) -> Schedule:
         """The shapes to form, one after the other."""
         return Schedule(self.template, self.later)
 
     def shape_at(self, time_s: float, roles: IntArray) -> Template:
         """The shape to form at a time, with the points that robots have by their roles (N,)."""
-        shape = self.program.at(time_s)
+        shape = self.schedule.at(time_s)
         return Template(shape.ids, shape.points_px[roles])
 
     @cached_property
@@ -166,7 +167,7 @@ def _apply_setting(tree: dict[str, Any], setting: str) -> None:
 
 
 def _complete(scenario: Scenario, folder: Path) -> Mission:
-    rng = np.random.default_rng([scenario.seed, 0])
+    rng = generator(scenario.seed, RunStream.START_PLACES)
     if scenario.detector not in detector_names():
         raise InputError(
             "detector", f"no detector {scenario.detector!r}", f"one of {', '.join(detector_names())}"

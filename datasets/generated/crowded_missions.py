@@ -14,6 +14,7 @@ from skyherd.datasets.generated.random_missions import (
     random_camera,
 )
 from skyherd.geometry import Array, BoolArray, ComplexArray, to_points
+from skyherd.random_streams import RunStream, generator
 
 START_SPACING = 2.5
 SHAPE_SPACING = 3.0
@@ -26,7 +27,7 @@ def crowded_mission(seed: int, units: int | None = None) -> dict[str, Any]:
     6 to 40 robots, whose bodies cover 3 to 12 % of the disk that they stand in; 1 to 5 units whose views
     cover it, each with IN_COMMON robots in common with another; places of a random shape given at random.
     """
-    rng = np.random.default_rng([seed, 79])
+    rng = generator(seed, RunStream.CROWDED_MISSION)
     for _ in range(TRIES):
         count = int(rng.integers(6, 40, endpoint=True))
         agents = units or int(rng.integers(1, min(5, count // 4), endpoint=True))

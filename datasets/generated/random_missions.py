@@ -10,6 +10,7 @@ from scipy.spatial.distance import pdist
 from skyherd.control import fit_similarity
 from skyherd.datasets.shapes.shapes import shape_points
 from skyherd.geometry import Array, ComplexArray, to_complex, to_points
+from skyherd.random_streams import RunStream, generator
 
 SIDE_M = 0.2
 IN_COMMON = 4
@@ -42,7 +43,7 @@ def random_mission(seed: int, crowd: Crowd | None = None) -> dict[str, Any]:
     neighbours in the tree see at least IN_COMMON together. The shape is made of random points; roles are
     given by the best-fitting similarity, and the shape that fits has spacings of at least two marker sides.
     """
-    rng = np.random.default_rng([seed, 71])
+    rng = generator(seed, RunStream.RANDOM_MISSION)
     crowd = crowd or random_crowd(rng)
     for _ in range(TRIES):
         centers, parents = _tree(rng, crowd)
@@ -62,7 +63,7 @@ def random_mission(seed: int, crowd: Crowd | None = None) -> dict[str, Any]:
 
 def star_mission(seed: int) -> dict[str, Any]:
     """A star of 16 under three units in a line, from a random start with roles by best fit."""
-    rng = np.random.default_rng([seed, 73])
+    rng = generator(seed, RunStream.STAR_MISSION)
     robots = None
     while robots is None:
         centers, heights = np.array([-5.0, 0.0, 5.0], dtype=np.complex128), np.full(3, 10.0)

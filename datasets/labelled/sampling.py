@@ -19,11 +19,9 @@ from skyherd.datasets.labelled.scenes import Scene, Station, corners_m
 from skyherd.datasets.labelled.spec import DatasetSpec, OccludersSpec, SensorSpec
 from skyherd.geometry import Array, BoolArray, IntArray, apply_homography, inverse
 from skyherd.markers.dictionary import card_side, dictionary_size
+from skyherd.random_streams import LabelledSetStream, generator
 from skyherd.render import Camera, CameraPose, Motion, homography_image_ground, project
 from skyherd.render.camera.camera import undistort
-
-CAMERA, IMAGE, NOISE = range(3)
-"""Uses of random numbers."""
 
 EXPOSURE_S = 0.01
 CANDIDATES = 60
@@ -32,14 +30,14 @@ CANDIDATES = 60
 
 def station_number(spec: DatasetSpec, index: int) -> int:
     """Which camera takes an image."""
-    return int(np.random.default_rng([spec.seed, IMAGE, index]).integers(spec.cameras))
+    return int(generator(spec.seed, LabelledSetStream.IMAGE, index).integers(spec.cameras))
 
 
 @lru_cache(maxsize=64)
 def make_station(spec_json: str, number: int) -> Station:
     """Draw one of the cameras of a set, given as JSON, and its ground."""
     spec = DatasetSpec.model_validate_json(spec_json)
-    rng = np.random.default_rng([spec.seed, CAMERA, number])
+    rng = generator(spec.seed, LabelledSetStream.CAMERA, number)
     lens = {name: draw(rng, span) for name, span in spec.camera.distortion}
     camera = CameraModel(
         size_px=spec.size_px,
@@ -63,7 +61,7 @@ def make_station(spec_json: str, number: int) -> Station:
 
 def make_scene(spec: DatasetSpec, index: int) -> Scene:
     """Draw the scene of one image."""
-    rng = np.random.default_rng([spec.seed, IMAGE, index])
+    rng = generator(spec.seed, LabelledSetStream.IMAGE, index)
     station = make_station(spec.model_dump_json(), int(rng.integers(spec.cameras)))
     pose = _draw_pose(spec, station, rng)
     motion_px, sensor = draw(rng, spec.sensor.motion_px), _draw_sensor(spec.sensor, station.psf_px, rng)
@@ -86,7 +84,7 @@ def make_scene(spec: DatasetSpec, index: int) -> Scene:
         motion=Motion(camera_mps=(float(speed * np.cos(toward)), float(speed * np.sin(toward)), 0.0)),
         clutter=clutter,
         occluders=_draw_occluders(spec.occluders, positions_m, rng),
-        noise_key=(spec.seed, NOISE, index),
+        noise_key=(spec.seed, int(LabelledSetStream.NOISE), index),
     )
 
 

@@ -86,14 +86,14 @@ def main() -> None:
     image, seen = frame.sight.image, frame.sight.detections
     assert image is not None
     size = np.array([image.shape[1], image.shape[0]])
-    ideal_px = frame.ground_map.rectified_px(seen.centers_px, size)
+    ideal_px = frame.decision.ground_map.rectified_px(seen.centers_px, size)
     with drawing_style():
         figure = new_figure(2.9)
         raw, straight, errors = figure.subplots(1, 3, width_ratios=[1.15, 1.15, 1])
         show(raw, image, seen.centers_px, fitted(mission, seen.centers_px), "the camera's image")
         show(
             straight,
-            rectified_image(image, frame.ground_map),
+            rectified_image(image, frame.decision.ground_map),
             ideal_px,
             fitted(mission, ideal_px),
             "rectified",

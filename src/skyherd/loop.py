@@ -1,38 +1,54 @@
 """The loop: images in, formation out. Everything else hangs off the steps that it yields."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from math import floor
 
 import numpy as np
 
-from skyherd.control import GroundMap
-from skyherd.control.aerial_controller import Decision
+from skyherd.control import Decision
 from skyherd.datasets import Mission, Scenario
 from skyherd.geometry import IntArray
 from skyherd.messages import FlightCommand, VelocityCommand
-from skyherd.sim.agents import Agents, make_team
+from skyherd.random_streams import RunStream, generator
+from skyherd.sim.agents import ControllerFactory, TeamFactory, UnitAgents, make_controller, make_team
 from skyherd.sim.network import Network
 from skyherd.sim.perception import Perception, Sight, make_perception
 from skyherd.sim.truth_metrics import TruthMetrics, TruthObserver
 from skyherd.sim.world import Fleet, World
 
+ROUNDING = 1e-9
+"""Share of a frame's time by which a tick may fall short of it: the rounding of the tick's time."""
+
 
 @dataclass(frozen=True)
 class UnitFrame:
-    """One unit's image, what it decided on it, and the map that it took its detections through before."""
+    """One unit's image and what the unit decided on it.
+
+    Attributes:
+        sight: what the camera gave, with the detections as the detector found them.
+        decision: of the unit's controller, with the detections as it took them.
+    """
 
     sight: Sight
     decision: Decision
-    ground_map: GroundMap = field(default_factory=GroundMap)
 
 
 @dataclass(frozen=True)
 class Step:
     """All that happened at one instant, before the world moves on.
 
-    `control_sets` are the units' S_j^c; `commanded_ids` the robots that follow a goal heard of late, the
-    others hold still; `roles` (N,) the row of the template's point that each robot goes to.
+    Attributes:
+        time_s: simulated time.
+        positions_m: (N, 2) the robots' markers on the ground.
+        headings_rad: (N,) counter-clockwise from +x.
+        fleet: places, heights, yaws, tilts and zooms of the units.
+        frames: of the units that took an image now.
+        command: what the robots do until the next step.
+        commanded_ids: robots that follow a goal that is not too old; the others hold still.
+        control_sets: S_j^c of each unit, as it declared it last.
+        metrics: what the truth says of the formation and the topology.
+        roles: (N,) row of the template's point that each robot goes to.
     """
 
     time_s: float
@@ -47,7 +63,7 @@ class Step:
     roles: IntArray
 
     def without_images(self) -> "Step":
-        """The same step, less what takes the memory."""
+        """The same step without the pictures, which take nearly all of its memory."""
         frames = {
             unit: replace(frame, sight=replace(frame.sight, image=None))
             for unit, frame in self.frames.items()
@@ -55,36 +71,50 @@ class Step:
         return replace(self, frames=frames)
 
 
-def run_steps(mission: Mission, perception: Perception | None = None) -> Iterator[Step]:
+def run_steps(
+    mission: Mission,
+    perception: Perception | None = None,
+    *,
+    controller_for: ControllerFactory = make_controller,
+    team_for: TeamFactory = make_team,
+) -> Iterator[Step]:
     """Run a mission, yielding each step as it is decided and before the world moves.
 
     The same mission gives the same steps: every random draw comes from the scenario's seed.
+
+    Args:
+        mission: what to run.
+        perception: from the world to each unit's detections; by default as the scenario asks for.
+        controller_for: makes the controller of a unit (mission, unit), at the start and after each outage.
+        team_for: makes the robots (mission, world).
     """
     scenario = mission.scenario
-    sight_rng, network_rng, frame_rng = (np.random.default_rng([scenario.seed, part]) for part in (1, 2, 3))
+    perception_rng = generator(scenario.seed, RunStream.PERCEPTION)
+    message_rng = generator(scenario.seed, RunStream.MESSAGES)
+    frame_rng = generator(scenario.seed, RunStream.LOST_FRAMES)
     world, observer = World(mission), TruthObserver(mission.template, mission.ids)
-    perception = perception or make_perception(mission, sight_rng)
-    network = Network(scenario.network, network_rng, len(scenario.units))
-    agents, team, lost = Agents(mission), make_team(mission, world), scenario.network.frame_loss
+    perception = perception or make_perception(mission, perception_rng)
+    network = Network(scenario.network, message_rng, len(scenario.units))
+    agents, team = UnitAgents(mission, controller_for), team_for(mission, world)
     for tick in range(round(scenario.duration_s / scenario.step_s) + 1):
         time_s = tick * scenario.step_s
         frames, dead = {}, dead_units(scenario, time_s)
         for unit in dead:
             agents.lose(unit)
             network.forget(unit)
-            world.fly(FlightCommand(unit, np.zeros(2), 0.0, 0.0))
-        shot = [unit for unit in _due(scenario, tick, dead) if frame_rng.random() >= lost]
-        hearers = world.in_range()
-        for unit, sight in zip(shot, perception.look(world, shot, time_s), strict=True):
+            world.fly(FlightCommand.hold(unit))
+        due = _units_with_frame(scenario, tick, dead)
+        kept = [unit for unit in due if frame_rng.random() >= scenario.network.frame_loss]
+        receivers = world.in_range()
+        for unit, sight in zip(kept, perception.look(world, kept, time_s), strict=True):
             decision = agents.decide(sight.detections, list(network.reports[unit].values()))
             arrival_s = time_s + scenario.units[unit].latency_s
             to_robots = decision.goals, decision.proximity
-            network.send(to_robots, decision.report, arrival_s, hearers[unit] if hearers else None)
+            network.send(to_robots, decision.report, arrival_s, receivers[unit] if receivers else None)
             world.fly(decision.flight)
-            frames[unit] = UnitFrame(sight, decision, agents.minds[unit].ground_map)
-        for message, heard in network.deliver(time_s):
-            team.receive(message, time_s, heard)
-        command = world.limit(team.command(time_s))
+            frames[unit] = UnitFrame(sight, decision)
+        orders = team.decide(time_s, network.deliver(time_s))
+        command = world.limit(orders.command)
         shape = mission.shape_at(time_s, agents.roles)
         yield Step(
             time_s=time_s,
@@ -93,7 +123,7 @@ def run_steps(mission: Mission, perception: Perception | None = None) -> Iterato
             fleet=world.fleet,
             frames=frames,
             command=command,
-            commanded_ids=team.commanded_ids(time_s),
+            commanded_ids=orders.commanded_ids,
             control_sets=dict(agents.sets),
             metrics=observer.observe(world.positions_m, agents.sets, dead, shape),
             roles=agents.roles,
@@ -110,16 +140,16 @@ def dead_units(scenario: Scenario, time_s: float) -> list[int]:
     ]
 
 
-def _due(scenario: Scenario, tick: int, dead: list[int]) -> list[int]:
-    """Living units whose next image falls in this tick: each keeps its own frame rate."""
+def _units_with_frame(scenario: Scenario, tick: int, dead: list[int]) -> list[int]:
+    """Living units that take an image in this tick: each keeps its own frame rate."""
     step = scenario.step_s
 
-    def shots(ticks: int, rate_hz: float) -> int:
-        return floor(ticks * step * rate_hz + 1e-9)
+    def frames_by(ticks: int, rate_hz: float) -> int:
+        return floor(ticks * step * rate_hz + ROUNDING)
 
     return [
         unit
         for unit, model in enumerate(scenario.units)
         if unit not in dead
-        and (tick == 0 or shots(tick, model.frame_rate_hz) > shots(tick - 1, model.frame_rate_hz))
+        and (tick == 0 or frames_by(tick, model.frame_rate_hz) > frames_by(tick - 1, model.frame_rate_hz))
     ]

@@ -5,27 +5,31 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from skyherd.control import HybridRule, HybridSelection, SafetyRadius, Template, TreeProtocol, TreeRule
-from skyherd.control.hybrid_selection import cost_share
+from skyherd.control import HybridSelection, Template, TreeProtocol
+from skyherd.control.goals import cost_share
 from skyherd.datasets import make_mission
 from skyherd.datasets.generated.random_missions import random_mission
 from skyherd.loop import run_steps
 
-RULE = HybridRule(SafetyRadius(), TreeRule(), stall_s=10.0)
 TEMPLATE = Template.from_image_points([0, 1, 2, 3], [[0, 0], [1, 0], [1, 1], [0, 1]])
 
 
 @pytest.fixture
-def one_unit(make_report):
-    """A unit that controls these robots and reports a cost, at 1 Hz: when a tree begins, s, or None."""
+def one_unit(make_report, make_detections):
+    """A unit that controls these robots and reports a cost, at 1 Hz: when a tree begins, s, or None.
+
+    It begins with the image after the report that shows the failure, one second later.
+    """
 
     def run(cost, controlled=(0, 1, 2, 3), until_s: int = 40) -> int | None:
-        sets = HybridSelection(RULE, TEMPLATE)
+        policy, last = HybridSelection(stall_s=10.0), None
+        seen = make_detections([0, 1, 2, 3], [300 + 300j, 400 + 300j, 400 + 400j, 300 + 400j])
         report = make_report(0, list(controlled), [0] * len(controlled), list(controlled))
         for time_s in range(until_s):
-            sets.note(time_s, replace(report, time_s=time_s, cost_sides2=cost(time_s)), [])
-            if sets.tree is not None:
-                return time_s
+            policy.choose(replace(seen, time_s=time_s), [], TEMPLATE, last)
+            if policy.tree is not None:
+                return time_s - 1
+            last = replace(report, time_s=time_s, cost_sides2=cost(time_s))
         return None
 
     return run
@@ -51,14 +55,16 @@ def test_a_robot_that_nobody_controls_begins_the_tree_though_the_cost_is_zero(on
 
 
 def test_a_unit_follows_one_that_has_begun(make_report, make_detections) -> None:
-    sets, leader = HybridSelection(RULE, TEMPLATE), TreeProtocol(TreeRule(), TEMPLATE)
+    follower, leader = HybridSelection(stall_s=10.0), TreeProtocol()
     seen = make_detections([0, 1, 2, 3], [300 + 300j, 400 + 300j, 400 + 400j, 300 + 400j])
-    assert sets.update(seen, []).tolist() == [0, 1, 2, 3]
     report = make_report(1, [0], [400 + 400j], [])
-    assert sets.update(seen, [report]).tolist() == [0, 1, 2, 3]
-    leader.update(replace(seen, unit_id=1), [])
-    assert sets.update(seen, [replace(report, tree=leader.word(0.0))]).tolist() == []
-    assert not sets.ready and sets.word(0.0) is not None
+    for reports in ([], [report]):
+        selection = follower.choose(seen, reports, TEMPLATE, None)
+        assert selection.controlled_ids.tolist() == [0, 1, 2, 3] and selection.tree_status is None
+    status = leader.choose(replace(seen, unit_id=1), [], TEMPLATE, None).tree_status
+    selection = follower.choose(seen, [replace(report, tree=status)], TEMPLATE, None)
+    assert selection.controlled_ids.tolist() == []
+    assert not selection.may_move and selection.tree_status is not None
 
 
 def test_the_cost_is_half_the_squares_in_marker_sides(make_goals) -> None:

@@ -32,7 +32,7 @@ class ProtocolWorld:
         rule: settings of the protocol.
         views: for each unit the robots that it sees, by distance from its image centre in half images.
         make: what decides for a unit.
-        rosters: the living units.
+        nodes: the living units' protocols.
         waiting: letters on their way; a copy of one that was delivered may stay, and come again.
         inbox: the last report to arrive at each unit from each other, new or old.
     """
@@ -41,9 +41,9 @@ class ProtocolWorld:
     robots: int
     rule: TreeRule
     views: list[dict[int, float]]
-    make: Callable[[TreeRule, Template], TreeProtocol] = TreeProtocol
+    make: Callable[[TreeRule], TreeProtocol] = TreeProtocol
     time_s: float = 0.0
-    rosters: dict[int, TreeProtocol] = field(default_factory=dict)
+    nodes: dict[int, TreeProtocol] = field(default_factory=dict)
     waiting: list[Letter] = field(default_factory=list)
     inbox: list[dict[int, UnitReport]] = field(default_factory=list)
     sets: dict[int, set[int]] = field(default_factory=dict)
@@ -60,12 +60,12 @@ class ProtocolWorld:
 
     def revive(self, unit: int) -> None:
         """A unit that knows nothing."""
-        self.rosters[unit] = self.make(self.rule, self.template)
+        self.nodes[unit] = self.make(self.rule)
         self.sets[unit], self.imaged_s[unit] = set(), self.time_s
 
     def crash(self, unit: int) -> None:
         """A unit falls silent; what it said is still on its way."""
-        del self.rosters[unit], self.imaged_s[unit]
+        del self.nodes[unit], self.imaged_s[unit]
         self.sets[unit] = set()
         self.inbox[unit].clear()
         self.waiting = [letter for letter in self.waiting if letter[0] != unit]
@@ -73,8 +73,9 @@ class ProtocolWorld:
     def image(self, unit: int) -> None:
         """A unit takes an image, decides, and reports to all others."""
         seen = self._detections(unit)
-        roster = self.rosters[unit]
-        controlled = roster.update(seen, list(self.inbox[unit].values()))
+        reports = list(self.inbox[unit].values())
+        selection = self.nodes[unit].choose(seen, reports, self.template, self.latest.get(unit))
+        controlled = selection.controlled_ids
         report = UnitReport(
             unit_id=unit,
             time_s=seen.time_s,
@@ -82,19 +83,19 @@ class ProtocolWorld:
             ids=seen.ids,
             points_px=seen.centers_px,
             controlled_ids=controlled,
-            secure_ids=roster.secure(seen),
-            tree=roster.word(seen.time_s),
+            secure_ids=selection.secure_ids,
+            tree=selection.tree_status,
         )
         self.sets[unit], self.imaged_s[unit] = set(controlled.tolist()), self.time_s
         self.latest[unit] = report
-        self.waiting += [(other, report) for other in self.rosters if other != unit]
+        self.waiting += [(other, report) for other in self.nodes if other != unit]
 
     def deliver(self, index: int, *, keep: bool = False) -> None:
         """A letter arrives, be it late; kept, it will come again."""
         receiver, report = self.waiting[index]
         if not keep:
             del self.waiting[index]
-        if receiver in self.rosters:
+        if receiver in self.nodes:
             self.inbox[receiver][report.unit_id] = report
 
     def deliver_all(self) -> None:
@@ -115,7 +116,7 @@ class ProtocolWorld:
         """Time passes without trouble: every unit takes its images, every letter arrives."""
         for _ in range(round(seconds / step_s)):
             self.time_s += step_s
-            for unit in list(self.rosters):
+            for unit in list(self.nodes):
                 self.deliver_all()
                 self.image(unit)
 
@@ -144,21 +145,21 @@ class ProtocolWorld:
 
     def in_p(self) -> bool:
         """TC1-TC5 for the living units."""
-        sets = {unit: np.array(sorted(self.sets[unit]), dtype=np.int64) for unit in self.rosters}
+        sets = {unit: np.array(sorted(self.sets[unit]), dtype=np.int64) for unit in self.nodes}
         return check_conditions(control_matrix(sets, self.template.ids)).in_p
 
     def edge_faults(self, but: Iterable[int] = ()) -> list[str]:
         """Ends of an edge that disagree by more than the turn under way, sets that share anything else."""
         faults = []
-        for one in sorted(self.rosters):
-            for two in sorted(self.rosters):
+        for one in sorted(self.nodes):
+            for two in sorted(self.nodes):
                 if one < two:
                     faults += self._faults_between(one, two, set(but))
         return faults
 
     def _faults_between(self, one: int, two: int, but: set[int]) -> list[str]:
-        here = self.rosters[one].unit.edges.get(two)
-        there = self.rosters[two].unit.edges.get(one)
+        here = self.nodes[one].state.edges.get(two)
+        there = self.nodes[two].state.edges.get(one)
         common = self.sets[one] & self.sets[two]
         ends = [end for end in (here, there) if end is not None]
         agreed = max(ends, key=lambda end: end.turn).pair if ends else frozenset()
@@ -170,6 +171,6 @@ class ProtocolWorld:
                 faults.append(f"units {one} and {two} are at turns {here.turn} and {there.turn}")
             elif here.turn == there.turn and here.pair != there.pair:
                 faults.append(f"units {one} and {two} have {here.pair} and {there.pair} at turn {here.turn}")
-            if here.mine and there.mine:
+            if here.is_my_turn and there.is_my_turn:
                 faults.append(f"units {one} and {two} both have the turn")
         return faults

@@ -64,7 +64,7 @@ def test_the_rectified_picture_is_the_image_through_the_learned_map(flight):
     """A ramp along u in place of the image: each pixel of the panel shows the ramp where the map has it. Two
     grey levels: rounding, and a map that is linear over 8 px."""
     frame = flight[1][-1].frames[2]
-    assert not frame.ground_map.ideal
+    assert not frame.decision.ground_map.ideal
     width, height = 800, 600
     ramp = np.tile(np.linspace(20, 235, width).astype(np.uint8), (height, 1))
     shown = replace(frame, sight=replace(frame.sight, image=ramp))
@@ -76,7 +76,7 @@ def test_the_rectified_picture_is_the_image_through_the_learned_map(flight):
     panel = cell[TITLE_PX + BORDER_PX :, BORDER_PX:]
     v, u = np.mgrid[10:290:20, 10:390:20]
     places = np.column_stack([u.ravel(), v.ravel()])
-    raw = frame.ground_map.image_px((places + 0.5) / view.scale - 0.5, np.array([width, height]))
+    raw = frame.decision.ground_map.image_px((places + 0.5) / view.scale - 0.5, np.array([width, height]))
     inside = ((raw > 2) & (raw < [width - 3, height - 3])).all(axis=1)
     expected = brightened(ramp)[0, np.rint(raw[inside, 0]).astype(int)].astype(float)
     found = panel[places[inside, 1], places[inside, 0]].astype(float)

@@ -22,7 +22,7 @@ from skyherd.control import (
 from skyherd.datasets import Mission, make_mission
 from skyherd.loop import run_steps
 from skyherd.render import homography_image_ground
-from skyherd.sim.perception import Projected, Rendered, Sight, make_perception
+from skyherd.sim.perception import ProjectedPerception, RenderedPerception, Sight, make_perception
 from skyherd.sim.world import World
 from skyherd.vision.detectors.accuracy import load_accuracy
 
@@ -107,8 +107,8 @@ class FixedSets:
 def ground_goals(mission: Mission, unit: int = 0, perception: Any = None) -> np.ndarray:
     """Ground points x^d that the wire message of a unit stands for, through the true camera's inverse."""
     world = World(mission)
-    seen = (perception or Projected(SIDE_M, "4X4_50")).look(world, [unit], 0.0)[0].detections
-    goals = AerialController(mission.template, SafetyRadius(1.5), Hover()).step(seen).goals
+    seen = (perception or ProjectedPerception(SIDE_M, "4X4_50")).look(world, [unit], 0.0)[0].detections
+    goals = AerialController(mission.template, SafetyRadius(radius=1.5), Hover()).step(seen).goals
     assert goals is not None and goals.ids.tolist() == mission.ids.tolist()
     image_direction = np.exp(1j * (seen.headings_rad - goals.bearings_rad))
     desired_px = seen.centers_px[:, 0] + 1j * seen.centers_px[:, 1] + goals.rho_px * image_direction
@@ -146,9 +146,9 @@ def test_desired_ground_points_do_not_depend_on_the_camera(mission_with, camera_
 
 def command_of(mission: Mission, gains: PixelGains | MarkerGains) -> Any:
     """One round of the loop: all units look, decide and send; the robots fuse."""
-    world, perception = World(mission), FixedSets(Projected(SIDE_M, "4X4_50"))
+    world, perception = World(mission), FixedSets(ProjectedPerception(SIDE_M, "4X4_50"))
     inboxes = GoalInboxes(mission.ids, np.arange(len(SETS)), 1.0)
-    agents = [AerialController(mission.template, SafetyRadius(1.5), Hover()) for _ in SETS]
+    agents = [AerialController(mission.template, SafetyRadius(radius=1.5), Hover()) for _ in SETS]
     seen = [sight.detections for sight in perception.look(world, range(len(SETS)), 0.0)]
     reports = [unit.step(image).report for unit, image in zip(agents, seen, strict=True)]
     for j, (unit, image) in enumerate(zip(agents, seen, strict=True)):
@@ -196,7 +196,7 @@ def test_in_pixel_gains_the_cameras_are_a_gain_on_v_alone(mission_with, one, oth
 def run_with_fixed_sets(mission: Mission) -> tuple[np.ndarray, np.ndarray]:
     """Positions (T, N, 2) and headings (T, N), with the control sets asserted at each step."""
     positions, headings = [], []
-    for step in run_steps(mission, FixedSets(Projected(SIDE_M, "4X4_50"))):
+    for step in run_steps(mission, FixedSets(ProjectedPerception(SIDE_M, "4X4_50"))):
         for unit, members in enumerate(SETS):
             np.testing.assert_array_equal(np.sort(step.control_sets[unit]), np.sort(members))
         positions.append(step.positions_m)
@@ -282,7 +282,9 @@ def test_rendered_goals_agree_within_the_measured_noise(mission_with, camera_fre
     for _ in range(40):
         unit = camera_of(TRIANGLE_START, [*rng.random(8), 0.9 + 0.1 * rng.random(), rng.random()], (900, 800))
         mission = mission_with([unit])
-        rendered = rendered or Rendered(mission, rng)  # knows markers, ground and sensor, not the camera
+        rendered = rendered or RenderedPerception(
+            mission, rng
+        )  # knows markers, ground and sensor, not the camera
         measured = ground_goals(mission, perception=rendered)
         accuracy = load_accuracy(mission.scenario.detector)
         t = mission.template.points_px - mission.template.points_px.mean()

@@ -119,7 +119,7 @@ def test_the_controller_is_given_what_the_rectifier_makes_of_the_detections(scen
     mission_tree = scenario_tree("triangle")
     steps = flight(scenario_tree, bad_camera(3), rectify=True)[:5]
     rectifier, mission = Rectifier(), make_mission(mission_tree)
-    agents = AerialController(mission.template, SafetyRadius(1.5), Hover())
+    agents = AerialController(mission.template, SafetyRadius(radius=1.5), Hover())
     for step in steps:
         goals = agents.step(rectifier.rectify(step.frames[0].sight.detections)).goals
         np.testing.assert_array_equal(goals.rho_px, step.frames[0].decision.goals.rho_px)
@@ -137,8 +137,10 @@ def test_maps_are_recorded_and_read_back(scenario_tree, tmp_path):
             recorder.write(step)
         recorder.finish(3.0, 1.0)
     for one, other in zip(steps, read_recording(tmp_path / "run.mcap").steps, strict=True):
-        assert not one.frames[0].ground_map.ideal
-        np.testing.assert_array_equal(one.frames[0].ground_map.unknowns, other.frames[0].ground_map.unknowns)
+        assert not one.frames[0].decision.ground_map.ideal
+        np.testing.assert_array_equal(
+            one.frames[0].decision.ground_map.unknowns, other.frames[0].decision.ground_map.unknowns
+        )
         np.testing.assert_array_equal(desired_points_px(one.frames[0]), desired_points_px(other.frames[0]))
 
 

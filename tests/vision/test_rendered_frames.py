@@ -324,7 +324,7 @@ def test_markers_that_are_no_robots_are_ignored_by_the_controller(renderer) -> N
     seen = ArucoDetector(DICTIONARY).detect(picture(renderer, [3, 8, 21, 40]))
     assert 40 in seen.ids
     with_stray, without = (
-        AerialController(template, SafetyRadius(1.4), Hover()).step(detections)
+        AerialController(template, SafetyRadius(radius=1.4), Hover()).step(detections)
         for detections in (seen, seen.select([3, 8, 21]))
     )
     assert with_stray.report.ids.tolist() == with_stray.report.controlled_ids.tolist() == [3, 8, 21]

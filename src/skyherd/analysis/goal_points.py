@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from skyherd.control import fit_similarity, rectified
+from skyherd.control import fit_similarity
 from skyherd.errors import DegenerateSetError, InputError
 from skyherd.geometry import Array, ComplexArray, IntArray, apply_homography, inverse, to_complex, to_points
 from skyherd.loop import UnitFrame
@@ -20,7 +20,7 @@ def rectified_goals_px(frame: UnitFrame) -> Array:
     goals = frame.decision.goals
     if goals is None:
         return np.zeros((0, 2))
-    robots = rectified(frame.sight.detections, frame.ground_map)
+    robots = frame.decision.detections
     row = rows_of(robots, goals.ids)
     rho = goals.rho_px * np.exp(1j * (robots.headings_rad[row] - goals.bearings_rad))
     return np.asarray(robots.centers_px[row] + to_points(rho))
@@ -29,9 +29,9 @@ def rectified_goals_px(frame: UnitFrame) -> Array:
 def desired_points_px(frame: UnitFrame) -> Array:
     """Image points (N, 2) where a unit wants the robots of its goals, back from the rectified image."""
     desired_px = rectified_goals_px(frame)
-    if frame.ground_map.ideal:
+    if frame.decision.ground_map.ideal:
         return desired_px
-    return frame.ground_map.image_px(desired_px, frame.sight.detections.image_size_px)
+    return frame.decision.ground_map.image_px(desired_px, frame.sight.detections.image_size_px)
 
 
 def rows_of(robots: Detections, ids: IntArray) -> IntArray:

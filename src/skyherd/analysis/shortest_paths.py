@@ -6,7 +6,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import pdist
 
-from skyherd.control.formation.assignment import ascend
+from skyherd.control import ascend
 from skyherd.geometry import ComplexArray, IntArray, to_points
 
 ROTATIONS = 72

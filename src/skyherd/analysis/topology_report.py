@@ -9,15 +9,16 @@ from scipy.optimize import brentq
 
 from skyherd.analysis.history import History
 from skyherd.analysis.topology_changes import robot_names
-from skyherd.control import Template
-from skyherd.control.topology.conditions import (
+from skyherd.control import (
     Conditions,
     ControlSets,
+    Template,
     check_conditions,
     control_matrix,
-    edges,
+    graph_edges,
+    laplacian,
+    slowest_rate,
 )
-from skyherd.control.topology.convergence_rate import laplacian, slowest_rate
 from skyherd.geometry import Array, ComplexArray, IntArray
 
 Edge = tuple[int, int]
@@ -57,7 +58,7 @@ class TopologyReport:
 
 def judge_topology(sets: ControlSets, template: Template) -> TopologyReport:
     """Judge the sets of all living units over the template's robots."""
-    shared = {edge: _common(sets, *edge) for edge in edges(sets)}
+    shared = {edge: _common(sets, *edge) for edge in graph_edges(sets)}
     rows = _rows(sets, template)
     return TopologyReport(
         sets=sets,

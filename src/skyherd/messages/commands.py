@@ -41,6 +41,11 @@ class FlightCommand:
     yaw_rate_radps: float
     zoom_rate_ps: float = 0.0
 
+    @classmethod
+    def hold(cls, unit_id: int, yaw_rate_radps: float = 0.0) -> "FlightCommand":
+        """The command to stay in place, turning at a constant rate if asked."""
+        return cls(unit_id, np.zeros(2), climb_mps=0.0, yaw_rate_radps=yaw_rate_radps)
+
     def __post_init__(self) -> None:
         freeze(self, "lateral_mps", (2,))
         if not np.isfinite([self.climb_mps, self.yaw_rate_radps, self.zoom_rate_ps]).all():

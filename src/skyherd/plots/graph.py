@@ -9,7 +9,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
 
 from skyherd.analysis.history import History
-from skyherd.control.topology.conditions import ControlSets, edges, owners_by_robot
+from skyherd.control import ControlSets, graph_edges, owners_by_robot
 from skyherd.drawing.palette import INK, MUTED, PAPER, unit_color
 from skyherd.geometry import Array, IntArray
 from skyherd.plots.style import frame_square, legend_above, new_figure
@@ -54,7 +54,7 @@ def draw_sets(axes: Axes, sets: ControlSets, ids: IntArray, robots_m: Array, uni
         for x, y in spokes.tolist():
             line = [units_m[unit, 0], x], [units_m[unit, 1], y]
             axes.plot(*line, color=unit_color(unit), lw=0.7, alpha=0.55, zorder=1)
-    for j, k in edges(sets):
+    for j, k in graph_edges(sets):
         ends = units_m[[j, k]]
         axes.plot(*ends.T, color=INK, lw=3, zorder=2, solid_capstyle="round")
     owners = owners_by_robot(sets)

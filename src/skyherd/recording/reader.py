@@ -17,8 +17,7 @@ from mcap.stream_reader import CRCValidationError, StreamReader
 from pydantic import ValidationError
 from zstandard import ZstdError
 
-from skyherd.control import Decision, GroundMap, Template
-from skyherd.control.topology.conditions import Conditions
+from skyherd.control import Conditions, Decision, GroundMap, Template, rectified
 from skyherd.datasets import Mission, Scenario
 from skyherd.errors import InputError
 from skyherd.loop import Step, UnitFrame
@@ -203,16 +202,17 @@ def _read_frame(topic: str, records: dict[str, Any]) -> UnitFrame:
         false_detections=truth["false_detections"],
         image=None if image is None else _decode(image["data"]),
     )
+    recorded_map = records.get(f"{topic}/map")
+    ground_map = GroundMap() if recorded_map is None else from_plain(GroundMap, recorded_map)
     decision = Decision(
+        detections=rectified(sight.detections, ground_map),
         goals=None if goals is None else from_plain(MotionGoals, goals),
         report=_read_report(records[f"{topic}/report"]),
         flight=from_plain(FlightCommand, records[f"{topic}/flight"]),
         proximity=None if near is None else from_plain(Proximity, near),
+        ground_map=ground_map,
     )
-    ground_map = records.get(f"{topic}/map")
-    if ground_map is None:
-        return UnitFrame(sight, decision)
-    return UnitFrame(sight, decision, from_plain(GroundMap, ground_map))
+    return UnitFrame(sight, decision)
 
 
 def _read_report(record: dict[str, Any]) -> UnitReport:

@@ -90,8 +90,8 @@ class Recorder:
             self._put_value(f"{topic}/proximity", time_s, decision.proximity)
         self._put_value(f"{topic}/report", time_s, decision.report)
         self._put_value(f"{topic}/flight", time_s, decision.flight)
-        if not frame.ground_map.ideal:
-            self._put_value(f"{topic}/map", time_s, frame.ground_map)
+        if not frame.decision.ground_map.ideal:
+            self._put_value(f"{topic}/map", time_s, frame.decision.ground_map)
         truth = {
             "whole_ids": sight.whole_ids,
             "found_ids": sight.found_ids,

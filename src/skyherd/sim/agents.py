@@ -1,7 +1,6 @@
-"""The minds of a scenario's units and robots, as its file asks for them."""
+"""The controllers of a scenario's units, and its robots, as the scenario's file asks for them."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -10,30 +9,30 @@ from skyherd.control import (
     AvoidanceRule,
     BodyRule,
     Decision,
+    FlightLaw,
     Follow,
+    Gains,
+    GoalFollowers,
     GoalInboxes,
-    GroundMap,
     Hover,
-    HybridRule,
+    HybridSelection,
     KeepInView,
     MarkerGains,
     NeighborMemory,
     Perimeter,
     PixelGains,
     Rectifier,
+    RobotTeam,
     RoleRule,
     SafetyRadius,
-    Selection,
+    SelectionPolicy,
     SizeRule,
-    Team,
     Template,
+    TreeProtocol,
     TreeRule,
     Wheels,
     newest_roles,
 )
-from skyherd.control.flight.laws import Flight
-from skyherd.control.robots.unicycle import Gains
-from skyherd.control.topology.safety_radius import NO_ROBOTS
 from skyherd.datasets import Mission, Scenario
 from skyherd.datasets.configuration.models import SelectionModel
 from skyherd.datasets.configuration.unit_models import FlightModel
@@ -47,130 +46,131 @@ LAWS: Mapping[str, Callable[[ComplexArray, float], Law]] = {
     "complex-laplacian": complex_laplacian_law,
     "bearing-only": bearing_only_law,
 }
-"""From the literature: made from the shape on the ground and the gain."""
+"""Laws from the literature by the names of `control.method`, made from the shape on the ground and the
+gain."""
 
 REPORT_LIFETIME_S = 2.0
+"""Age up to which a unit's report counts. Chosen: a dwell time; shorter, and lost reports are felt."""
+
 REPORTS_MISSED = 5
-"""A unit counts as silent after this long, and not before this many of its images."""
+"""A unit counts as silent no sooner than after this many of its images, however slow its camera is. Chosen:
+with three of ten messages lost, five in a row are lost once in 400 times."""
 
-SLIPS = 3.0
-"""Standard deviations of slip that robots reckon with."""
+SLIP_DEVIATIONS = 3.0
+"""Standard deviations of slip that robots allow for. Chosen: a robot slips more in one step of 370."""
+
+ROUNDING_STEPS = 1e-9
+"""Share of a step by which a delay may exceed whole steps without costing another one: the rounding of a
+quotient."""
 
 
-def make_flight(model: FlightModel, template: Template) -> Flight:
-    """The motion law a scenario asks for."""
-    yaw_rate = float(np.radians(model.yaw_rate_degps))
+def make_flight(model: FlightModel, template: Template) -> FlightLaw:
+    """A new flight law as a scenario's `units.flight` asks for it."""
+    yaw_rate_radps = float(np.radians(model.yaw_rate_degps))
+    gains = {
+        "desired_radius": model.desired_radius,
+        "lateral_gain_mps": model.lateral_gain_mps,
+        "climb_gain_mps": model.climb_gain_mps,
+    }
     if model.kind == "hover":
-        return Hover(yaw_rate)
+        return Hover(yaw_rate_radps)
     if model.kind == "perimeter":
-        return Perimeter(
-            model.desired_radius, model.speed_mps, model.lateral_gain_mps, model.climb_gain_mps, yaw_rate
-        )
-    if model.kind == "keep-in-view":
-        return KeepInView(
-            template,
-            model.desired_radius,
-            model.lateral_gain_mps,
-            model.climb_gain_mps,
-            model.zoom_gain_ps,
-            model.dead_band,
-            model.separation_sides,
-            model.least_side_px,
-        )
-    return Follow(model.desired_radius, model.lateral_gain_mps, model.climb_gain_mps, model.dead_band)
+        return Perimeter(speed_mps=model.speed_mps, yaw_rate_radps=yaw_rate_radps, **gains)
+    if model.kind == "follow":
+        return Follow(dead_band=model.dead_band, **gains)
+    return KeepInView(
+        template,
+        zoom_gain_ps=model.zoom_gain_ps,
+        dead_band=model.dead_band,
+        separation_sides=model.separation_sides,
+        least_side_px=model.least_side_px,
+        **gains,
+    )
 
 
 def make_gains(scenario: Scenario) -> Gains:
-    """The robots' gains a scenario asks for."""
+    """The robots' gains, in the paper's pixels or in marker sides."""
     control = scenario.control
     if control.gains == "pixel":
-        return PixelGains(control.k_v, control.k_omega, control.b_th)
-    return MarkerGains(control.k, control.k_omega, control.b_th, scenario.marker.side_m)
+        return PixelGains(k_v=control.k_v, k_omega=control.k_omega, b_th=control.b_th)
+    return MarkerGains(k=control.k, k_omega=control.k_omega, b_th=control.b_th, side_m=scenario.marker.side_m)
 
 
-def make_selection(model: SelectionModel) -> Selection:
-    """The rule by which a scenario's units choose their sets."""
-    free = SafetyRadius(model.radius, model.hysteresis, model.dwell_s)
-    tree = TreeRule(
-        model.share,
-        model.radius,
-        model.hysteresis,
-        model.dwell_s,
+def make_selection(model: SelectionModel) -> SelectionPolicy:
+    """A new policy for one unit, by which it chooses the robots that it controls."""
+    overlapping = SafetyRadius(radius=model.radius, hysteresis=model.hysteresis, dwell_s=model.dwell_s)
+    tree_rule = TreeRule(
+        share=model.share,
+        radius=model.radius,
+        hysteresis=model.hysteresis,
+        dwell_s=model.dwell_s,
         firm=model.firm,
         silence_s=model.silence_s,
     )
-    rules: dict[str, Selection] = {"radius": free, "tree": tree, "radius-then-tree": HybridRule(free, tree)}
-    return rules[model.kind]
+    if model.kind == "radius":
+        return overlapping
+    if model.kind == "tree":
+        return TreeProtocol(tree_rule)
+    return HybridSelection(overlapping, tree_rule)
 
 
-@dataclass
-class Mind:
-    """One unit's mind: what its camera does to the ground is taken off, then it decides.
-
-    Attributes:
-        controller: decides on detections as an ideal camera would give them.
-        rectifier: learns the camera from the markers; None if the scenario takes images as they are.
-    """
-
-    controller: AerialController
-    rectifier: Rectifier | None
-
-    def decide(self, seen: Detections, reports: Sequence[UnitReport]) -> Decision:
-        """What to do after an image, given the last report heard from each other unit."""
-        return self.controller.step(self.rectifier.rectify(seen) if self.rectifier else seen, reports)
-
-    @property
-    def ground_map(self) -> GroundMap:
-        """The map that the last detections were taken through."""
-        return self.rectifier.ground_map if self.rectifier else GroundMap()
-
-
-def make_mind(mission: Mission, unit: int) -> Mind:
-    """The mind of one unit of a mission, knowing nothing yet."""
+def make_controller(mission: Mission, unit: int) -> AerialController:
+    """A new controller for one unit of a mission; it has seen and received nothing yet."""
     scenario = mission.scenario
     slowest_s = max(model.latency_s + REPORTS_MISSED / model.frame_rate_hz for model in scenario.units)
-    controller = AerialController(
-        mission.program,
+    return AerialController(
+        mission.schedule,
         make_selection(scenario.selection),
         make_flight(scenario.units[unit].flight, mission.template),
+        rectifier=Rectifier() if scenario.control.rectify else None,
         nearest=scenario.control.neighbors,
         report_lifetime_s=max(REPORT_LIFETIME_S, slowest_s),
         roles=make_roles(scenario),
         size=make_size(mission),
         bodies=make_bodies(mission),
     )
-    return Mind(controller, Rectifier() if scenario.control.rectify else None)
 
 
-class Agents:
-    """The minds of all units.
+ControllerFactory = Callable[[Mission, int], AerialController]
+"""Makes a new controller for a unit of a mission."""
+
+TeamFactory = Callable[[Mission, World], RobotTeam]
+"""Makes the robots of a mission; the world is for teams that are given the truth."""
+
+
+class UnitAgents:
+    """The controllers of all units, which share nothing.
 
     Attributes:
-        minds: by unit.
+        controllers: by unit.
         sets: S_j^c that each unit declared last.
     """
 
-    def __init__(self, mission: Mission) -> None:
-        self._mission = mission
+    def __init__(self, mission: Mission, controller_for: ControllerFactory) -> None:
+        self._mission, self._controller_for = mission, controller_for
         units = range(len(mission.scenario.units))
-        self.minds = [make_mind(mission, unit) for unit in units]
-        self.sets = {unit: NO_ROBOTS for unit in units}
+        self.controllers = [controller_for(mission, unit) for unit in units]
+        self.sets: dict[int, IntArray] = {unit: _nobody() for unit in units}
 
     def lose(self, unit: int) -> None:
-        """A unit is dead: what takes its place one day knows nothing."""
-        self.minds[unit], self.sets[unit] = make_mind(self._mission, unit), NO_ROBOTS
+        """A unit dies. What takes its place one day starts with a new controller, which knows nothing."""
+        self.controllers[unit], self.sets[unit] = self._controller_for(self._mission, unit), _nobody()
 
-    def decide(self, seen: Detections, reports: Sequence[UnitReport]) -> Decision:
-        """What the unit whose image was taken does, given the last report heard from each other one."""
-        decision = self.minds[seen.unit_id].decide(seen, reports)
-        self.sets[seen.unit_id] = decision.report.controlled_ids
+    def decide(self, detections: Detections, reports: Sequence[UnitReport]) -> Decision:
+        """What the unit that took the image does, given the last report received from each other unit."""
+        decision = self.controllers[detections.unit_id].step(detections, reports)
+        self.sets[detections.unit_id] = decision.report.controlled_ids
         return decision
 
     @property
     def roles(self) -> IntArray:
-        """(N,) row of the template's point that each robot goes to, by the newest map."""
-        words = [mind.controller.roles.word for mind in self.minds]
-        return newest_roles(words, self._mission.ids.size)
+        """(N,) row of the template's point that each robot goes to, by the newest map of any unit."""
+        maps = [controller.roles.word for controller in self.controllers]
+        return newest_roles(maps, self._mission.ids.size)
+
+
+def _nobody() -> IntArray:
+    return np.zeros(0, dtype=np.int64)
 
 
 def make_roles(scenario: Scenario) -> RoleRule | None:
@@ -179,7 +179,7 @@ def make_roles(scenario: Scenario) -> RoleRule | None:
     if not model.exchange:
         return None
     classes = None if model.classes is None else tuple(model.classes)
-    return RoleRule(model.period_s, model.gain, classes=classes)
+    return RoleRule(period_s=model.period_s, gain=model.gain, classes=classes)
 
 
 def make_size(mission: Mission) -> SizeRule:
@@ -198,25 +198,28 @@ def make_bodies(mission: Mission) -> BodyRule | None:
     model = mission.scenario.avoidance
     if not model.on:
         return None
-    obstacles = {obstacle.id: obstacle.radius_sides for obstacle in mission.scenario.obstacles}
-    radius = mission.scenario.robots.body_radius_sides
-    return BodyRule(radius, model.margin_sides, model.horizon_sides, obstacles)
+    return BodyRule(
+        radius_sides=mission.scenario.robots.body_radius_sides,
+        margin_sides=model.margin_sides,
+        horizon_sides=model.horizon_sides,
+        obstacles={obstacle.id: obstacle.radius_sides for obstacle in mission.scenario.obstacles},
+    )
 
 
-def make_team(mission: Mission, world: World) -> Team | OracleTeam:
-    """The robots' minds; the world is for those that follow a law from the literature."""
-    scenario, gains = mission.scenario, make_gains(mission.scenario)
+def make_team(mission: Mission, world: World) -> RobotTeam:
+    """The robots: they follow the units' goals, or a law from the literature, which is given the world."""
+    scenario, gains, wheels = mission.scenario, make_gains(mission.scenario), make_wheels(mission.scenario)
     if scenario.control.method != "similarity":
         shape = mission.template.points_of(mission.ids).conj()
         law = LAWS[scenario.control.method](shape, scenario.control.k)
-        return OracleTeam(world, law, gains, make_wheels(scenario))
+        return OracleTeam(world, law, gains, wheels)
     units = np.arange(len(scenario.units))
     inboxes = GoalInboxes(mission.ids, units, scenario.robots.timeout_s, distances=gains.needs_distances)
     if not scenario.avoidance.on:
-        return Team(inboxes, gains, make_wheels(scenario))
+        return GoalFollowers(inboxes, gains, wheels)
     bodies = np.union1d(mission.ids, mission.obstacle_ids)
-    around = NeighborMemory(mission.ids, bodies, scenario.avoidance.lifetime_s)
-    return Team(inboxes, gains, make_wheels(scenario), around, make_avoidance(scenario))
+    neighbors = NeighborMemory(mission.ids, bodies, scenario.avoidance.lifetime_s)
+    return GoalFollowers(inboxes, gains, wheels, neighbors=neighbors, avoidance=make_avoidance(scenario))
 
 
 def make_wheels(scenario: Scenario) -> Wheels:
@@ -226,24 +229,22 @@ def make_wheels(scenario: Scenario) -> Wheels:
 
 
 def make_avoidance(scenario: Scenario) -> AvoidanceRule:
-    """What robots know of their own wheels, and of how fresh their news are."""
+    """What the bound on robots' speed goes by: their own wheels, and how old their news may be."""
     robots, drive, step_s = scenario.robots, scenario.robots.drive, scenario.step_s
     brakes_s = robots.max_speed_mps / drive.max_accel_mps2 if drive.max_accel_mps2 else 0.0
-    news_s = [unit.latency_s + 1 / unit.frame_rate_hz for unit in scenario.units]
     rates_hz = {unit.frame_rate_hz for unit in scenario.units}
     apart_s = step_s if len(rates_hz) > 1 else 1 / rates_hz.pop()  # between two images, of whatever units
-    share = drive.gain_error + SLIPS * drive.slip
     wheel_mps = drive.wheel_step_mps / 2 + drive.dead_zone_mps + drive.gain_error * robots.max_speed_mps
     return AvoidanceRule(
         side_m=scenario.marker.side_m,
         wheels=make_wheels(scenario),
-        prompt_s=max(news_s),
+        prompt_s=max(unit.latency_s + 1 / unit.frame_rate_hz for unit in scenario.units),
         next_s=min(unit.latency_s for unit in scenario.units) + apart_s,
         step_s=step_s,
-        lag_s=np.ceil(drive.delay_s / step_s - 1e-9) * step_s + brakes_s,
-        overshoot=share,
+        lag_s=np.ceil(drive.delay_s / step_s - ROUNDING_STEPS) * step_s + brakes_s,
+        overshoot=drive.gain_error + SLIP_DEVIATIONS * drive.slip,
         creep_mps=drive.wheel_step_mps / 2,
-        turn_error_radps=2 * wheel_mps / drive.track_m + SLIPS * drive.slip * robots.max_turn_radps,
+        turn_error_radps=2 * wheel_mps / drive.track_m + SLIP_DEVIATIONS * drive.slip * robots.max_turn_radps,
         lifetime_s=scenario.avoidance.lifetime_s,
         detour=scenario.avoidance.detour,
     )

@@ -7,12 +7,10 @@ import numpy as np
 from skyherd.datasets.configuration.models import DriveModel, RobotsModel
 from skyherd.geometry import Array
 from skyherd.messages import VelocityCommand
+from skyherd.random_streams import RunStream, generator
 
 SLIP_TIME_S = 0.5
 """Time over which slip forgets itself."""
-
-GAINS, SLIP = 4, 5
-"""Random streams of the scenario's seed."""
 
 
 def limit(command: VelocityCommand, robots: RobotsModel) -> VelocityCommand:
@@ -65,8 +63,8 @@ class Drive:
         self._commands = deque([at_rest] * late, maxlen=late + 1)
         self._rates = at_rest
         error = model.gain_error
-        self.gains = 1 + np.random.default_rng([seed, GAINS]).uniform(-error, error, (2, count))
-        self._slip_rng = np.random.default_rng([seed, SLIP])
+        self.gains = 1 + generator(seed, RunStream.WHEEL_GAINS).uniform(-error, error, (2, count))
+        self._slip_rng = generator(seed, RunStream.WHEEL_SLIP)
         self._slip: Array | None = None
 
     def step(self, command: VelocityCommand) -> tuple[Array, Array]:

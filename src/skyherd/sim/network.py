@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from skyherd.control import Delivery
 from skyherd.datasets.configuration.models import NetworkModel
 from skyherd.geometry import BoolArray
 from skyherd.messages import MotionGoals, Proximity, UnitReport
@@ -58,14 +59,14 @@ class Network:
             if message is not None:
                 self._post(arrival_s, [], message)
 
-    def deliver(self, time_s: float) -> list[tuple[ToRobots, BoolArray]]:
-        """Messages to robots that arrive by now, each with (N,) who of its ids heard it; reports are kept."""
+    def deliver(self, time_s: float) -> list[Delivery]:
+        """Messages to robots that arrive by now, in order of arrival; reports between units are kept."""
         arrived = [item for item in self._waiting if item[0] <= time_s + 1e-9]
         self._waiting = [item for item in self._waiting if item[0] > time_s + 1e-9]
-        delivered: list[tuple[ToRobots, BoolArray]] = []
+        delivered: list[Delivery] = []
         for _, receivers, message in sorted(arrived, key=lambda item: item[0]):
             if not isinstance(message, UnitReport):
-                delivered.append((message, self._heard(len(message))))
+                delivered.append(Delivery(message, self._heard(len(message))))
                 continue
             for unit, heard in zip(receivers, self._heard(len(receivers)).tolist(), strict=True):
                 last = self.reports[unit].get(message.unit_id)

@@ -1,20 +1,22 @@
-"""Robots that follow a law from the literature: told the truth, they hear nothing of the units."""
+"""Robots that follow a law from the literature, which is given the truth in place of the units' messages."""
+
+from collections.abc import Sequence
 
 import numpy as np
 
-from skyherd.control.robots.unicycle import Gains, Wheels, wheel_law
-from skyherd.geometry import BoolArray, IntArray, to_complex
-from skyherd.messages import MotionGoals, Proximity, VelocityCommand
+from skyherd.control import Delivery, Gains, RobotTeam, TeamOrders, Wheels, wheel_law
+from skyherd.geometry import to_complex
+from skyherd.messages import VelocityCommand
 from skyherd.sim.baseline_laws import Law
 from skyherd.sim.world import World
 
 
-class OracleTeam:
-    """In the place of `control.Team`: the same wheels, and the same way from a wanted velocity to speeds.
+class OracleTeam(RobotTeam):
+    """In the place of `skyherd.control.GoalFollowers`, with the same wheels and the same way to speeds.
 
     Args:
-        world: the truth.
-        law: wanted velocities of all robots.
+        world: the truth, read at each step.
+        law: wanted velocities of all robots on the ground, m/s, from their positions.
         gains: of the robots; one that faces the right way drives as fast as the law wants.
         wheels: what the robots can do.
     """
@@ -22,17 +24,10 @@ class OracleTeam:
     def __init__(self, world: World, law: Law, gains: Gains, wheels: Wheels) -> None:
         self._world, self._law, self._gains, self._wheels = world, law, gains, wheels
 
-    def receive(self, message: MotionGoals | Proximity, time_s: float, heard: BoolArray) -> None:
-        """Nothing: what units say does not matter."""
-
-    def command(self, time_s: float) -> VelocityCommand:
-        """What all robots do from now on until the next command."""
+    def decide(self, time_s: float, delivered: Sequence[Delivery]) -> TeamOrders:
+        """What all robots do by the law, at the places where the world has them."""
         world = self._world
         wanted_mps = self._law(to_complex(world.positions_m)) * np.exp(-1j * world.headings_rad)
         speed_mps = float(self._gains.speed_mps(np.ones(1))[0])
         v_mps, omega_radps = wheel_law(wanted_mps / speed_mps, self._gains, self._wheels)
-        return VelocityCommand(world.ids, v_mps, omega_radps)
-
-    def commanded_ids(self, time_s: float) -> IntArray:
-        """All robots."""
-        return self._world.ids
+        return TeamOrders(VelocityCommand(world.ids, v_mps, omega_radps), world.ids)

@@ -50,10 +50,25 @@ class Sight:
 
 
 class Perception(Protocol):
-    """A unit's eyes."""
+    """From the world to what the units detect: by rendering and detecting, by projection, or otherwise.
+
+    It is the one place in the loop where the truth turns into detections, so it alone may read `world`; what
+    it puts into `Sight.detections` is all that the controllers get.
+    """
 
     def look(self, world: World, units: Sequence[int], time_s: float) -> list[Sight]:
-        """What each of `units` sees now."""
+        """What each of the given units sees now.
+
+        Args:
+            world: the truth: `world.cameras[unit]`, `world.camera_pose(unit)` and `world.markers`.
+            units: those that take an image now, ascending; dead units and lost frames are not among them.
+            time_s: now; called once a step, in the order of time, also with no units at all.
+
+        Returns:
+            One `Sight` for each unit, in the order of `units`. Its detections carry that unit's id and this
+            time. The same calls after the same construction must give the same result: random numbers come
+            from a generator that is passed to the constructor.
+        """
         ...
 
 
@@ -61,11 +76,13 @@ def make_perception(mission: Mission, rng: np.random.Generator) -> Perception:
     """The perception a scenario asks for: `rendered`, `ideal` or `noisy`."""
     scenario = mission.scenario
     if scenario.perception == "ideal":
-        return Projected(scenario.marker.side_m, scenario.marker.dictionary)
+        return ProjectedPerception(scenario.marker.side_m, scenario.marker.dictionary)
     if scenario.perception == "noisy":
         accuracy = load_accuracy(scenario.detector)
-        return Projected(scenario.marker.side_m, scenario.marker.dictionary, accuracy=accuracy, rng=rng)
-    return Rendered(mission, rng)
+        return ProjectedPerception(
+            scenario.marker.side_m, scenario.marker.dictionary, accuracy=accuracy, rng=rng
+        )
+    return RenderedPerception(mission, rng)
 
 
 def make_renderer(mission: Mission, rng: np.random.Generator) -> Renderer:
@@ -94,8 +111,8 @@ def make_renderer(mission: Mission, rng: np.random.Generator) -> Renderer:
     )
 
 
-class Rendered:
-    """Pixels drawn by `skyherd.render` and read by `skyherd.vision`."""
+class RenderedPerception(Perception):
+    """Draws each unit's camera image with `skyherd.render`, and runs the scenario's detector on it."""
 
     def __init__(self, mission: Mission, rng: np.random.Generator) -> None:
         scenario = mission.scenario
@@ -142,7 +159,7 @@ def _right(detections: Detections, truth: FrameTruth) -> BoolArray:
     return np.asarray((truth.ids[row] == detections.ids) & (error <= detections.sides_px / 2))
 
 
-class Projected:
+class ProjectedPerception(Perception):
     """Exact projection of every marker whose card is whole in view, with measured noise if asked.
 
     Args:

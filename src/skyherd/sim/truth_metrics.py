@@ -9,8 +9,15 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import KDTree
 
-from skyherd.control import Template, fit_similarities, fit_similarity
-from skyherd.control.topology.conditions import Conditions, ControlSets, check_conditions, control_matrix
+from skyherd.control import (
+    Conditions,
+    ControlSets,
+    Template,
+    check_conditions,
+    control_matrix,
+    fit_similarities,
+    fit_similarity,
+)
 from skyherd.geometry import Array, BoolArray, IntArray, to_complex
 
 

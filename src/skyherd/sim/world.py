@@ -11,12 +11,10 @@ from skyherd.datasets.configuration.scene_models import CameraModel
 from skyherd.datasets.configuration.unit_models import UnitModel
 from skyherd.geometry import Array, IntArray, to_complex, to_points, wrap_angle
 from skyherd.messages import FlightCommand, VelocityCommand
+from skyherd.random_streams import RunStream, generator
 from skyherd.render import Camera, CameraPose, Motion
 from skyherd.sim.drive import Drive, limit
 from skyherd.sim.sway import Sway
-
-SWAY = 6
-"""Use of random numbers, beside those of the loop."""
 
 
 def move_unicycles(
@@ -209,7 +207,7 @@ class World:
     def _draw_sway(self, number: int, unit: UnitModel) -> Sway | None:
         if unit.sway is None:
             return None
-        rng = np.random.default_rng([self.scenario.seed, SWAY, number])
+        rng = generator(self.scenario.seed, RunStream.SWAY, number)
         return Sway.draw(float(np.radians(unit.sway.tilt_deg)), unit.sway.period_s, rng)
 
     def _swayed(self, time_s: float) -> Array:

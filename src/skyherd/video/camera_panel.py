@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 
 from skyherd.analysis.goal_points import desired_points_px, rows_of
-from skyherd.control.topology.conditions import ControlSets, owners_by_robot
+from skyherd.control import ControlSets, owners_by_robot
 from skyherd.drawing.canvas import (
     Box,
     Color,
@@ -121,11 +121,11 @@ class CameraPanel:
 
     def _seen_circle(self, frame: UnitFrame) -> list[Array]:
         """The safety radius as the camera sees it."""
-        if frame.ground_map.ideal:
+        if frame.decision.ground_map.ideal:
             return self._circle
         size_px = frame.sight.detections.image_size_px
         circle = (np.concatenate(self._circle) + 0.5) / self.scale - 0.5
-        seen = self.to_panel(frame.ground_map.image_px(circle, size_px))
+        seen = self.to_panel(frame.decision.ground_map.image_px(circle, size_px))
         return list(seen.reshape(len(self._circle), -1, 2))
 
     def draw_dead(self) -> None:

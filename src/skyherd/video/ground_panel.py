@@ -4,8 +4,7 @@ import numpy as np
 from scipy.spatial.distance import pdist, squareform
 
 from skyherd.analysis.tree_snapshot import TreeSnapshot
-from skyherd.control import fit_similarity
-from skyherd.control.topology.conditions import owners_by_robot
+from skyherd.control import fit_similarity, owners_by_robot
 from skyherd.datasets import Mission
 from skyherd.drawing.canvas import (
     Box,

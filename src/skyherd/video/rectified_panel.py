@@ -5,7 +5,7 @@ import numpy as np
 import numpy.typing as npt
 
 from skyherd.analysis.goal_points import rectified_goals_px, rows_of
-from skyherd.control import GroundMap, rectified
+from skyherd.control import GroundMap
 from skyherd.drawing.canvas import (
     Box,
     Image,
@@ -55,15 +55,15 @@ class RectifiedPanel:
     def draw(self, frame: UnitFrame) -> None:
         """Draw a frame: markers are squares of one size here, if the map is right."""
         seen = frame.sight.detections
-        robots = rectified(seen, frame.ground_map)
-        self._write_title(*_titles(seen, robots, learned=not frame.ground_map.ideal))
+        robots = frame.decision.detections
+        self._write_title(*_titles(seen, robots, learned=not frame.decision.ground_map.ideal))
         corners = self.to_panel(robots.corners_px)
         if frame.sight.image is None:
             self._picture[:] = PLAIN
             for square in corners:
                 fill_polygon(self._picture, square, (0, 0, 0))
         else:
-            self._draw_image(frame.sight.image, frame.ground_map)
+            self._draw_image(frame.sight.image, frame.decision.ground_map)
         draw_lines(self._picture, list(corners), self.color, 2, closed=True)
         if frame.decision.goals is not None:
             starts = robots.centers_px[rows_of(robots, frame.decision.goals.ids)]

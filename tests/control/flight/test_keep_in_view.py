@@ -1,12 +1,11 @@
-"""Flight that serves the topology: what a unit has a duty to stays in view, remembered or seen."""
+"""Flight for the tree protocol: what a unit controls stays in view, whether it is seen or remembered."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from skyherd.control import KeepInView, Template
-from skyherd.control.flight.laws import Duty
+from skyherd.control import FlightTask, KeepInView, Template
 
 CENTRE = 399.5 + 399.5j
 HALF_PX = 400.0
@@ -27,7 +26,9 @@ def view_of(make_detections, points, ids=None, **extra):
 def test_height_and_zoom_hold_the_farthest_robot(make_detections, farthest, climb) -> None:
     """In proportion to what is beyond 0.75 and a dead band of 0.02; the zoom against it."""
     seen = view_of(make_detections, [farthest, -0.1, 0.2j])
-    command = KeepInView(TEMPLATE, climb_gain_mps=2.0, zoom_gain_ps=0.3).command(seen, Duty(seen.ids), [])
+    command = KeepInView(TEMPLATE, desired_radius=0.75, climb_gain_mps=2.0, zoom_gain_ps=0.3).command(
+        seen, FlightTask(seen.ids), []
+    )
     assert command.climb_mps == pytest.approx(2 * climb, abs=1e-12)
     assert command.zoom_rate_ps == pytest.approx(-0.3 * climb, abs=1e-12)
 
@@ -35,7 +36,9 @@ def test_height_and_zoom_hold_the_farthest_robot(make_detections, farthest, clim
 def test_it_flies_to_the_middle_of_the_set_and_of_nothing_else(make_detections) -> None:
     """The bounding box of robots 0-2; robot 3 is another unit's."""
     seen = view_of(make_detections, [0.1 + 0.2j, 0.5 + 0.6j, 0.3 + 0.3j, -0.9 - 0.9j])
-    command = KeepInView(TEMPLATE, lateral_gain_mps=0.5).command(seen, Duty(np.array([0, 1, 2])), [])
+    command = KeepInView(TEMPLATE, desired_radius=0.75, lateral_gain_mps=0.5).command(
+        seen, FlightTask(np.array([0, 1, 2])), []
+    )
     np.testing.assert_allclose(command.lateral_mps, 0.5 * np.array([0.3, 0.4]), atol=1e-12)
 
 
@@ -44,8 +47,8 @@ def test_a_duty_outside_the_frame_draws_it_there_and_up(make_detections, make_re
     ground = np.array([0.1, 0.4j, -0.2, 1.6])
     seen = view_of(make_detections, ground[:3])
     report = make_report(1, range(4), CENTRE + HALF_PX * (ground - 1.0), NO_ID)
-    flight = KeepInView(TEMPLATE, dead_band=0.0, separation_sides=0.0, least_side_px=0.0)
-    command = flight.command(seen, Duty(np.arange(4)), [report])
+    flight = KeepInView(TEMPLATE, desired_radius=0.75, dead_band=0.0, separation_sides=0.0, least_side_px=0.0)
+    command = flight.command(seen, FlightTask(np.arange(4)), [report])
     np.testing.assert_allclose(command.lateral_mps, [(1.6 - 0.2) / 2, 0.2], atol=1e-9)
     assert command.climb_mps == pytest.approx(1.6 - 0.75, abs=1e-9)
 
@@ -54,7 +57,9 @@ def test_what_it_seeks_draws_it_up_and_aside_while_its_own_robots_are_well_in_vi
     """Robot 3, at 0.9, is sought; with an own robot at 0.8, beyond the radius, it draws up, and not aside."""
     for own, middle in ((0.5, (0.9 - 0.3) / 2), (0.8, (0.8 - 0.3) / 2)):
         seen = view_of(make_detections, [own, -0.3, 0.1, 0.9])
-        command = KeepInView(TEMPLATE, dead_band=0.0).command(seen, Duty(np.arange(3), np.array([3])), [])
+        command = KeepInView(TEMPLATE, desired_radius=0.75, dead_band=0.0).command(
+            seen, FlightTask(np.arange(3), np.array([3])), []
+        )
         np.testing.assert_allclose(command.lateral_mps, [middle, 0.0], atol=1e-12)
         assert command.climb_mps == pytest.approx(0.9 - 0.75, abs=1e-12)
 
@@ -63,17 +68,18 @@ def test_what_it_seeks_draws_it_up_and_aside_while_its_own_robots_are_well_in_vi
 def test_it_goes_no_higher_than_markers_can_be_seen_from(make_detections, side_px, climb) -> None:
     """A robot 0.25 too far out; 12 px are the least: up by what is left of them, down by what lacks."""
     seen = view_of(make_detections, [1.0, 0.1, -0.2j], sides=[side_px] * 3)
-    flight = KeepInView(TEMPLATE, dead_band=0.0, zoom_gain_ps=0.3)
-    command = flight.command(seen, Duty(seen.ids), [])
+    flight = KeepInView(TEMPLATE, desired_radius=0.75, dead_band=0.0, zoom_gain_ps=0.3)
+    command = flight.command(seen, FlightTask(seen.ids), [])
     assert command.climb_mps == pytest.approx(climb, abs=1e-12)
     assert command.zoom_rate_ps == pytest.approx(-0.3 * climb, abs=1e-12)
-    search = flight.search(seen, seen.ids, [])
+    search = flight.command(seen, FlightTask(seen.ids, seen.ids, widen=True), [])
     assert search.climb_mps <= max(0.0, side_px / 12 - 1) + 1e-12
     blind = view_of(make_detections, [])
-    assert np.sign(KeepInView(TEMPLATE).command(blind, Duty(blind.ids), []).climb_mps) == 1, (
-        "it has seen nothing yet"
-    )
-    assert np.sign(flight.command(blind, Duty(blind.ids), []).climb_mps) == np.sign(
+    assert (
+        np.sign(KeepInView(TEMPLATE, desired_radius=0.75).command(blind, FlightTask(blind.ids), []).climb_mps)
+        == 1
+    ), "it has seen nothing yet"
+    assert np.sign(flight.command(blind, FlightTask(blind.ids), []).climb_mps) == np.sign(
         round(side_px / 12 - 1, 9)
     )
 
@@ -81,9 +87,9 @@ def test_it_goes_no_higher_than_markers_can_be_seen_from(make_detections, side_p
 def test_a_duty_that_is_nowhere_makes_it_climb(make_detections) -> None:
     """Robot 5 was never seen: up, although those in view are well inside."""
     seen = view_of(make_detections, [0.1, 0.1j, -0.1])
-    flight = KeepInView(TEMPLATE)
-    assert flight.command(seen, Duty(np.arange(3)), []).climb_mps < 0
-    assert flight.command(seen, Duty(np.array([0, 1, 2, 5])), []).climb_mps > 0
+    flight = KeepInView(TEMPLATE, desired_radius=0.75)
+    assert flight.command(seen, FlightTask(np.arange(3)), []).climb_mps < 0
+    assert flight.command(seen, FlightTask(np.array([0, 1, 2, 5])), []).climb_mps > 0
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -96,12 +102,12 @@ def test_flown_in_a_simple_world_all_duties_come_into_view_with_margin(make_dete
     rng = np.random.default_rng(seed)
     ground = rng.uniform(-4, 4, 8) + 1j * rng.uniform(-4, 4, 8)
     at, height = complex(ground.mean()) + complex(*rng.uniform(-1, 1, 2)), 3.0
-    flight = KeepInView(TEMPLATE, separation_sides=0.0)
+    flight = KeepInView(TEMPLATE, desired_radius=0.75, separation_sides=0.0)
     for tick in range(600):
         points = (ground - at) / height
         inside = np.maximum(np.abs(points.real), np.abs(points.imag)) < 1
         seen = view_of(make_detections, points[inside], TEMPLATE.ids[inside], time_s=0.1 * tick)
-        command = flight.command(seen, Duty(TEMPLATE.ids), [])
+        command = flight.command(seen, FlightTask(TEMPLATE.ids), [])
         at += 0.1 * complex(*command.lateral_mps) * height / 3
         height += 0.1 * command.climb_mps * height / 3
     farthest = np.abs((ground - at) / height).max()
@@ -133,9 +139,9 @@ def test_the_same_view_gives_the_same_command_whatever_its_pixels(
         sides_px=seen.sides_px * scale,
         corners_px=moved(seen.corners_px),
     )
-    flights = [KeepInView(TEMPLATE, least_side_px=0.0) for _ in range(2)]
+    flights = [KeepInView(TEMPLATE, desired_radius=0.75, least_side_px=0.0) for _ in range(2)]
     views = zip(flights, (seen, other), strict=True)
-    commands = [flight.command(view, Duty(np.arange(3)), [report]) for flight, view in views]
+    commands = [flight.command(view, FlightTask(np.arange(3)), [report]) for flight, view in views]
     assert np.abs(commands[0].lateral_mps).max() > 0.01
     np.testing.assert_allclose(commands[1].lateral_mps, commands[0].lateral_mps, rtol=0, atol=1e-12)
     assert commands[1].climb_mps == pytest.approx(commands[0].climb_mps, abs=1e-12)
@@ -148,7 +154,7 @@ def test_units_that_come_too_near_part(make_detections, make_report, apart, part
     points = np.array([0.2 + 0.2j, -0.2 - 0.2j, 0.2 - 0.2j, -0.2 + 0.2j])
     seen = view_of(make_detections, points)
     report = make_report(1, range(4), CENTRE + HALF_PX * (points - apart), NO_ID)
-    command = KeepInView(TEMPLATE).command(seen, Duty(np.arange(4)), [report])
+    command = KeepInView(TEMPLATE, desired_radius=0.75).command(seen, FlightTask(np.arange(4)), [report])
     expected = -(1 - apart / 0.3) if parts else 0.0
     np.testing.assert_allclose(command.lateral_mps, [expected, 0.0], atol=1e-9)
 
@@ -158,9 +164,11 @@ def test_of_units_with_the_same_set_the_first_alone_flies(make_detections, make_
     points = np.array([0.9, 0.6, 0.7j])
     seen = view_of(make_detections, points, unit_id=unit)
     report = make_report(1, range(3), CENTRE + HALF_PX * (points + 0.8), [0, 1, 2])
-    command = KeepInView(TEMPLATE).command(seen, Duty(np.arange(3)), [report])
+    command = KeepInView(TEMPLATE, desired_radius=0.75).command(seen, FlightTask(np.arange(3)), [report])
     assert (command.climb_mps == 0 and not command.lateral_mps.any()) == stays
-    two_of_them = KeepInView(TEMPLATE).command(seen, Duty(np.array([0, 1])), [report])
+    two_of_them = KeepInView(TEMPLATE, desired_radius=0.75).command(
+        seen, FlightTask(np.array([0, 1])), [report]
+    )
     assert two_of_them.climb_mps > 0, "another set, another duty"
 
 
@@ -168,12 +176,16 @@ def test_units_without_robots_are_not_held_to_share_a_set(make_detections, make_
     """It keeps in view what it sees, and climbs."""
     seen = view_of(make_detections, [0.3, 0.1j, 0.2], unit_id=1)
     report = make_report(0, NO_ID, NO_ID, NO_ID)
-    command = KeepInView(TEMPLATE).command(seen, Duty(np.array([], dtype=np.int64)), [report])
+    command = KeepInView(TEMPLATE, desired_radius=0.75).command(
+        seen, FlightTask(np.array([], dtype=np.int64)), [report]
+    )
     assert command.climb_mps > 0
     np.testing.assert_allclose(command.lateral_mps, [0.15, 0.05], atol=1e-12)
 
 
 def test_a_unit_that_sees_nothing_climbs(make_detections) -> None:
     seen = make_detections([], [])
-    command = KeepInView(TEMPLATE).command(seen, Duty(np.array([], dtype=np.int64)), [])
+    command = KeepInView(TEMPLATE, desired_radius=0.75).command(
+        seen, FlightTask(np.array([], dtype=np.int64)), []
+    )
     assert command.climb_mps > 0 and not command.lateral_mps.any()

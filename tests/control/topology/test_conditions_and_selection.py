@@ -6,9 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from skyherd.control import ControlSet, Follow, Hover, Perimeter, SafetyRadius
-from skyherd.control.flight.laws import Duty
-from skyherd.control.topology.conditions import check_conditions, control_matrix, edges
+from skyherd.control import FlightTask, Follow, Hover, Perimeter, SafetyRadius, Template
+from skyherd.control.topology.conditions import check_conditions, control_matrix, graph_edges
 from skyherd.control.topology.safety_radius import centre_distances
 from skyherd.messages import shared_ids
 
@@ -94,7 +93,7 @@ def test_conditions_against_the_papers_words() -> None:
 
 def test_edges_are_between_units_that_share_two() -> None:
     sets = {7: np.array([0, 1, 2]), 3: np.array([1, 2, 5]), 5: np.array([2, 5, 9]), 1: np.array([9])}
-    assert edges(sets) == [(3, 5), (3, 7)]
+    assert graph_edges(sets) == [(3, 5), (3, 7)]
 
 
 @pytest.mark.parametrize(
@@ -135,7 +134,18 @@ def at_radius(make_detections, radii: dict[int, float], time_s: float = 0.0, siz
     return make_detections(list(radii), points, size=size, time_s=time_s)
 
 
-RULE = SafetyRadius(radius=0.8, hysteresis=0.1, dwell_s=2.0)
+TEAM = Template(np.arange(10), np.exp(2j * np.pi * np.arange(10) / 10))
+
+
+class OneUnit:
+    """A unit that selects by a safety radius of 0.8, which it may leave at 0.88, in slots of 2 s."""
+
+    def __init__(self):
+        self.policy = SafetyRadius(radius=0.8, hysteresis=0.1, dwell_s=2.0)
+
+    def update(self, seen, reports):
+        self.selection = self.policy.choose(seen, reports, TEAM, None)
+        return self.selection.controlled_ids
 
 
 @pytest.mark.parametrize("size", [(800, 600), (640, 640), (480, 1920)])
@@ -147,7 +157,7 @@ def test_distances_are_in_halves_of_the_shorter_side(make_detections, size) -> N
 
 def test_robots_enter_inside_the_radius_and_leave_outside_a_wider_one(make_detections, make_report) -> None:
     """In at 0.8, out at 0.88, when another unit holds them; in between as they were."""
-    control = ControlSet(RULE)
+    control = OneUnit()
     other = make_report(1, [1, 2, 3], [0, 0, 0], [1, 2, 3], secure=[1, 2, 3])
     # (radius of robot 1, radius of robot 2) and who is controlled: once every dwell slot of 2 s
     story = [
@@ -166,7 +176,7 @@ def test_robots_enter_inside_the_radius_and_leave_outside_a_wider_one(make_detec
 def test_sets_change_at_most_once_a_dwell_slot(make_detections, make_report) -> None:
     """Robots that jump in and out at every image: changes only at multiples of 2 s, on the common clock."""
     rng = np.random.default_rng(2)
-    control = ControlSet(RULE)
+    control = OneUnit()
     other = make_report(1, range(6), np.zeros(6), range(6), secure=range(6))
     changes, previous = [], None
     for tick in range(600):
@@ -181,7 +191,7 @@ def test_sets_change_at_most_once_a_dwell_slot(make_detections, make_report) -> 
 
 def test_a_robot_is_kept_while_nobody_else_secures_it(make_detections, make_report) -> None:
     """Far out, and even out of view (a lost detection), until a report names it secure."""
-    control = ControlSet(RULE)
+    control = OneUnit()
     control.update(at_radius(make_detections, {1: 0.2, 2: 0.2}), [])
     far = {1: 1.1, 2: 0.2}
     assert control.update(at_radius(make_detections, far, 2.0), []).tolist() == [1, 2]
@@ -193,23 +203,24 @@ def test_a_robot_is_kept_while_nobody_else_secures_it(make_detections, make_repo
 
 
 def test_secure_are_those_inside_the_radius(make_detections) -> None:
-    control = ControlSet(RULE)
+    control = OneUnit()
     control.update(at_radius(make_detections, {1: 0.2, 2: 0.7, 3: 0.9}), [])
-    assert control.secure(at_radius(make_detections, {1: 0.2, 2: 0.85, 3: 0.3})).tolist() == [1]
+    control.update(at_radius(make_detections, {1: 0.2, 2: 0.85, 3: 0.3}, 0.1), [])
+    assert control.selection.controlled_ids.tolist() == [1, 2]
+    assert control.selection.secure_ids.tolist() == [1]
 
 
 def test_two_units_that_sink_on_one_robot_do_not_both_let_go(make_detections, make_report) -> None:
     """Each knows the other's last report: robot 1 leaves both discs at once, and both keep it."""
-    one, two = ControlSet(RULE), ControlSet(RULE)
+    one, two = OneUnit(), OneUnit()
     near, far = {1: 0.5, 2: 0.1}, {1: 0.95, 2: 0.1}
     for control in (one, two):
         control.update(at_radius(make_detections, near), [])
     for time_s in (2.0, 4.0, 6.0):
         seen = at_radius(make_detections, far, time_s)
-        reports = [
-            make_report(j, [1, 2], [0, 0], control.ids, secure=control.secure(seen))
-            for j, control in enumerate((one, two))
-        ]
+        held = [control.selection.controlled_ids for control in (one, two)]
+        secure = [ids[ids == 2] for ids in held]  # robot 1 is outside the radius at both
+        reports = [make_report(j, [1, 2], [0, 0], held[j], secure=secure[j]) for j in (0, 1)]
         assert 1 in one.update(seen, [reports[1]])
         assert 1 in two.update(seen, [reports[0]])
 
@@ -247,7 +258,7 @@ def test_the_same_view_gives_the_same_command_whatever_its_pixels(make_detection
     rng = np.random.default_rng(3)
     seen = at_radius(make_detections, dict(enumerate(rng.uniform(0.1, 0.9, 6))), size=(600, 600))
     commands = [
-        FLIGHTS[name]().command(view, Duty(np.arange(6)), [])
+        FLIGHTS[name]().command(view, FlightTask(np.arange(6)), [])
         for view in (seen, scaled(seen, 2.0, (1200, 1200)), scaled(seen, 0.37, (222, 222)))
     ]
     for command in commands[1:]:
@@ -262,7 +273,7 @@ def test_the_same_view_gives_the_same_command_whatever_its_pixels(make_detection
 def test_follow_climbs_when_the_farthest_robot_is_too_far_out(make_detections, farthest, climb) -> None:
     """In proportion to the excess over 0.7 beyond a dead band of 0.05, either way."""
     seen = at_radius(make_detections, {1: 0.1, 2: farthest, 3: 0.3})
-    command = Follow(0.7, climb_gain_mps=2.0, dead_band=0.05).command(seen, Duty(seen.ids), [])
+    command = Follow(0.7, climb_gain_mps=2.0, dead_band=0.05).command(seen, FlightTask(seen.ids), [])
     assert command.climb_mps == pytest.approx(2 * climb, abs=1e-12)
 
 
@@ -270,7 +281,7 @@ def test_follow_flies_towards_the_centroid_of_what_it_keeps(make_detections) -> 
     """Robots at +u, +v of the centre, others' robots not counted: speed in proportion to the distance."""
     half, centre = 400, 399.5 + 399.5j
     seen = make_detections([1, 2, 3], centre + half * np.array([0.2 + 0.4j, 0.4 + 0j, -0.9 - 0.9j]))
-    command = Follow(0.7, lateral_gain_mps=0.5).command(seen, Duty(np.array([1, 2])), [])
+    command = Follow(0.7, lateral_gain_mps=0.5).command(seen, FlightTask(np.array([1, 2])), [])
     np.testing.assert_allclose(command.lateral_mps, 0.5 * np.array([0.3, 0.2]), atol=1e-12)
 
 
@@ -280,7 +291,7 @@ def test_follow_keeps_the_two_common_robots_nearest_to_its_centre(make_detection
     centre = complex(399.5, 299.5)
     theirs = make_report(1, [1, 2, 3, 4], [centre] * 4, [1, 2, 3, 4], size=(800, 600))
     flight = Follow(0.7, climb_gain_mps=1.0, dead_band=0.0)
-    command = flight.command(seen, Duty(seen.ids), [theirs])
+    command = flight.command(seen, FlightTask(seen.ids), [theirs])
     assert command.climb_mps == pytest.approx(0.4 - 0.7), "5, the unit's own, is the farthest of {1, 3, 5}"
     kept = seen.select([1, 3, 5]).centers_px
     np.testing.assert_allclose(command.lateral_mps, ((kept - [399.5, 299.5]) / 300).mean(axis=0), atol=1e-12)
@@ -291,9 +302,9 @@ def test_follow_keeps_pairs_for_the_neighbours_of_the_start_alone(make_detection
     centre = complex(399.5, 299.5)
     flight = Follow(0.7, dead_band=0.0)
     seen = at_radius(make_detections, {1: 0.3, 2: 0.6, 3: 0.5})
-    flight.command(seen, Duty(seen.ids), [make_report(1, [1], [centre], [1], size=(800, 600))])
+    flight.command(seen, FlightTask(seen.ids), [make_report(1, [1], [centre], [1], size=(800, 600))])
     command = flight.command(
-        seen, Duty(seen.ids), [make_report(1, [1, 2], [centre] * 2, [1, 2], size=(800, 600))]
+        seen, FlightTask(seen.ids), [make_report(1, [1, 2], [centre] * 2, [1, 2], size=(800, 600))]
     )
     assert command.climb_mps == pytest.approx(0.6 - 0.7), (
         "2 and 3 are charges from the start, 1 is the other's"
@@ -314,7 +325,7 @@ def test_of_two_units_exactly_one_takes_a_shared_robot_in_charge(make_detections
         reports = [make_report(j, [1, 2, 3], points[j], [1, 2, 3], size=(600, 600)) for j in range(2)]
         flights = [Follow(0.7), Follow(0.7)]
         for j, flight in enumerate(flights):
-            flight.command(views[j], Duty(np.array([1, 2, 3])), [reports[1 - j]])
+            flight.command(views[j], FlightTask(np.array([1, 2, 3])), [reports[1 - j]])
         charges = [set(flight._charges.tolist()) for flight in flights]
         assert charges[0] | charges[1] == {1, 2, 3}
         assert not charges[0] & charges[1]
@@ -323,7 +334,7 @@ def test_of_two_units_exactly_one_takes_a_shared_robot_in_charge(make_detections
 @pytest.mark.parametrize("name", ["follow", "perimeter"])
 def test_a_unit_that_sees_nothing_hovers(make_detections, name) -> None:
     seen = make_detections([], [])
-    command = FLIGHTS[name]().command(seen, Duty(seen.ids), [])
+    command = FLIGHTS[name]().command(seen, FlightTask(seen.ids), [])
     assert not command.lateral_mps.any() and command.climb_mps == 0
 
 
@@ -333,7 +344,7 @@ def test_perimeter_flies_along_the_hull_and_towards_it(make_detections) -> None:
     corners = np.array([0.3 - 0.5j, 0.3 + 0.5j, -0.7 + 0.5j, -0.7 - 0.5j])
     seen = make_detections([1, 2, 3, 4, 5], centre + half * np.append(corners, 0.01))
     command = Perimeter(0.7, speed_mps=0.2, lateral_gain_mps=2.0, climb_gain_mps=1.0).command(
-        seen, Duty(seen.ids), []
+        seen, FlightTask(seen.ids), []
     )
     assert command.lateral_mps[0] == pytest.approx(2.0 * 0.3, abs=1e-9)
     assert abs(command.lateral_mps[1]) == pytest.approx(0.2, abs=1e-9)
@@ -347,7 +358,7 @@ def test_perimeter_goes_round_in_one_sense(make_detections) -> None:
     flight = Perimeter(0.9, speed_mps=0.5, lateral_gain_mps=2.0)
     for _ in range(600):
         seen = make_detections(range(4), 399.5 + 399.5j + 100 * (robots - at))
-        at += 0.05 * complex(*flight.command(seen, Duty(seen.ids), []).lateral_mps)
+        at += 0.05 * complex(*flight.command(seen, FlightTask(seen.ids), []).lateral_mps)
         angles.append(np.angle(at))
     turned = np.unwrap(angles[20:])
     assert abs(turned[-1] - turned[0]) > 2 * np.pi, "more than a lap"

@@ -1,11 +1,13 @@
-"""One edge of the tree: turns alternate, whatever becomes of the words that hand them over."""
+"""One edge of the tree: turns alternate, whatever becomes of the reports that hand them over."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from skyherd.control.tree.edge import NO_ROBOTS, NO_TURN, Edge, edge_status, first_turn, holds
+from skyherd.control.tree.edge import NO_ROBOTS, NO_TURN, Edge, edge_status, first_turn, has_turn
 from skyherd.messages import NO_ID, TreeStatus, UnitReport
 
 NONE = np.array([], dtype=np.int64)
@@ -14,7 +16,7 @@ NONE = np.array([], dtype=np.int64)
 def report_of(edge: Edge, time_s: float = 0.0) -> UnitReport:
     """What the unit at this end reports, of this edge alone."""
     offered, to_release = sorted(edge.offered), sorted(edge.releasing & edge.offered)
-    word = TreeStatus(
+    status = TreeStatus(
         tree_id=0,
         asks_id=NO_ID,
         ask_turn=NO_TURN,
@@ -28,7 +30,7 @@ def report_of(edge: Edge, time_s: float = 0.0) -> UnitReport:
         to_release_ids=np.array(to_release, dtype=np.int64),
         missing_ids=NONE,
     )
-    return UnitReport(edge.unit_id, time_s, np.array([800, 800]), NONE, np.zeros((0, 2)), NONE, NONE, word)
+    return UnitReport(edge.unit_id, time_s, np.array([800, 800]), NONE, np.zeros((0, 2)), NONE, NONE, status)
 
 
 def ends() -> tuple[Edge, Edge]:
@@ -38,8 +40,8 @@ def ends() -> tuple[Edge, Edge]:
 
 def test_exactly_one_end_has_each_turn() -> None:
     for turn in range(20):
-        assert holds(turn, 3, 7) != holds(turn, 7, 3)
-        assert holds(turn, 3, 7) == (turn % 2 == 0), "the lower unit holds the even ones"
+        assert has_turn(turn, 3, 7) != has_turn(turn, 7, 3)
+        assert has_turn(turn, 3, 7) == (turn % 2 == 0), "the lower unit has_turn the even ones"
 
 
 @pytest.mark.parametrize("holder", [3, 7])
@@ -47,48 +49,48 @@ def test_a_new_edge_begins_beyond_all_turns_of_a_former_one(holder) -> None:
     """A turn an image, at 500 images a second: after 60 s the old edge is behind where a new one starts."""
     other = 10 - holder
     start = first_turn(1.0, holder, other)
-    assert holds(start, holder, other) and not holds(start, other, holder)
+    assert has_turn(start, holder, other) and not has_turn(start, other, holder)
     assert first_turn(61.0, other, holder) > start + 500 * 60
 
 
-def test_the_turn_goes_over_with_pair_and_loans() -> None:
+def test_the_turn_goes_over_with_pair_and_offers() -> None:
     one, two = ends()
-    assert one.mine and not two.mine
-    one.pair = frozenset({1, 5})
-    one.hand_over(offered=frozenset({8, 9}), releasing=frozenset({9, 4}))
-    assert not one.mine and not two.mine, "on its way nobody has it"
-    two.hear(report_of(one))
-    assert two.mine and (two.turn, two.pair) == (1, {1, 5})
-    assert two.reach == {8, 9} and two.to_release == {9}, "only what is lent can be wished away"
+    assert one.is_my_turn and not two.is_my_turn
+    one = replace(one, pair=frozenset({1, 5}))
+    one = one.handed_over(offered=frozenset({8, 9}), releasing=frozenset({9, 4}))
+    assert not one.is_my_turn and not two.is_my_turn, "on its way nobody has it"
+    two = two.received(report_of(one))
+    assert two.is_my_turn and (two.turn, two.pair) == (1, {1, 5})
+    assert two.reach == {8, 9} and two.to_release == {9}, "only what is offered can be released"
     assert one.offered == {8, 9} and not two.offered, "promised until the turn is back"
-    two.hand_over(offered=frozenset({6}), releasing=NO_ROBOTS)
-    one.hear(report_of(two))
-    assert one.mine and one.reach == {6} and not one.offered and not two.reach
+    two = two.handed_over(offered=frozenset({6}), releasing=NO_ROBOTS)
+    one = one.received(report_of(two))
+    assert one.is_my_turn and one.reach == {6} and not one.offered and not two.reach
 
 
-def test_repeated_and_older_words_change_nothing() -> None:
+def test_repeated_and_older_reports_change_nothing() -> None:
     one, two = ends()
-    one.hand_over(frozenset({8}), NO_ROBOTS)
+    one = one.handed_over(frozenset({8}), NO_ROBOTS)
     old = report_of(one)
-    two.hear(old)
-    two.pair = frozenset({2, 8})
-    two.hear(old)
+    two = two.received(old)
+    two = replace(two, pair=frozenset({2, 8}))
+    two = two.received(old)
     assert two.pair == {2, 8}, "the turn that it has is not taken again"
-    two.hand_over(NO_ROBOTS, NO_ROBOTS)
-    two.hear(old)
+    two = two.handed_over(NO_ROBOTS, NO_ROBOTS)
+    two = two.received(old)
     assert two.turn == 2 and two.pair == {2, 8}
-    one.hear(report_of(two))
-    one.hand_over(NO_ROBOTS, NO_ROBOTS)
-    one.hear(report_of(two))
-    assert one.turn == 3, "nor a word of a turn that has passed"
+    one = one.received(report_of(two))
+    one = one.handed_over(NO_ROBOTS, NO_ROBOTS)
+    one = one.received(report_of(two))
+    assert one.turn == 3, "nor a report of a turn that has passed"
 
 
-def test_an_end_that_knows_no_turn_takes_the_first_word() -> None:
+def test_an_end_that_knows_no_turn_takes_the_first_report() -> None:
     heir = Edge(7, 3, 0.0, pair=frozenset({1, 2}))
-    assert heir.turn == NO_TURN and not heir.mine
+    assert heir.turn == NO_TURN and not heir.is_my_turn
     other = Edge(3, 7, 0.0, 51, frozenset({4, 5}))
-    heir.hear(report_of(other))
-    assert (heir.turn, heir.pair, heir.mine) == (51, {4, 5}, True)
+    heir = heir.received(report_of(other))
+    assert (heir.turn, heir.pair, heir.is_my_turn) == (51, {4, 5}, True)
 
 
 @pytest.mark.parametrize("turn", [4, 5])
@@ -99,39 +101,40 @@ def test_an_end_that_was_given_up_goes_over_to_the_new_edge(turn) -> None:
     """
     old = Edge(7, 3, 0.0, turn, frozenset({1, 2}), offered=frozenset({8}))
     new = Edge(3, 7, 32.0, first_turn(32.0, 3, 7), frozenset({4, 5}))
-    old.hear(report_of(new))
-    assert (old.turn, old.pair, old.mine) == (new.turn, {4, 5}, False) and not old.offered
-    new.hand_over(frozenset({6}), NO_ROBOTS)
-    old.hear(report_of(new))
-    assert old.mine and old.reach == {6}
+    old = old.received(report_of(new))
+    assert (old.turn, old.pair, old.is_my_turn) == (new.turn, {4, 5}, False) and not old.offered
+    new = new.handed_over(frozenset({6}), NO_ROBOTS)
+    old = old.received(report_of(new))
+    assert old.is_my_turn and old.reach == {6}
 
 
-def test_a_word_on_other_edges_is_none() -> None:
+def test_a_report_on_other_edges_says_nothing_of_this_one() -> None:
     one, two = ends()
     assert edge_status(report_of(one), 8) is None
     before = (two.turn, two.pair)
-    two.hear(report_of(Edge(3, 8, 0.0, 1, frozenset({6, 7}))))
+    two = two.received(report_of(Edge(3, 8, 0.0, 1, frozenset({6, 7}))))
     assert (two.turn, two.pair) == before
 
 
 @settings(max_examples=60, deadline=None)
 @given(st.lists(st.tuples(st.sampled_from("ab"), st.integers(0, 200), st.booleans()), max_size=60))
-def test_turns_never_part_by_more_than_one_whatever_is_heard(story) -> None:
-    """Each end speaks at will and hears any word ever said, in any order: one turn, one pair, one holder.
+def test_turns_never_part_by_more_than_one_whatever_is_received(story) -> None:
+    """Each end reports at will and receives any ever sent, in any order: one turn, one pair, one holder.
 
     `pair` stands for what the holder changed, a fresh number each time: ends at the same turn have the same.
     """
-    one, two = ends()
-    said: dict[str, list[UnitReport]] = {"a": [report_of(one)], "b": [report_of(two)]}
+    edges = dict(zip("ab", ends(), strict=True))
+    sent: dict[str, list[UnitReport]] = {name: [report_of(edge)] for name, edge in edges.items()}
     fresh = 10
     for name, pick, changes in story:
-        edge, other = (one, "b") if name == "a" else (two, "a")
-        edge.hear(said[other][pick % len(said[other])])
-        if edge.mine and changes:
-            edge.pair = frozenset({fresh, fresh + 1})
+        reports = sent["b" if name == "a" else "a"]
+        edge = edges[name].received(reports[pick % len(reports)])
+        if edge.is_my_turn and changes:
+            edge = replace(edge, pair=frozenset({fresh, fresh + 1})).handed_over(NO_ROBOTS, NO_ROBOTS)
             fresh += 2
-            edge.hand_over(NO_ROBOTS, NO_ROBOTS)
-        said[name].append(report_of(edge))
-        assert not (one.mine and two.mine)
+        edges[name] = edge
+        sent[name].append(report_of(edge))
+        one, two = edges["a"], edges["b"]
+        assert not (one.is_my_turn and two.is_my_turn)
         assert abs(one.turn - two.turn) <= 1
         assert one.turn != two.turn or one.pair == two.pair

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from protocol_world import ProtocolWorld
 
-from skyherd.control import Template
+from skyherd.control import Template, TreeRule
 from skyherd.control.tree.edge import NO_TURN, Edge
-from skyherd.control.tree.node_state import NodeState, TreeRule
-from skyherd.control.tree.orphans import Orphans, yield_claims
+from skyherd.control.tree.node_state import NodeState, Situation
+from skyherd.control.tree.offers import offerable
+from skyherd.control.tree.orphans import adopt_orphans, yield_claims
 from skyherd.control.tree.peer_reports import PeerReports
-from skyherd.control.tree.protocol import TreeProtocol
 from skyherd.messages import NO_ID, TreeStatus, UnitReport
 
 RULE = TreeRule()
@@ -40,14 +40,27 @@ def _formed(units: int, robots: int) -> ProtocolWorld:
 
 
 def no_tree() -> TreeStatus:
-    """What a unit says that belongs to no tree and asks nobody."""
-    return TreeProtocol(RULE, Template(np.arange(6), np.arange(6.0) + 0j)).word(0.0)
+    """What a unit reports that belongs to no tree and asks nobody."""
+    return TreeStatus(
+        tree_id=NO_ID,
+        asks_id=NO_ID,
+        ask_turn=NO_TURN,
+        heir_id=NO_ID,
+        ready=False,
+        neighbor_ids=NONE,
+        turns=NONE,
+        pairs=np.zeros((0, 2), dtype=np.int64),
+        offered_ids=NONE,
+        offered_to_ids=NONE,
+        to_release_ids=NONE,
+        missing_ids=NONE,
+    )
 
 
 def member_report(unit_id: int, time_s: float, controlled, seen: dict[int, float], pair=()) -> UnitReport:
     """What a member says; its edge, if any, is to unit 99."""
     edges = 1 if pair else 0
-    word = TreeStatus(
+    status = TreeStatus(
         tree_id=0,
         asks_id=NO_ID,
         ask_turn=NO_TURN,
@@ -63,16 +76,29 @@ def member_report(unit_id: int, time_s: float, controlled, seen: dict[int, float
     )
     points = np.array([[399.5 + 400 * at, 399.5] for at in seen.values()]).reshape(-1, 2)
     ids, controlled = np.array(list(seen), dtype=int), np.array(sorted(controlled), dtype=int)
-    return UnitReport(unit_id, time_s, np.array([800, 800]), ids, points, controlled, NONE, word)
+    return UnitReport(unit_id, time_s, np.array([800, 800]), ids, points, controlled, NONE, status)
 
 
-def member(unit_id: int, own: set[int], held_s: float, reports: list[UnitReport]) -> NodeState:
-    """A member at 10 s, which has heard these reports."""
-    template = Template(np.arange(8), np.exp(1j * np.arange(8)))
-    unit = NodeState(RULE, template, PeerReports(RULE.silence_s), unit_id, own=set(own), tree_id=0, slot=5)
-    unit.held_s = dict.fromkeys(own, held_s)
-    unit.heard.take(reports)
-    return unit
+def member(unit_id: int, own: set[int], held_s: float, reports: list[UnitReport], **changes):
+    """State and situation, at 10 s, of a member that has received these reports."""
+    state = NodeState(own=frozenset(own), tree_id=0, slot=5, held_s=dict.fromkeys(own, held_s), **changes)
+    return state, situation(unit_id, 10.0, reports)
+
+
+def situation(unit_id: int, time_s: float, reports: list[UnitReport], distances=None, at_slot: bool = True):
+    """What a unit goes by at an image in which it sees robots at these distances."""
+    peers = PeerReports()
+    return Situation(
+        rule=RULE,
+        shape=Template(np.arange(8), np.exp(1j * np.arange(8))),
+        unit_id=unit_id,
+        time_s=time_s,
+        slot=int(time_s // RULE.dwell_s),
+        at_slot=at_slot,
+        distances=distances or {},
+        news=peers.take(reports),
+        peers=peers,
+    )
 
 
 # --- claims ---
@@ -84,20 +110,18 @@ def test_what_a_unit_said_before_this_one_had_a_robot_is_no_claim(said_s, kept) 
 
     Unit 2 dropped it for unit 0's sake, which no longer had it: nobody did.
     """
-    unit = member(2, {4, 5}, 9.0, [member_report(0, said_s, {3, 4}, {})])
-    yield_claims(unit, 10.0)
-    assert unit.own == kept
+    state, now = member(2, {4, 5}, 9.0, [member_report(0, said_s, {3, 4}, {})])
+    assert yield_claims(state, now)["own"] == kept
 
 
 def test_a_higher_unit_yields_and_a_pair_does_not() -> None:
     """Robot 4 is both units' own: the lower one keeps it. Robot 5 is in a pair elsewhere: an own one goes."""
     claims = {"controlled": {4, 5, 6}, "seen": {}, "pair": (5, 6)}
     low, high = (
-        member(unit, {4, 5}, 5.0, [member_report(other, 9.0, **claims)]) for unit, other in ((1, 2), (2, 1))
+        yield_claims(*member(unit, {4, 5}, 5.0, [member_report(other, 9.0, **claims)]))
+        for unit, other in ((1, 2), (2, 1))
     )
-    yield_claims(low, 10.0)
-    yield_claims(high, 10.0)
-    assert (low.own, high.own) == ({4}, set())
+    assert (low["own"], high["own"]) == ({4}, set())
 
 
 @pytest.mark.parametrize(
@@ -114,9 +138,9 @@ def test_only_what_nobody_else_may_have_is_lent(said_s, claimed, offered) -> Non
         member_report(1, 9.8, (), everything(8)),
         member_report(3, said_s, claimed, {}),
     ]
-    unit = member(0, {2, 3}, 9.0, reports)
-    unit.edges[1] = Edge(0, 1, 0.0, 0, frozenset({6, 7}))
-    assert unit.offerable(1, 10.0) == offered
+    edge = Edge(0, 1, since_s=0.0, turn=0, pair=frozenset({6, 7}))
+    state, now = member(0, {2, 3}, 9.0, reports, edges={1: edge})
+    assert offerable(state, now, 1) == offered
 
 
 @pytest.mark.parametrize(("said_s", "adopts"), [(7.9, False), (8.0, True)])
@@ -126,11 +150,11 @@ def test_a_robot_is_an_orphan_only_if_all_say_so_of_the_same_slot(said_s, adopts
     At the slot of 10 s a word of the slot from 8 s on tells; an older one does not.
     """
     reports = [member_report(1, 9.9, (), {}), member_report(2, said_s, (), {})]
-    unit = member(0, set(), 0.0, reports)
-    unit.distances, orphans = {4: 0.3}, Orphans()
-    orphans.adopt(unit, 8.1, at_slot=False)
-    orphans.adopt(unit, 10.0, at_slot=True)
-    assert (4 in unit.own) == adopts
+    state, _ = member(0, set(), 0.0, reports)
+    for time_s, at_slot in ((8.1, False), (10.0, True)):
+        now = situation(0, time_s, reports, distances={4: 0.3}, at_slot=at_slot)
+        state = replace(state, **adopt_orphans(state, now))
+    assert (4 in state.own) == adopts
 
 
 # --- joining ---
@@ -162,16 +186,16 @@ def test_a_late_grant_answers_a_question_that_is_no_longer_put() -> None:
     world.views[1] = {}
     step()
     step(deliver_to=0)
-    assert not world.rosters[0].unit.edges, "withdrawn"
+    assert not world.nodes[0].state.edges, "withdrawn"
     world.views[1] = everything(5)
     world.waiting.clear()
     world.time_s += 0.1
     world.image(1)
-    assert world.rosters[1].unit.asks_id == 0
+    assert world.nodes[1].state.asks_id == 0
     world.inbox[1][0] = grant
     world.time_s += 0.1
     world.image(1)
-    assert not world.rosters[1].unit.edges
+    assert not world.nodes[1].state.edges
     world.quiet(6.0, STEP_S)
     assert world.in_p() and not world.edge_faults()
 
@@ -184,11 +208,12 @@ def test_a_unit_that_asks_gets_both_of_two_robots_in_its_turn() -> None:
     neighbor = member_report(2, 9.9, (), everything(8), pair=(6, 7))
     asking = member_report(0, 9.9, (), everything(8))
     asking = replace(asking, tree=replace(asking.tree, tree_id=NO_ID, asks_id=1, ask_turn=9000))
-    unit = member(1, {4, 5}, 5.0, [neighbor, asking])
-    unit.edges[2] = Edge(1, 2, 0.0, 0, frozenset({6, 7}))
-    assert unit.askers(10.0) == {0}
-    for unit.slot in range(5, 9):
-        assert {unit.offerable(0, 10.0), unit.offerable(2, 10.0)} == {frozenset({4, 5}), frozenset()}
+    edge = Edge(1, 2, since_s=0.0, turn=0, pair=frozenset({6, 7}))
+    state, now = member(1, {4, 5}, 5.0, [neighbor, asking], edges={2: edge})
+    assert now.askers == {0}
+    for slot in range(5, 9):
+        at = replace(now, slot=slot)
+        assert {offerable(state, at, 0), offerable(state, at, 2)} == {frozenset({4, 5}), frozenset()}
 
 
 def test_a_founder_asks_nobody() -> None:
@@ -196,7 +221,7 @@ def test_a_founder_asks_nobody() -> None:
     world.quiet(10.0, STEP_S)
     world.crash(0)
     world.quiet(10.0, STEP_S)
-    assert world.rosters[1].unit.asks_id == NO_ID
+    assert world.nodes[1].state.asks_id == NO_ID
 
 
 def test_the_choice_of_the_founder_stands_while_its_word_is_on_the_way() -> None:
@@ -207,7 +232,7 @@ def test_the_choice_of_the_founder_stands_while_its_word_is_on_the_way() -> None
     world.time_s = RULE.dwell_s
     world.image(0)
     world.deliver_all()
-    assert world.rosters[0].unit.asks_id == 1
+    assert world.nodes[0].state.asks_id == 1
     del world.views[1][4]
     world.image(1)
     founded = world.waiting.pop()[1]
@@ -216,7 +241,7 @@ def test_the_choice_of_the_founder_stands_while_its_word_is_on_the_way() -> None
     world.inbox[0][1] = replace(founded, controlled_ids=NONE, secure_ids=NONE, tree=no_tree())
     world.time_s += RULE.dwell_s
     world.image(0)
-    assert not world.rosters[0].unit.is_member
+    assert not world.nodes[0].state.is_member
     world.inbox[0][1] = founded
     world.quiet(3 * RULE.dwell_s, STEP_S)
     assert world.holders().keys() == {3, 5}
@@ -255,7 +280,7 @@ def test_a_unit_back_before_it_was_missed_is_succeeded_and_admitted(dead) -> Non
     world.revive(dead)
     world.quiet(3 * RULE.dwell_s, STEP_S)
     for _ in range(20):
-        assert world.in_p() and len(world.rosters[dead].unit.edges) >= 1
+        assert world.in_p() and len(world.nodes[dead].state.edges) >= 1
         world.quiet(STEP_S, STEP_S)
 
 
@@ -287,16 +312,17 @@ def test_parts_that_did_not_hear_each_other_come_together(one, both_ways) -> Non
 def test_with_a_neighbour_that_has_nothing_left_no_pair_is_weighed() -> None:
     """It has left the tree while the turn was here: its empty set is no fit to compare pairs by."""
     world = formed(2, 6)
-    unit = world.rosters[0].unit
-    while not unit.edges[1].mine:
+    node = world.nodes[0]
+    while not node.state.edges[1].is_my_turn:
         world.time_s += STEP_S
         for index in (1, 0):
             world.deliver_all()
             world.image(index)
-            if unit.edges[1].mine:
+            if node.state.edges[1].is_my_turn:
                 break
-        if not unit.edges[1].mine:  # handed over at once: hold it as one that waits for a slot
-            unit.edges[1].turn += 1
+        edge = node.state.edges[1]
+        if not edge.is_my_turn:  # handed over at once: hold it as one that waits for a slot
+            node.state = replace(node.state, edges={1: replace(edge, turn=edge.turn + 1)})
     world.deliver_all()
     report = world.latest[1]
     gone = replace(report.tree, tree_id=NO_ID, neighbor_ids=NONE, turns=NONE, pairs=np.zeros((0, 2)))
@@ -318,8 +344,8 @@ def test_a_robot_that_appears_is_one_units_within_a_dwell_time_and_a_half(seers,
     world = formed(3, 12)
     for unit in range(3):
         del world.views[unit][11]
-    for roster in world.rosters.values():
-        roster.unit.own.discard(11)
+    for node in world.nodes.values():
+        node.state = replace(node.state, own=node.state.own - {11})
     world.quiet(RULE.silence_s + when * STEP_S, STEP_S)
     assert not world.holders()[11]
     for unit in seers:
@@ -335,12 +361,12 @@ def test_a_robot_that_was_carried_off_changes_hands_within_a_silence_and_two_slo
     """Its unit leaves it at the first slot after a silence, and at the next one who sees it adopts it."""
     world = formed(2, 9)
     world.quiet(when * STEP_S, STEP_S)
-    robot = max(world.rosters[0].unit.own - world.rosters[1].unit.controlled)
+    robot = max(world.nodes[0].state.own - world.nodes[1].state.controlled)
     for unit in (0, 1):
         del world.views[unit][robot]
     world.quiet(STEP_S, STEP_S)
     holder = next(unit for unit in (0, 1) if robot in world.sets[unit])
     world.views[1 - holder][robot] = 0.3
     world.quiet(RULE.silence_s + 2 * RULE.dwell_s + STEP_S, STEP_S)
-    assert robot in world.sets[1 - holder] and robot not in world.rosters[holder].unit.own
+    assert robot in world.sets[1 - holder] and robot not in world.nodes[holder].state.own
     assert world.in_p()

@@ -22,6 +22,7 @@ and one more until a unit that was given up, or that belongs to the smaller part
 unit, since they may have to join one by one, a slot for its first turn and one for adopting what it left.
 """
 
+from dataclasses import replace
 from typing import ClassVar
 
 import pytest
@@ -95,7 +96,7 @@ class Machine(RuleBasedStateMachine):
                     else:
                         world.deliver(index, keep=fate == "k")
             late = world.time_s - world.imaged_s.get(unit, world.time_s) > IMAGE_S - 0.01
-            if unit in world.rosters and (unit != idle or late):
+            if unit in world.nodes and (unit != idle or late):
                 self.image(unit)
         del world.waiting[:-40]
 
@@ -130,15 +131,15 @@ class Faithful(Machine):
 
     def _keep_faith(self, unit: int) -> None:
         """No silence is longer than the rule's: between two units, nor of a robot to the unit that has it."""
-        world, roster = self.world, self.world.rosters[unit].unit
+        world, node = self.world, self.world.nodes[unit]
         longest_s = RULE.silence_s - 0.01
         for other, report in world.latest.items():
-            heard = [h.report for h in (roster.heard.newest.get(other),) if h is not None]
+            heard = [h.report for h in (node.peers.newest.get(other),) if h is not None]
             last_s = max((r.time_s for r in [*heard, *world.inbox_of(unit, other)]), default=-10.0)
             if other != unit and world.time_s - last_s > longest_s:
                 world.inbox[unit][other] = report
         for robot in world.sets[unit] - world.views[unit].keys():
-            if world.time_s - roster.seen_s.get(robot, world.time_s) > longest_s:
+            if world.time_s - node.state.seen_s.get(robot, world.time_s) > longest_s:
                 world.views[unit][robot] = 1.2
 
 
@@ -147,13 +148,13 @@ class Faulty(Machine):
 
     @rule(unit=NUMBERS)
     def crash(self, unit: int) -> None:
-        if len(self.world.rosters) > 1:
-            self.world.crash(sorted(self.world.rosters)[unit % len(self.world.rosters)])
+        if len(self.world.nodes) > 1:
+            self.world.crash(sorted(self.world.nodes)[unit % len(self.world.nodes)])
 
     @rule()
     def revive(self) -> None:
         for unit in range(self.world.units):
-            if unit not in self.world.rosters:
+            if unit not in self.world.nodes:
                 self.world.revive(unit)
                 return
 
@@ -164,7 +165,7 @@ class Faulty(Machine):
         deaf, dumb = deaf % world.units, dumb % world.units
         for _ in range(round(seconds / 0.5)):
             world.time_s += 0.5
-            for unit in list(world.rosters):
+            for unit in list(world.nodes):
                 world.waiting = [
                     (to, report)
                     for to, report in world.waiting
@@ -183,7 +184,7 @@ class Faulty(Machine):
         world = self.world
         seen = {robot: 0.1 + 0.8 * robot / world.robots for robot in range(world.robots)}
         world.views[:] = [dict(seen) for _ in range(world.units)]
-        world.quiet(healing_s(len(world.rosters)))
+        world.quiet(healing_s(len(world.nodes)))
         for _ in range(12):
             world.quiet(0.5)
             assert world.in_p(), f"{world.sets} at {world.time_s} s"
@@ -193,13 +194,14 @@ class Faulty(Machine):
 class Hasty(TreeProtocol):
     """Exchanges whenever it likes, without the turn: the rule that keeps TC3 and TC4, broken on purpose."""
 
-    def update(self, seen, reports):
-        for edge in self.unit.edges.values():
-            heard = self.unit.heard.newest.get(edge.neighbor_id)
-            if not edge.mine and edge.pair and heard is not None:
-                edge.turn += 1
-                edge.reach = heard.controlled - heard.paired
-        return super().update(seen, reports)
+    def choose(self, seen, reports, shape, last):
+        edges = dict(self.state.edges)
+        for neighbor, edge in edges.items():
+            peer = self.peers.newest.get(neighbor)
+            if not edge.is_my_turn and edge.pair and peer is not None:
+                edges[neighbor] = replace(edge, turn=edge.turn + 1, reach=peer.controlled - peer.paired)
+        self.state = replace(self.state, edges=edges)
+        return super().choose(seen, reports, shape, last)
 
 
 class FaithfulHasty(Faithful):
@@ -209,10 +211,10 @@ class FaithfulHasty(Faithful):
 class Careless(TreeProtocol):
     """Forgets what it has lent, and lends it to others: the promise that keeps a robot from a third unit."""
 
-    def update(self, seen, reports):
-        for edge in self.unit.edges.values():
-            edge.offered = frozenset()
-        return super().update(seen, reports)
+    def choose(self, seen, reports, shape, last):
+        edges = {unit: replace(edge, offered=frozenset()) for unit, edge in self.state.edges.items()}
+        self.state = replace(self.state, edges=edges)
+        return super().choose(seen, reports, shape, last)
 
 
 class FaithfulCareless(Faithful):

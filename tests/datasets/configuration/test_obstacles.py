@@ -11,7 +11,7 @@ from skyherd.errors import InputError
 from skyherd.loop import run_steps
 from skyherd.messages import Detections
 from skyherd.render import project
-from skyherd.sim.perception import Rendered, make_perception
+from skyherd.sim.perception import RenderedPerception, make_perception
 from skyherd.sim.world import World
 
 OBSTACLES = [
@@ -147,7 +147,7 @@ def test_obstacles_are_seen_like_robots_and_are_not_false(mission_of, perception
 def test_what_is_no_marker_of_the_scene_stays_false(mission_of) -> None:
     """An obstacle's marker found where it is not, and a marker that nobody has."""
     mission = mission_of("rendered")
-    world, perception = World(mission), Rendered(mission, np.random.default_rng(1))
+    world, perception = World(mission), RenderedPerception(mission, np.random.default_rng(1))
     true = perception.look(world, [0], 0.0)[0].detections
     ids, shift = true.ids.copy(), np.zeros((len(true), 2))
     shift[ids == 41] = (0.6 * true.sides_px[ids == 41][0], 0)

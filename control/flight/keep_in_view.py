@@ -78,11 +78,16 @@ class KeepInView(FlightLaw):
     def _follow(self, seen: Detections, task: FlightTask, reports: Sequence[UnitReport]) -> FlightCommand:
         controlled, robots = task.controlled_ids, frozenset(task.controlled_ids.tolist())
         if robots and any(r.controlled == robots for r in reports if r.unit_id < seen.unit_id):
-            return FlightCommand(seen.unit_id, self._away_from_others(seen), 0.0, 0.0)
+            return FlightCommand(
+                seen.unit_id, self._away_from_others(seen), climb_mps=0.0, yaw_rate_radps=0.0
+            )
         own = self.memory.centred(controlled if controlled.size else seen.ids, seen.image_size_px)
         if not len(own):
             return FlightCommand(
-                seen.unit_id, self._away_from_others(seen), self.climb_gain_mps * min(0.5, self._room), 0.0
+                seen.unit_id,
+                self._away_from_others(seen),
+                climb_mps=self.climb_gain_mps * min(0.5, self._room),
+                yaw_rate_radps=0.0,
             )
         points = np.concatenate([own, self.memory.centred(task.sought_ids, seen.image_size_px)])
         is_kept = _farthest(own) <= self.desired_radius + self.dead_band
@@ -93,7 +98,11 @@ class KeepInView(FlightLaw):
         excess = min(excess, self._room)
         lateral = self.lateral_gain_mps * _middle(points if is_kept else own) + self._away_from_others(seen)
         return FlightCommand(
-            seen.unit_id, lateral, self.climb_gain_mps * excess, 0.0, -self.zoom_gain_ps * excess
+            seen.unit_id,
+            lateral,
+            climb_mps=self.climb_gain_mps * excess,
+            yaw_rate_radps=0.0,
+            zoom_rate_ps=-self.zoom_gain_ps * excess,
         )
 
     @property

@@ -30,60 +30,66 @@ class Hover(FlightLaw):
 
 @dataclass
 class Follow(FlightLaw):
-    """Algorithm 1 of the companion paper (Aranda et al., T-RO 2015): keep in view what duty demands.
+    """Algorithm 1 of the companion paper (Aranda et al., T-RO 2015): keep certain robots in view.
 
-    To be kept are, for each neighbour in the initial graph, the two robots in common that are nearest to
-    the image centre, and the unit's own charges. The unit flies towards their centroid in proportion to its
-    distance, and climbs or sinks as the farthest of them is farther out or nearer than `desired_radius`.
+    To be kept are, for each neighbour in the initial graph, the two robots in common that are nearest to the
+    image centre, and the robots that are this unit's responsibility. With c their centroid in the image and d
+    the distance of the farthest of them, both from the image centre, the unit flies laterally at
+    `lateral_gain c`, and climbs at `climb_gain (d - desired_radius)`.
 
-    The companion paper's charges are the robots that only this unit sees. Two units that see one robot may
-    then each leave it to the other, and one that sinks hands all its robots to one that climbs. Here a
-    robot that several units control at the start is the charge of the one that sees it nearest to its
-    image centre, for good; and a robot that no other unit holds is a charge at all times.
+    In the companion paper a unit is responsible for the robots that only it sees. Two units that see one
+    robot may then each leave it to the other, and one that sinks hands all its robots to one that climbs.
+    Here a robot that several units control at the start is for good the responsibility of the one that sees
+    it nearest to its image centre; and a robot that no other unit controls is this unit's at all times.
 
     Attributes:
-        desired_radius: image distance of the farthest robot to be kept.
-        lateral_gain_mps: speed for a centroid half an image off.
-        climb_gain_mps: climb for a farthest robot half an image too far out.
+        desired_radius: image distance of the farthest robot to be kept, in halves of the image's shorter
+            side.
+        lateral_gain_mps: speed for a centroid that is half an image off.
+        climb_gain_mps: climb for a farthest robot that is half an image too far out.
         dead_band: climb only for an error above this, so that noise does not move the unit.
     """
 
-    desired_radius: float
+    desired_radius: float = 0.7
     lateral_gain_mps: float = 1.0
     climb_gain_mps: float = 1.0
     dead_band: float = 0.02
     _neighbors: dict[int, bool] = field(default_factory=dict, init=False)
-    _charges: IntArray = field(default_factory=lambda: NO_ROBOTS, init=False)
+    _responsible_for: IntArray = field(default_factory=lambda: NO_ROBOTS, init=False)
     _start: dict[int, float] | None = field(default=None, init=False)
 
     def command(self, seen: Detections, task: FlightTask, reports: Sequence[UnitReport]) -> FlightCommand:
-        """Velocity towards the centroid of the robots to be kept, and the height that keeps them."""
+        """Velocity towards the centroid of the robots to be kept, and climb to the height that keeps them."""
         controlled = task.controlled_ids
         if self._start is None:
-            self._start, self._charges = _distances(seen), controlled
+            self._start, self._responsible_for = _distances(seen), controlled
         for report in reports:
             if report.unit_id not in self._neighbors:
                 shared = np.intersect1d(controlled, report.controlled_ids)
                 self._neighbors[report.unit_id] = shared.size >= 2
-                self._charges = np.setdiff1d(
-                    self._charges, _nearer_there(shared, self._start, seen.unit_id, report)
+                self._responsible_for = np.setdiff1d(
+                    self._responsible_for, _nearer_there(shared, self._start, seen.unit_id, report)
                 )
-        keep = np.isin(seen.ids, np.union1d(self._robots_to_keep(seen, controlled, reports), task.sought_ids))
+        robots = np.union1d(self._robots_to_keep(seen, controlled, reports), task.sought_ids)
+        keep = np.isin(seen.ids, robots)
         if not keep.any():
             return FlightCommand.hold(seen.unit_id)
         points = centred(seen.centers_px, seen.image_size_px)[keep]
         excess = float(np.linalg.norm(points, axis=1).max()) - self.desired_radius
         climb = excess - np.clip(excess, -self.dead_band, self.dead_band)
         return FlightCommand(
-            seen.unit_id, self.lateral_gain_mps * points.mean(axis=0), float(self.climb_gain_mps * climb), 0.0
+            seen.unit_id,
+            self.lateral_gain_mps * points.mean(axis=0),
+            climb_mps=float(self.climb_gain_mps * climb),
+            yaw_rate_radps=0.0,
         )
 
     def _robots_to_keep(
         self, seen: Detections, controlled: IntArray, reports: Sequence[UnitReport]
     ) -> IntArray:
-        """The charges, the robots nobody else holds, and two in common with each neighbour."""
+        """Robots that are this unit's responsibility, and two in common with each neighbour."""
         alone = np.setdiff1d(controlled, shared_ids(controlled, reports))
-        keep = [self._charges, alone]
+        keep = [self._responsible_for, alone]
         distances = centre_distances(seen)
         for report in reports:
             if self._neighbors.get(report.unit_id, False):
@@ -101,9 +107,9 @@ def _distances(seen: Detections | UnitReport) -> dict[int, float]:
 
 
 def _nearer_there(shared: IntArray, start: dict[int, float], unit_id: int, report: UnitReport) -> IntArray:
-    """Those of `shared` that the reporting unit saw nearer to its image centre; of equals, the first unit's.
+    """Those of `shared` that the reporting unit saw nearer to its image centre; of equals, the lower unit's.
 
-    Both look at their own first image, so that each robot stays the charge of exactly one of the two.
+    Both compare their own first images, so that each robot is the responsibility of exactly one of the two.
     """
     there = _distances(report)
     theirs = [
@@ -128,9 +134,9 @@ class Perimeter(FlightLaw):
         yaw_rate_radps: counter-clockwise seen from above.
     """
 
-    desired_radius: float
+    desired_radius: float = 0.7
     speed_mps: float = 0.1
-    lateral_gain_mps: float = 0.5
+    lateral_gain_mps: float = 1.0
     climb_gain_mps: float = 1.0
     yaw_rate_radps: float = 0.0
 
@@ -146,8 +152,8 @@ class Perimeter(FlightLaw):
         return FlightCommand(
             seen.unit_id,
             self.speed_mps * along + self.lateral_gain_mps * foot,
-            self.climb_gain_mps * excess,
-            self.yaw_rate_radps,
+            climb_mps=self.climb_gain_mps * excess,
+            yaw_rate_radps=self.yaw_rate_radps,
         )
 
 

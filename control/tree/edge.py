@@ -124,4 +124,9 @@ def edge_status(report: UnitReport, unit_id: int) -> EdgeStatus | None:
     row = tree.rows[unit_id]
     pair = frozenset(robot for robot in tree.pairs[row].tolist() if robot >= 0)
     offered = frozenset(tree.offered_ids[tree.offered_to_ids == unit_id].tolist())
-    return EdgeStatus(int(tree.turns[row]), pair, offered, offered.intersection(tree.to_release_ids.tolist()))
+    return EdgeStatus(
+        turn=int(tree.turns[row]),
+        pair=pair,
+        offered=offered,
+        to_release=offered.intersection(tree.to_release_ids.tolist()),
+    )

@@ -326,7 +326,7 @@ def test_of_two_units_exactly_one_takes_a_shared_robot_in_charge(make_detections
         flights = [Follow(0.7), Follow(0.7)]
         for j, flight in enumerate(flights):
             flight.command(views[j], FlightTask(np.array([1, 2, 3])), [reports[1 - j]])
-        charges = [set(flight._charges.tolist()) for flight in flights]
+        charges = [set(flight._responsible_for.tolist()) for flight in flights]
         assert charges[0] | charges[1] == {1, 2, 3}
         assert not charges[0] & charges[1]
 

@@ -1,0 +1,49 @@
+"""Library and scenario files have the same defaults: a key left out is what the class gives."""
+
+from dataclasses import MISSING, fields
+
+import pytest
+
+from skyherd.control import (
+    AerialController,
+    BodyRule,
+    Follow,
+    KeepInView,
+    Perimeter,
+    RoleRule,
+    SafetyRadius,
+    SizeRule,
+    TreeRule,
+)
+from skyherd.datasets.configuration.body_models import AvoidanceModel, RolesModel, SizeModel
+from skyherd.datasets.configuration.models import ControlModel, SelectionModel
+from skyherd.datasets.configuration.unit_models import FlightModel
+
+PAIRS = [
+    (SafetyRadius, SelectionModel, {}),
+    (TreeRule, SelectionModel, {}),
+    (Follow, FlightModel, {}),
+    (Perimeter, FlightModel, {}),
+    (KeepInView, FlightModel, {}),
+    (RoleRule, RolesModel, {}),
+    (BodyRule, AvoidanceModel, {}),
+    (SizeRule, SizeModel, {"least_sides": "least_spacing_sides"}),
+]
+
+
+@pytest.mark.parametrize(("made", "model", "names"), PAIRS, ids=lambda x: getattr(x, "__name__", ""))
+def test_a_key_left_out_is_the_default_of_the_class(made, model, names) -> None:
+    """All fields of a class that the model has a key for, under the same name or as `names` says."""
+    compared = 0
+    for field in fields(made):
+        key = model.model_fields.get(names.get(field.name, field.name))
+        if key is None or field.default is MISSING:
+            continue
+        assert key.default == field.default, field.name
+        compared += 1
+    assert compared, "nothing in common"
+
+
+def test_neighbours_that_goals_name() -> None:
+    default = AerialController.__init__.__kwdefaults__["nearest"]
+    assert ControlModel.model_fields["neighbors"].default == default

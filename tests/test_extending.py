@@ -1,0 +1,66 @@
+"""The examples of docs/extending.md: each is run as it stands, and does what the page says of it."""
+
+import csv
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from skyherd.datasets import load_mission
+from skyherd.loop import run_steps
+from skyherd.vision import create_detector
+
+PAGE = Path(__file__).parents[1] / "docs" / "extending.md"
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory) -> dict:
+    """The names that the blocks of the page define, run one after the other as one script."""
+    names: dict = {"folder": tmp_path_factory.mktemp("extending") / "run"}
+    text = PAGE.read_text("utf-8")
+    for block in re.findall(r"^```python\n(.*?)^```$", text, re.DOTALL | re.MULTILINE):
+        exec(compile(block, str(PAGE), "exec"), names)
+    return names
+
+
+@pytest.fixture(scope="module")
+def frame():
+    """An image of the triangle's robots, and the ids of those that are whole in it."""
+    mission = load_mission("triangle", ["duration_s=0"])
+    sight = next(iter(run_steps(mission))).frames[0].sight
+    return sight.image, sight.whole_ids.tolist()
+
+
+def test_the_detector_finds_what_the_named_one_finds(page, frame) -> None:
+    image, whole_ids = frame
+    ours = create_detector("aruco", dictionary="4X4_50").detect(image)
+    plain = page["PlainOpenCV"]("4X4_50").detect(image, time_s=3.0, unit_id=2)
+    assert sorted(plain.ids.tolist()) == sorted(ours.ids.tolist()) == sorted(whole_ids)
+    assert (plain.time_s, plain.unit_id) == (3.0, 2)
+    order, ours_order = np.argsort(plain.ids), np.argsort(ours.ids)
+    assert np.abs(plain.centers_px[order] - ours.centers_px[ours_order]).max() < 1.0
+
+
+def test_policy_and_flight_law_bring_the_robots_into_shape(page) -> None:
+    *_, step = run_steps(page["mission"], controller_for=page["controller"])
+    assert step.metrics.shape.error < 0.05
+    assert step.fleet.yaws_rad[0] > 1.0, "it turned all the while"
+
+
+def test_the_robots_law_brings_the_robots_into_shape(page) -> None:
+    *_, step = run_steps(page["mission"], team_for=page["NewestGoal"])
+    assert step.metrics.shape.error < 0.05
+
+
+def test_nothing_is_decided_in_the_fog(page) -> None:
+    assert page["first_goal_s"] == pytest.approx(5.0, abs=page["mission"].scenario.step_s)
+
+
+def test_the_recorder_has_a_row_a_step(page) -> None:
+    with page["folder"].with_suffix(".csv").open() as file:
+        rows = list(csv.DictReader(file))
+    times = [float(row["time_s"]) for row in rows]
+    assert times == pytest.approx(np.arange(len(times)) * page["short"].scenario.step_s)
+    assert times[-1] == pytest.approx(2.0)
+    assert 0 < float(rows[-1]["shape_error"]) < float(rows[0]["shape_error"])

@@ -5,8 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from skyherd.geometry import UNIFORM_VARIANCE, Array, IntArray, apply_homography, inverse
-from skyherd.markers.cramer_rao import pose_covariances
+from skyherd.geometry import Array, IntArray, apply_homography, inverse
 from skyherd.markers.dictionary import card_side, cells_per_side, marker_cells
 from skyherd.render.camera.camera import Camera, CameraPose
 from skyherd.render.camera.motion import INSTANT, STILL, Motion, Shutter
@@ -130,29 +129,6 @@ class Renderer:
             shutter=self.shutter,
             occluders=occluders,
         )
-
-    def covariances(self, truth: FrameTruth) -> Array:
-        """Cramér-Rao bound (N, 3, 3) on (u px, v px, heading rad) of each marker, as if wholly seen.
-
-        At the sensor's gain and its noise at mid-grey, rounding included; uneven light and motion blur are
-        left out. NaN for a marker that is not in the image. Not part of the truth since it takes its time.
-        """
-        sensor = self.sensor
-        black, white, ground = (sensor.gain * level for level in (self.black, self.white, self.ground.mean))
-        variance = sensor.noise**2 + sensor.shot * (black + white) / 2 + UNIFORM_VARIANCE
-        seen = np.flatnonzero(truth.visible_fractions > 0)
-        covariances = np.full((len(truth.ids), 3, 3), np.nan)
-        covariances[seen] = pose_covariances(
-            self.dictionary,
-            truth.ids[seen],
-            truth.images_marker[seen],
-            psf_px=self.psf_px,
-            noise=float(np.sqrt(variance)),
-            black=black,
-            white=white,
-            ground=ground,
-        )
-        return covariances
 
     def _instants(
         self, camera: Camera, pose: CameraPose, positions_m: Array, headings_rad: Array, motion: Motion

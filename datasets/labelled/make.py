@@ -4,7 +4,6 @@ An image and its labels follow from (spec, number) alone. Images that are there 
 are drawn again; so an interrupted set, made again, is the same to the byte.
 """
 
-import json
 import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -15,7 +14,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from skyherd.datasets.labelled.coco import coco_document
+from skyherd.datasets.labelled.coco import coco_text
 from skyherd.datasets.labelled.folder import Folder, claim_folder
 from skyherd.datasets.labelled.labels import Labels, make_labels
 from skyherd.datasets.labelled.preview import write_preview
@@ -122,7 +121,7 @@ def _write_tables(folder: Folder, made: dict[int, Made]) -> None:
     for split in folder.splits():
         images = [(i, folder.image(i).name, made[i][0]) for i in folder.indices(split)]
         folder.coco(split).parent.mkdir(exist_ok=True)
-        write_text(folder.coco(split), json.dumps(coco_document(spec.description, spec.size_px, images)))
+        write_text(folder.coco(split), coco_text(spec.description, spec.size_px, images))
     write_text(folder.data_yaml, folder_yaml(folder))
     ordered = [(folder.image_name(i), made[i]) for i in range(spec.images)]
     rows = (row for name, (labels, _) in ordered for row in truth_rows(name, labels))

@@ -17,6 +17,7 @@ import numpy as np
 from skyherd.datasets.labelled.labels import KEYPOINTS, Labels
 from skyherd.datasets.labelled.scenes import Scene
 from skyherd.errors import InputError
+from skyherd.geometry import Array
 from skyherd.inspection.table import CORNERS
 
 VISIBILITIES = [f"visibility_{name}" for name in KEYPOINTS]
@@ -27,9 +28,9 @@ TRUTH_COLUMNS = ["image", "id", *NUMBERS]
 Row = dict[str, Any]
 
 
-def truth_rows(image: str, labels: Labels) -> list[Row]:
-    """A row a marker."""
-    table = np.column_stack(
+def label_table(labels: Labels) -> Array:
+    """All numbers of an image's labels, (N, 22): a row a marker, a column for each of `NUMBERS`."""
+    return np.column_stack(
         [
             labels.centers_px,
             labels.headings_deg,
@@ -40,9 +41,13 @@ def truth_rows(image: str, labels: Labels) -> list[Row]:
             labels.crb_stds,
         ]
     )
+
+
+def truth_rows(image: str, labels: Labels) -> list[Row]:
+    """The rows of `truth.csv` for an image: its name, the marker's id, and the numbers of `label_table`."""
     return [
         {"image": image, "id": marker_id, **dict(zip(NUMBERS, map(_plain, values), strict=True))}
-        for marker_id, values in zip(labels.ids.tolist(), table.tolist(), strict=True)
+        for marker_id, values in zip(labels.ids.tolist(), label_table(labels).tolist(), strict=True)
     ]
 
 

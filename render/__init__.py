@@ -1,6 +1,13 @@
 """World to pixels: cameras, markers, ground, sensor, and the truth about each image."""
 
-from skyherd.render.camera.camera import Camera, CameraPose, footprint_m, homography_image_ground, project
+from skyherd.render.camera.camera import (
+    Camera,
+    CameraPose,
+    footprint_m,
+    homography_image_ground,
+    project,
+    undistort,
+)
 from skyherd.render.camera.fisheye import Equidistant
 from skyherd.render.camera.lens import Distortion
 from skyherd.render.camera.motion import Motion, Shutter
@@ -33,4 +40,5 @@ __all__ = [
     "project",
     "project_markers",
     "project_team",
+    "undistort",
 ]

@@ -20,7 +20,7 @@ from skyherd.datasets.configuration.toml_files import (
     built_in_names,
     built_in_text,
     first_error,
-    parse,
+    parse_toml,
     put_value,
     read_text,
 )
@@ -121,7 +121,7 @@ def read_scenario(name_or_file: str) -> ScenarioSource:
     is_file = path.suffix == ".toml" or path.is_file()
     where = str(path) if is_file else f"scenario {name_or_file}"
     text = read_text(path, "scenario") if is_file else scenario_text(name_or_file)
-    tree = parse(text, where, "skyherd scenario show star")
+    tree = parse_toml(text, where, "skyherd scenario show star")
     return ScenarioSource(tree, where, path.parent if is_file else Path())
 
 

@@ -40,7 +40,7 @@ def read_text(path: Path, noun: str) -> str:
         raise InputError(str(path), error.strerror or str(error), f"a readable {noun} in TOML") from None
 
 
-def parse(text: str, where: str, example: str) -> dict[str, Any]:
+def parse_toml(text: str, where: str, example: str) -> dict[str, Any]:
     """The tree of a TOML text; `example` is the command that shows a good one."""
     try:
         return tomllib.loads(text)

@@ -32,11 +32,11 @@ class _OneOrTwo:
 Span = Annotated[tuple[T, T], BeforeValidator(_pair), AfterValidator(_ordered), _OneOrTwo()]
 
 
-def draw(rng: np.random.Generator, span: tuple[float, float]) -> float:
+def draw_number(rng: np.random.Generator, span: tuple[float, float]) -> float:
     """A number between the ends, uniform; drawn also where they are equal, lest streams shift."""
     return float(rng.uniform(0.0, 1.0) * (span[1] - span[0]) + span[0])
 
 
-def draw_whole(rng: np.random.Generator, span: tuple[int, int]) -> int:
+def draw_integer(rng: np.random.Generator, span: tuple[int, int]) -> int:
     """A whole number from the first to the last, each as likely."""
-    return int(np.floor(draw(rng, (span[0], span[1] + 1 - 1e-9))))
+    return int(np.floor(draw_number(rng, (span[0], span[1] + 1 - 1e-9))))

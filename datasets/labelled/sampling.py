@@ -14,7 +14,7 @@ from skyherd.datasets.configuration.scene_models import (
     OccluderModel,
     SensorModel,
 )
-from skyherd.datasets.labelled.ranges import draw, draw_whole
+from skyherd.datasets.labelled.ranges import draw_integer, draw_number
 from skyherd.datasets.labelled.scenes import Scene, Station, corners_m
 from skyherd.datasets.labelled.spec import DatasetSpec, OccludersSpec, SensorSpec
 from skyherd.geometry import Array, BoolArray, IntArray, apply_homography, inverse
@@ -40,17 +40,17 @@ def make_station(spec_json: str, number: int) -> Station:
     """Draw one of the cameras of a set, given as JSON, and its ground."""
     spec = DatasetSpec.model_validate_json(spec_json)
     rng = np.random.default_rng([spec.seed, CAMERA, number])
-    lens = {name: draw(rng, span) for name, span in spec.camera.distortion}
+    lens = {name: draw_number(rng, span) for name, span in spec.camera.distortion}
     camera = CameraModel(
         size_px=spec.size_px,
-        half_angle_deg=draw(rng, spec.camera.half_angle_deg),
-        aspect=draw(rng, spec.camera.aspect),
+        half_angle_deg=draw_number(rng, spec.camera.half_angle_deg),
+        aspect=draw_number(rng, spec.camera.aspect),
         distortion=DistortionModel(**lens),
     )
-    psf_px, model = draw(rng, spec.camera.psf_px), spec.ground
+    psf_px, model = draw_number(rng, spec.camera.psf_px), spec.ground
     choice = int(rng.integers(len(model.kinds) + len(model.images)))
-    level = {"mean": draw(rng, model.mean), "contrast": draw(rng, model.contrast)}
-    tile_m, width_m = draw(rng, model.tile_sides), draw(rng, model.image_sides)
+    level = {"mean": draw_number(rng, model.mean), "contrast": draw_number(rng, model.contrast)}
+    tile_m, width_m = draw_number(rng, model.tile_sides), draw_number(rng, model.image_sides)
     if choice >= len(model.kinds):
         ground = GroundModel(
             kind="image", image=model.images[choice - len(model.kinds)], tile_m=width_m, **level
@@ -66,11 +66,14 @@ def make_scene(spec: DatasetSpec, index: int) -> Scene:
     rng = np.random.default_rng([spec.seed, IMAGE, index])
     station = make_station(spec.model_dump_json(), int(rng.integers(spec.cameras)))
     pose = _draw_pose(spec, station, rng)
-    motion_px, sensor = draw(rng, spec.sensor.motion_px), _draw_sensor(spec.sensor, station.psf_px, rng)
+    motion_px, sensor = (
+        draw_number(rng, spec.sensor.motion_px),
+        _draw_sensor(spec.sensor, station.psf_px, rng),
+    )
     toward, speed = rng.uniform(-np.pi, np.pi), motion_px / EXPOSURE_S * pose.height_m
     speed /= station.camera.focal_length_px
-    black, white = draw(rng, spec.markers.black), draw(rng, spec.markers.white)
-    clutter = draw_whole(rng, spec.ground.clutter)
+    black, white = draw_number(rng, spec.markers.black), draw_number(rng, spec.markers.white)
+    clutter = draw_integer(rng, spec.ground.clutter)
     ids, positions_m, headings_rad = _draw_team(spec, station.camera.make(), pose, rng)
     return Scene(
         station=station,
@@ -95,7 +98,7 @@ def _draw_pose(spec: DatasetSpec, station: Station, rng: np.random.Generator) ->
 
     A tilt t shrinks it there by cos t for the distance and by sqrt(cos t) for the slant.
     """
-    side_px, tilt = draw(rng, spec.markers.side_px), np.radians(draw(rng, spec.camera.tilt_deg))
+    side_px, tilt = draw_number(rng, spec.markers.side_px), np.radians(draw_number(rng, spec.camera.tilt_deg))
     toward, yaw = rng.uniform(-np.pi, np.pi, 2)
     camera = station.camera
     height_m = camera.focal_length_px * camera.aspect**0.5 / side_px * np.cos(tilt) ** 1.5
@@ -106,10 +109,10 @@ def _draw_pose(spec: DatasetSpec, station: Station, rng: np.random.Generator) ->
 
 def _draw_sensor(model: SensorSpec, psf_px: float, rng: np.random.Generator) -> SensorModel:
     values = {
-        name: draw(rng, getattr(model, name))
+        name: draw_number(rng, getattr(model, name))
         for name in ("noise", "shot", "gain", "vignetting", "gradient", "shadow")
     }
-    quality = draw_whole(rng, model.jpeg_quality or (100, 100))
+    quality = draw_integer(rng, model.jpeg_quality or (100, 100))
     gradient_deg, shadow_deg = rng.uniform(-180, 180, 2)
     return SensorModel(
         **values,
@@ -129,7 +132,7 @@ def _draw_team(
     """Markers at random places of the image, as many of those asked for as fit without touching."""
     model = spec.markers
     known = np.arange(dictionary_size(model.dictionary)) if model.ids is None else np.array(model.ids)
-    count = draw_whole(rng, model.count)
+    count = draw_integer(rng, model.count)
     ids, tries = rng.permutation(known)[:count], CANDIDATES * max(count, 1)
     width, height = camera.size_px
     points_px = rng.uniform([-0.5, -0.5], [width - 0.5, height - 0.5], (tries, 2))
@@ -168,7 +171,7 @@ def _draw_occluders(
     made = []
     for place in positions_m:
         hit, square, toward, turn = rng.uniform(size=4) * (1.0, 1.0, 2 * np.pi, np.pi / 2)
-        radius, level = draw(rng, model.radius_sides), draw(rng, model.level)
+        radius, level = draw_number(rng, model.radius_sides), draw_number(rng, model.level)
         center = place + rng.uniform(0.3, 0.6) * np.array([np.cos(toward), np.sin(toward)])
         if hit >= model.share:
             continue

@@ -19,7 +19,7 @@ from skyherd.datasets.configuration.toml_files import (
     built_in_names,
     built_in_text,
     first_error,
-    parse,
+    parse_toml,
     read_text,
 )
 from skyherd.datasets.labelled.ranges import Span
@@ -220,7 +220,7 @@ def load_spec(name_or_file: str, *, seed: int | None = None, images: int | None 
     path = Path(name_or_file)
     is_file = path.suffix == ".toml" or path.is_file()
     where = str(path) if is_file else f"dataset {name_or_file}"
-    tree = parse(
+    tree = parse_toml(
         read_text(path, "dataset spec") if is_file else spec_text(name_or_file),
         where,
         "skyherd dataset show small",

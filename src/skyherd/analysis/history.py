@@ -10,8 +10,7 @@ from skyherd.analysis.goal_points import goal_error_m
 from skyherd.analysis.tree_snapshot import TreeHistory, TreeSnapshot
 from skyherd.control import Template
 from skyherd.control.topology.conditions import control_matrix
-from skyherd.datasets import Mission
-from skyherd.datasets.configuration.body_models import SizeModel
+from skyherd.datasets import Mission, SizeModel
 from skyherd.geometry import Array, BoolArray, IntArray, to_complex
 from skyherd.loop import Step, dead_units
 

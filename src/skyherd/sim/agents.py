@@ -34,9 +34,7 @@ from skyherd.control import (
 from skyherd.control.flight.laws import Flight
 from skyherd.control.robots.unicycle import Gains
 from skyherd.control.topology.safety_radius import NO_ROBOTS
-from skyherd.datasets import Mission, Scenario
-from skyherd.datasets.configuration.models import SelectionModel
-from skyherd.datasets.configuration.unit_models import FlightModel
+from skyherd.datasets import FlightModel, Mission, Scenario, SelectionModel
 from skyherd.geometry import ComplexArray, IntArray
 from skyherd.messages import Detections, UnitReport
 from skyherd.sim.baseline_laws import Law, bearing_only_law, complex_laplacian_law

@@ -5,9 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from skyherd.datasets import Mission, Scenario
-from skyherd.datasets.configuration.models import AutopilotModel
-from skyherd.datasets.configuration.unit_models import UnitModel
+from skyherd.datasets import AutopilotModel, Mission, Scenario, UnitModel
 from skyherd.geometry import Array, IntArray, to_complex, to_points, wrap_angle
 from skyherd.messages import FlightCommand, VelocityCommand
 from skyherd.render import CameraPose, Motion

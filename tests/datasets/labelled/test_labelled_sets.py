@@ -17,7 +17,7 @@ from skyherd.datasets.labelled.folder import open_folder
 from skyherd.datasets.labelled.labels import COVERED, OUTSIDE, SEEN, make_labels
 from skyherd.datasets.labelled.make import make_dataset
 from skyherd.datasets.labelled.outlines import area, bounding_box, visible_outline
-from skyherd.datasets.labelled.ranges import draw, draw_whole
+from skyherd.datasets.labelled.ranges import draw_integer, draw_number
 from skyherd.datasets.labelled.sampling import make_scene
 from skyherd.datasets.labelled.spec import load_spec, spec_names
 from skyherd.errors import InputError
@@ -253,10 +253,10 @@ def test_outline_cut_to_the_image():
 
 def test_ranges_are_filled_and_not_left():
     rng = np.random.default_rng(0)
-    values = np.array([draw(rng, (2.0, 3.0)) for _ in range(2000)])
+    values = np.array([draw_number(rng, (2.0, 3.0)) for _ in range(2000)])
     assert 2 <= values.min() < 2.01 and 2.99 < values.max() <= 3
     # Of three numbers, 2000 / 3 each with a standard deviation of 21.
-    counts = np.bincount([draw_whole(rng, (1, 3)) for _ in range(2000)])
+    counts = np.bincount([draw_integer(rng, (1, 3)) for _ in range(2000)])
     assert counts[0] == 0 and (np.abs(counts[1:] - 2000 / 3) < 100).all()
 
 

@@ -15,6 +15,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from skyherd.datasets.configuration.body_models import SizeModel
+from skyherd.datasets.configuration.camera_models import CameraModel
 from skyherd.datasets.configuration.cameras import CAMERAS
 from skyherd.datasets.configuration.fields import Model
 from skyherd.datasets.configuration.mission import (
@@ -26,16 +27,8 @@ from skyherd.datasets.configuration.mission import (
     scenario_names,
     scenario_text,
 )
-from skyherd.datasets.configuration.models import (
-    AutopilotModel,
-    DriveModel,
-    NetworkModel,
-    RobotsModel,
-    ScatterModel,
-    Scenario,
-    SelectionModel,
-)
-from skyherd.datasets.configuration.scene_models import CameraModel
+from skyherd.datasets.configuration.models import AutopilotModel, NetworkModel, Scenario, SelectionModel
+from skyherd.datasets.configuration.robot_models import DriveModel, RobotsModel, ScatterModel
 from skyherd.datasets.configuration.toml_files import (
     built_in_names,
     built_in_text,

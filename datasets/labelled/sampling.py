@@ -7,13 +7,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from skyherd.datasets.configuration.scene_models import (
-    CameraModel,
-    DistortionModel,
-    GroundModel,
-    OccluderModel,
-    SensorModel,
-)
+from skyherd.datasets.configuration.camera_models import CameraModel, DistortionModel
+from skyherd.datasets.configuration.scene_models import GroundModel, OccluderModel, SensorModel
 from skyherd.datasets.labelled.ranges import draw_integer, draw_number
 from skyherd.datasets.labelled.scenes import Scene, Station, corners_m
 from skyherd.datasets.labelled.spec import DatasetSpec, OccludersSpec, SensorSpec

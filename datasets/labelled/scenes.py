@@ -12,11 +12,11 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from skyherd.datasets.configuration.scene_models import CameraModel, GroundModel, OccluderModel, SensorModel
+from skyherd.datasets.configuration.camera_models import CameraModel
+from skyherd.datasets.configuration.scene_models import GroundModel, OccluderModel, SensorModel
 from skyherd.datasets.labelled.outlines import area
 from skyherd.files.images import read_grey
 from skyherd.geometry import ROBOT_FRAME_CORNERS, UNIFORM_VARIANCE, Array, IntArray, to_points
-from skyherd.markers.blur_model import total_sigma_px
 from skyherd.markers.cramer_rao import pose_covariances
 from skyherd.markers.dictionary import card_side
 from skyherd.render import (
@@ -123,7 +123,7 @@ class Scene:
             psf_px=sensor.psf_px,
             black=self.black,
             white=self.white,
-            shutter=sensor.shutter(),
+            shutter=sensor.make_shutter(),
         )
         return renderer.render(
             self.camera,
@@ -154,7 +154,9 @@ class Scene:
         )
         last = np.array(self.camera.size_px) - 1
         at = np.rint(truth.centers_px).astype(int).clip(0, last)
-        light = sensor.gain * sensor.illumination().of(self.camera.size_px)[at[:, 1], at[:, 0]].astype(float)
+        light = sensor.gain * sensor.make_illumination().of(self.camera.size_px)[at[:, 1], at[:, 0]].astype(
+            float
+        )
         signal = light * (self.black + self.white) / 2
         variance = sensor.noise**2 + sensor.shot * signal + UNIFORM_VARIANCE
         return np.asarray(bounds * (variance / light**2)[:, None, None])
@@ -163,15 +165,11 @@ class Scene:
 @lru_cache(maxsize=2)
 def _floor(station: Station, folder: Path) -> Ground:
     """The ground of a camera: dear to make, and large."""
-    model = station.ground
-    return Ground(
+    image = station.ground.image
+    return station.ground.make(
         station.ground_seed,
-        kind=model.kind,
-        mean=model.mean,
-        contrast=model.contrast,
-        tile_m=model.period_m,
-        sigma_px=total_sigma_px(station.psf_px),
-        image=None if model.image is None else read_grey(folder / model.image),
+        psf_px=station.psf_px,
+        image=None if image is None else read_grey(folder / image),
     )
 
 

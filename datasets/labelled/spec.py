@@ -13,8 +13,9 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import Field, FiniteFloat, ValidationError, model_validator
 
-from skyherd.datasets.configuration.fields import Fraction, Model, NotNegative, Positive
-from skyherd.datasets.configuration.scene_models import CameraModel, Coefficient, DistortionModel, Grey, Share
+from skyherd.datasets.configuration.camera_models import CameraModel, Coefficient, DistortionModel
+from skyherd.datasets.configuration.fields import Fraction, Model, NotNegative, Positive, Share
+from skyherd.datasets.configuration.scene_models import Grey
 from skyherd.datasets.configuration.toml_files import (
     built_in_names,
     built_in_text,

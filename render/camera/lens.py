@@ -24,8 +24,8 @@ from skyherd.errors import InputError
 from skyherd.geometry import Array
 
 NEWTON_STEPS = 12
-"""Steps of Newton's method after which undistorting gives up. *Chosen*: usual lenses need four to six; only
-rays near a fold need more."""
+"""Steps of Newton's method after which undistorting gives up. *Chosen*: the built-in test cameras' lenses
+need five or six; only rays near a fold need more."""
 
 NEWTON_REACH = 0.5
 """Longest step of Newton's method along either axis, focal lengths. *Chosen*: keeps a step that starts near a

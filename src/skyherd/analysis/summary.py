@@ -145,7 +145,7 @@ def _shortest_path_m(history: History) -> float:
         row = int(np.searchsorted(history.times_s, from_s - 1e-9))
         if row == history.times_s.size:
             break
-        template = mission.program.at(from_s).points_of(history.ids).conj()
+        template = mission.schedule.at(from_s).points_of(history.ids).conj()
         start, spacing_m = to_complex(history.positions_m[row]), _spacing_m(mission.scenario, template)
         length_m += shortest_path(template, start, classes=classes, spacing=spacing_m).length
     return length_m

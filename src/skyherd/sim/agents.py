@@ -128,7 +128,7 @@ def make_mind(mission: Mission, unit: int) -> Mind:
     scenario = mission.scenario
     slowest_s = max(model.latency_s + REPORTS_MISSED / model.frame_rate_hz for model in scenario.units)
     controller = AerialController(
-        mission.program,
+        mission.schedule,
         make_selection(scenario.selection),
         make_flight(scenario.units[unit].flight, mission.template),
         nearest=scenario.control.neighbors,

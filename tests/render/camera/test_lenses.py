@@ -6,8 +6,8 @@ import pytest
 from reference import reference_light
 
 from skyherd.datasets import load_mission, make_mission
+from skyherd.datasets.configuration.camera_models import CameraModel
 from skyherd.datasets.configuration.cameras import CAMERAS
-from skyherd.datasets.configuration.scene_models import CameraModel
 from skyherd.datasets.configuration.unit_models import UnitModel
 from skyherd.errors import InputError
 from skyherd.geometry import inverse

@@ -1,4 +1,9 @@
-"""Validation of a labelled image set: files, layouts against the truth, truth against spec and pixels."""
+"""Checks a labelled image set: its files, its layouts against the truth, the truth against spec and pixels.
+
+Layouts follow from the truth table alone, so that they are made again and compared byte by byte. Truth and
+pixels follow from spec and seed, and are compared with what these give, within tolerances, since processors
+and versions of OpenCV differ in the last digits. Last, the detector looks at a sample.
+"""
 
 import json
 from collections.abc import Callable, Iterator
@@ -36,7 +41,14 @@ of OpenCV interpolate the ground differently by less; noise drawn from another s
 
 @dataclass(frozen=True)
 class Verdict:
-    """What was found wrong, a line each, and how the detector agrees with the truth, where it was asked."""
+    """The result of a check.
+
+    Attributes:
+        problems: what is wrong, a line each; empty for a good set.
+        images: number of images.
+        markers: number of labelled markers in them; 0 if the tables cannot be read.
+        agreement: how the detector agrees with the truth; None if the tables cannot be read.
+    """
 
     problems: list[str]
     images: int
@@ -45,23 +57,25 @@ class Verdict:
 
 
 def check_dataset(path: Path, *, sample: int = 24) -> Verdict:
-    """Check all files of a set, and the pixels of so many images, evenly spread.
+    """Check all files of a set, and truth and pixels of `sample` images, evenly spread over it.
 
     Raises:
-        InputError: the folder is not that of a data set.
+        InputError: the folder is not that of a labelled image set.
     """
     folder = open_folder(path)
     try:
         dataset = read_dataset(path)
     except InputError as error:
-        return Verdict([str(error)], folder.spec.images, 0, None)
+        return Verdict(problems=[str(error)], images=folder.spec.images, markers=0, agreement=None)
     problems = [*_check_images(dataset), *_check_coco(folder, dataset), *_check_yolo(folder, dataset)]
     count = min(sample, len(dataset))
     chosen = [int(k) for k in np.arange(count) * len(dataset) // max(count, 1)]
     if same_version(path):
         problems += _check_seed(dataset, chosen)
     agreement, doubts = look([dataset[k] for k in chosen], dataset.spec.markers.dictionary)
-    return Verdict(problems + doubts, len(dataset), dataset.markers, agreement)
+    return Verdict(
+        problems=problems + doubts, images=len(dataset), markers=dataset.markers, agreement=agreement
+    )
 
 
 def _check_images(dataset: Dataset) -> Iterator[str]:

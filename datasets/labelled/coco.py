@@ -15,6 +15,8 @@ from skyherd.datasets.labelled.labels import KEYPOINTS, OUTSIDE, Labels
 from skyherd.datasets.labelled.outlines import area, bounding_box, visible_outline
 
 Json = dict[str, Any]
+"""A JSON object."""
+"""A JSON object."""
 
 CATEGORY = {
     "id": 1,
@@ -23,9 +25,12 @@ CATEGORY = {
     "keypoints": list(KEYPOINTS),
     "skeleton": [[1, 2], [2, 3], [3, 4], [4, 1], [5, 1], [5, 2]],
 }
-"""One category; which marker it is, is an annotation's `marker_id`."""
+"""The only category. Which marker it is, is in an annotation's `marker_id`; keypoints of the skeleton count
+from 1."""
 
 DIGITS = 6
+"""Decimals of places, px. *Chosen*: a millionth of a pixel, a hundredth of what the truth table is checked
+to."""
 
 
 def coco_text(description: str, size_px: tuple[int, int], images: Sequence[tuple[int, str, Labels]]) -> str:

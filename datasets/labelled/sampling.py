@@ -1,4 +1,4 @@
-"""Scenes drawn at random from a spec: each from seed and number alone.
+"""Draws scenes at random from a spec, each from seed and number alone.
 
 Streams of random numbers are `[seed, use, number]`, so that an image is the same whoever makes it, and when.
 """
@@ -18,21 +18,28 @@ from skyherd.render import Camera, CameraPose, Motion, homography_image_ground, 
 from skyherd.render.camera.camera import undistort
 
 CAMERA, IMAGE, NOISE = range(3)
-"""Uses of random numbers."""
+"""Streams of random numbers: of a camera, of an image's scene, of its noise and clutter. *Chosen*: any
+different numbers; others would be other sets."""
 
 EXPOSURE_S = 0.01
+"""Exposure of images with motion blur, s. *Chosen*: the streak's length is asked for, and the camera's speed
+follows, so that the exposure cancels."""
+
 CANDIDATES = 60
-"""Places that are tried for each marker."""
+"""Random places tried for each marker. *Chosen*: fills images well; with fewer, more markers find no room."""
 
 
 def station_number(spec: DatasetSpec, index: int) -> int:
-    """Which camera takes an image."""
+    """Number of the camera that takes an image, given by its own number."""
     return int(np.random.default_rng([spec.seed, IMAGE, index]).integers(spec.cameras))
 
 
 @lru_cache(maxsize=64)
 def make_station(spec_json: str, number: int) -> Station:
-    """Draw one of the cameras of a set, given as JSON, and its ground."""
+    """Draw one of the cameras of a set and the ground under it.
+
+    The spec is given as JSON, by which the last 64 stations are kept.
+    """
     spec = DatasetSpec.model_validate_json(spec_json)
     rng = np.random.default_rng([spec.seed, CAMERA, number])
     lens = {name: draw_number(rng, span) for name, span in spec.camera.distortion}
@@ -53,11 +60,13 @@ def make_station(spec_json: str, number: int) -> Station:
     else:
         kind = model.kinds[choice]
         ground = GroundModel(kind=kind, tile_m=tile_m if kind == "tiles" else None, **level)
-    return Station(number, camera, psf_px, ground, int(rng.integers(2**31)))
+    return Station(
+        number=number, camera=camera, psf_px=psf_px, ground=ground, ground_seed=int(rng.integers(2**31))
+    )
 
 
 def make_scene(spec: DatasetSpec, index: int) -> Scene:
-    """Draw the scene of one image."""
+    """Draw the scene of one image of a set, given by its number."""
     rng = np.random.default_rng([spec.seed, IMAGE, index])
     station = make_station(spec.model_dump_json(), int(rng.integers(spec.cameras)))
     pose = _draw_pose(spec, station, rng)
@@ -99,7 +108,9 @@ def _draw_pose(spec: DatasetSpec, station: Station, rng: np.random.Generator) ->
     height_m = camera.focal_length_px * camera.aspect**0.5 / side_px * np.cos(tilt) ** 1.5
     x, y = rng.uniform(-20, 20, 2)
     about = (float(tilt * np.cos(toward)), float(tilt * np.sin(toward)))
-    return CameraPose((float(x), float(y)), float(height_m), float(yaw), about)
+    return CameraPose(
+        position_m=(float(x), float(y)), height_m=float(height_m), yaw_rad=float(yaw), tilt_rad=about
+    )
 
 
 def _draw_sensor(model: SensorSpec, psf_px: float, rng: np.random.Generator) -> SensorModel:

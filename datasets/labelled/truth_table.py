@@ -21,11 +21,26 @@ from skyherd.geometry import Array
 from skyherd.inspection.table import CORNERS
 
 VISIBILITIES = [f"visibility_{name}" for name in KEYPOINTS]
+"""Columns with the visibility of each keypoint."""
+
+"""Columns with the visibility of each keypoint."""
+
 BOUNDS = ["crb_std_u_px", "crb_std_v_px", "crb_std_heading_deg"]
+"""Columns with the least standard deviations (Cramér–Rao)."""
+
+"""Columns with the least standard deviations (Cramér–Rao)."""
+
 NUMBERS = ["u_px", "v_px", "heading_deg", "side_px", *CORNERS, "visible_fraction", *VISIBILITIES, *BOUNDS]
+"""Columns with numbers, in the order of `label_table`."""
+
 TRUTH_COLUMNS = ["image", "id", *NUMBERS]
+"""All columns of `truth.csv`."""
+
+DIGITS = 9
+"""Decimals of the numbers of `images.csv`. *Chosen*: as those of labels."""
 
 Row = dict[str, Any]
+"""Values of a row by column."""
 
 
 def label_table(labels: Labels) -> Array:
@@ -57,7 +72,7 @@ def _plain(value: float) -> float | int:
 
 
 def image_row(image: str, split: str, scene: Scene) -> Row:
-    """The row of an image."""
+    """The row of `images.csv` for an image: all that it was made with."""
     station, pose, sensor, camera = scene.station, scene.pose, scene.sensor, scene.camera
     matrix = camera.intrinsic_matrix()
     row = {
@@ -89,12 +104,13 @@ def image_row(image: str, split: str, scene: Scene) -> Row:
         "occluders": len(scene.occluders),
     }
     return {
-        name: round(float(value), 9) if isinstance(value, float) else value for name, value in row.items()
+        name: round(float(value), DIGITS) if isinstance(value, float) else value
+        for name, value in row.items()
     }
 
 
 def table_text(rows: Iterable[Mapping[str, Any]], columns: Iterable[str]) -> str:
-    """Rows as CSV, every digit kept."""
+    """The text of a CSV file with these rows and columns; numbers keep every digit."""
     stream = io.StringIO()
     writer = csv.DictWriter(stream, list(columns), lineterminator="\n")
     writer.writeheader()
@@ -103,7 +119,11 @@ def table_text(rows: Iterable[Mapping[str, Any]], columns: Iterable[str]) -> str
 
 
 def read_table(path: Path, needed: Iterable[str]) -> list[dict[str, str]]:
-    """Rows of a CSV; InputError if it cannot be read or a column is not there."""
+    """Rows of a CSV file, as texts by column.
+
+    Raises:
+        InputError: it cannot be read, or a column of `needed` is not there.
+    """
     try:
         with path.open(encoding="utf-8", newline="") as stream:
             reader = csv.DictReader(stream, strict=True)
@@ -119,7 +139,7 @@ def read_table(path: Path, needed: Iterable[str]) -> list[dict[str, str]]:
 
 
 def read_labels(path: Path) -> dict[str, Labels]:
-    """Labels of each image that has any, from `truth.csv`.
+    """Read the labels of each image that has any, by the image's name, from `truth.csv`.
 
     Raises:
         InputError: it cannot be read, or a value is no number.
@@ -136,7 +156,7 @@ def read_labels(path: Path) -> dict[str, Labels]:
 
 
 def no_labels() -> Labels:
-    """Labels of an image without a marker."""
+    """The labels of an image without a marker."""
     return _labels(np.zeros((0, 1 + len(NUMBERS))))
 
 

@@ -11,13 +11,13 @@ from skyherd.datasets.labelled.labels import KEYPOINTS, OUTSIDE, Labels
 from skyherd.datasets.labelled.outlines import bounding_box, visible_outline
 
 CLASS = 0
-"""Number of the only class, `marker`, in `data.yaml`."""
+"""Number of the only class, `marker`. *Derived*: classes count from 0 in `data.yaml`."""
 
 DIGITS = 9
 """Decimals of places, which are shares of the image's size. *Chosen*: 1e-6 px in the largest image."""
 
 FLIPPED = (1, 0, 3, 2, 4)
-"""Keypoints of a marker's mirror image."""
+"""Which keypoint each becomes in a mirror image. *Derived*: left and right change places."""
 
 
 def yolo_text(labels: Labels, size_px: tuple[int, int]) -> str:

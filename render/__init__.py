@@ -2,7 +2,7 @@
 
 `Renderer` draws a grey image: textured ground with clutter, marker cards and occluders, seen through lens and
 shutter, and made noisy by the sensor. `project_markers` and `Renderer.truth` say where each marker is in the
-same image. Nothing here knows of detectors or controllers.
+same image. Nothing here depends on detectors or controllers.
 
 Rendering is exact, not supersampled. Each pixel sums, in closed form, the steps of grey at the few lines of a
 card's grid that reach it, by their distances in the image (`skyherd.render.raster.lattice`). How far a line

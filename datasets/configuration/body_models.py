@@ -59,6 +59,8 @@ class AvoidanceModel(Model):
     )
     margin_sides: NotNegative = Field(0.2, description="marker sides; gap that is kept between two bodies")
     horizon_sides: Positive = Field(
-        8.0, description="marker sides; largest gap between bodies of which robots are told"
+        8.0, description="marker sides; largest gap to a body that units send to a robot"
     )
-    lifetime_s: Positive = Field(2.0, description="s; after this a robot forgets what it was told of a body")
+    lifetime_s: Positive = Field(
+        2.0, description="s; after this a robot forgets what was sent to it of a body"
+    )

@@ -27,7 +27,7 @@ class DistortionModel(Model):
 
 
 class CameraModel(Model):
-    """A camera; the controller is told nothing of this but the image's size."""
+    """A camera: size of its image, intrinsics and lens. The controller gets the image's size alone."""
 
     preset: str | None = Field(
         None, description=f"camera to begin with, which the other keys change: {', '.join(CAMERAS)}"

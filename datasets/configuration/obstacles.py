@@ -1,7 +1,7 @@
 """Checks the obstacles of a scenario.
 
 Obstacles are round bodies with markers that never move. They are rendered and detected like robots, and stand
-in no template: that is how the controller tells them from robots.
+in no template: this is how the controller distinguishes them from robots.
 """
 
 from collections.abc import Sequence

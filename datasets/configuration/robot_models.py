@@ -68,7 +68,7 @@ class RobotsModel(Model):
     )
     scatter: ScatterModel | None = Field(None, description="a random start, in place of positions_m")
     count: Annotated[int, Field(ge=2, le=10_000)] | None = Field(
-        None, description="number of robots, where neither positions, ids nor points tell it"
+        None, description="number of robots, where it does not follow from positions, ids or points"
     )
     ids: list[MarkerId] | None = Field(None, description="marker of each robot; 0, 1, … if left out")
     max_speed_mps: Positive = Field(1.0, description="m/s; limit on the speed |v|")

@@ -71,7 +71,7 @@ class UnitModel(Model):
         Annotated[FiniteFloat, Field(ge=-45, le=45)], Annotated[FiniteFloat, Field(ge=-45, le=45)]
     ] = Field((0.0, 0.0), description="deg; constant tilt about the camera's u and v axes")
     sway: SwayModel | None = Field(None, description="how it sways; it hangs still if left out")
-    camera: CameraModel = Field(description="its camera, of which control is told the image size alone")
+    camera: CameraModel = Field(description="its camera, of which the controller gets the image size alone")
     zoom: list[tuple[NotNegative, Positive]] = Field(
         default=[(0.0, 1.0)],
         min_length=1,

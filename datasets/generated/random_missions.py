@@ -249,9 +249,8 @@ def _robots(
         for _ in range(PLACE_TRIES):
             if count == 0:
                 return True
-            at = centers[units[0]] + radii_m[units[0]] * np.sqrt(rng.random()) * np.exp(
-                2j * np.pi * rng.random()
-            )
+            away_m = radii_m[units[0]] * np.sqrt(rng.random())
+            at = centers[units[0]] + away_m * np.exp(2j * np.pi * rng.random())
             inside = all(abs(at - centers[unit]) < radii_m[unit] for unit in units)
             if inside and all(abs(at - other) > 3 * SIDE_M for other in places):
                 places.append(at)
@@ -266,11 +265,8 @@ def _robots(
     total = crowd.units * crowd.robots_a_unit + extra
     if len(places) > total:
         return None
-    return (
-        np.array(places)
-        if all(put(1, [int(rng.integers(crowd.units))]) for _ in range(total - len(places)))
-        else None
-    )
+    placed = all(put(1, [int(rng.integers(crowd.units))]) for _ in range(total - len(places)))
+    return np.array(places) if placed else None
 
 
 def _template(rng: np.random.Generator, robots: ComplexArray) -> ComplexArray | None:

@@ -181,5 +181,5 @@ def _repainted(image: LabelledImage, scene: Scene) -> bool:
     try:
         found, wanted = image.read(), scene.render(Path())
     except InputError:
-        return False  # told elsewhere
+        return False  # `_check_images` complains of it
     return found.shape == wanted.shape and float(cv2.absdiff(found, wanted).mean()) > PIXEL_TOLERANCE

@@ -40,7 +40,7 @@ def _line(labels: Labels, k: int, size_px: tuple[int, int]) -> str:
 def folder_yaml(folder: Folder) -> str:
     """`data.yaml`: the folders of images, from where it lies, and the keypoints.
 
-    Where a split has no image, the other is named twice: trainers want both.
+    Where a split has no image, the other is named twice, since YOLO's trainers refuse a set without both.
     """
     splits = folder.splits()
     return (

@@ -9,8 +9,8 @@ With a focal length of f px a ray is therefore seen f θ px from the principal p
 with the first coefficient alone).
 
 A lens is a map of rays: `apply`, `remove` and `jacobian`, `at` a zoom, `turn`, and whether it bends at all.
-This class and `skyherd.render.camera.lens.Distortion` both have these, so that markers, ground and truth know
-neither of them by name.
+This class and `skyherd.render.camera.lens.Distortion` both have these, so that markers, ground and truth work
+with either of them.
 """
 
 from dataclasses import dataclass

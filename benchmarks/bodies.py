@@ -28,9 +28,16 @@ import numpy as np
 from rows import Row, gather, read_rows
 
 from skyherd.analysis.shortest_paths import shortest_path
-from skyherd.datasets import Mission, make_mission
-from skyherd.datasets.generated.crowded_missions import SHAPE_SPACING, crowded_mission
-from skyherd.datasets.generated.random_missions import BODY_SIDES, Crowd, legible, random_mission
+from skyherd.datasets import (
+    BODY_SIDES,
+    SHAPE_SPACING,
+    Crowd,
+    Mission,
+    crowded_mission,
+    legible,
+    make_mission,
+    random_mission,
+)
 from skyherd.drawing.palette import INK, unit_color
 from skyherd.geometry import to_complex
 from skyherd.loop import Step, run_steps

@@ -11,8 +11,7 @@ from time import perf_counter
 import numpy as np
 
 from skyherd.control import Delivery
-from skyherd.datasets import make_mission
-from skyherd.datasets.generated.crowded_missions import crowded_mission
+from skyherd.datasets import crowded_mission, make_mission
 from skyherd.sim.agents import make_controller, make_team
 from skyherd.sim.perception import make_perception
 from skyherd.sim.world import World

@@ -17,8 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from skyherd.datasets import Mission, load_mission, make_mission
-from skyherd.datasets.configuration.mission import read_scenario
+from skyherd.datasets import Mission, load_mission, make_mission, read_scenario
 from skyherd.study.cluster import open_client, run_missions
 from skyherd.study.plan import mission_key
 from skyherd.study.store import Store, open_store

@@ -19,8 +19,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from skyherd.control import laplacian, slowest_rate
-from skyherd.datasets import Mission, make_mission
-from skyherd.datasets.generated.random_missions import star_mission
+from skyherd.datasets import Mission, make_mission, star_mission
 from skyherd.geometry import Array, BoolArray, ComplexArray, IntArray, to_complex
 from skyherd.render import project
 from skyherd.sim.truth_metrics import fit_shape

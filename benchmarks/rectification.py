@@ -29,16 +29,13 @@ import cv2
 import numpy as np
 
 from skyherd.control import Rectifier
-from skyherd.datasets import Mission, load_mission, make_mission
-from skyherd.datasets.configuration.cameras import CAMERAS
-from skyherd.datasets.configuration.scene_models import CameraModel
+from skyherd.datasets import CAMERAS, CameraModel, Mission, load_mission, make_mission
 from skyherd.errors import InputError
 from skyherd.geometry import Array, ComplexArray, apply_homography, inverse, to_complex, to_points
 from skyherd.loop import Step, run_steps
 from skyherd.markers.dictionary import card_side
 from skyherd.messages import Detections
-from skyherd.render import Camera, CameraPose, homography_image_ground, project_markers
-from skyherd.render.camera.camera import undistort
+from skyherd.render import Camera, CameraPose, homography_image_ground, project_markers, undistort
 from skyherd.sim.perception import ProjectedPerception, RenderedPerception
 from skyherd.sim.world import World
 from skyherd.study.plan import mission_key

@@ -30,8 +30,7 @@ import numpy as np
 from rows import gather, read_rows
 
 from skyherd.control import slowest_rate
-from skyherd.datasets import Mission, make_mission
-from skyherd.datasets.generated.random_missions import legible, random_crowd, random_mission, star_mission
+from skyherd.datasets import Mission, legible, make_mission, random_crowd, random_mission, star_mission
 from skyherd.loop import Step, run_steps
 
 GOAL = 0.01

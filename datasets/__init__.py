@@ -1,26 +1,136 @@
-"""Formation shapes, scenarios, and labelled image sets."""
+"""What runs are made of: formation shapes, scenario files, and labelled image sets.
 
+Four parts, of which this facade exports all that the rest of the package uses:
+
+- `configuration`: scenario files, checked key by key, and the `Mission` that a scenario becomes.
+- `shapes`: named formation shapes, and words written by robots.
+- `generated`: random missions for benchmarks and tests.
+- `labelled`: image sets with exact labels, made, read and checked.
+
+Names of `generated`, and those of `labelled` that make and check sets, are loaded when they are first asked
+for: they need matplotlib and process pools, which a run does without.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from skyherd.datasets.configuration.body_models import SizeModel
+from skyherd.datasets.configuration.camera_models import CameraModel
+from skyherd.datasets.configuration.cameras import CAMERAS
+from skyherd.datasets.configuration.fields import Model
 from skyherd.datasets.configuration.mission import (
     Mission,
+    ScenarioSource,
     load_mission,
     make_mission,
+    read_scenario,
     scenario_names,
     scenario_text,
 )
-from skyherd.datasets.configuration.models import Scenario
+from skyherd.datasets.configuration.models import AutopilotModel, NetworkModel, Scenario, SelectionModel
+from skyherd.datasets.configuration.robot_models import DriveModel, RobotsModel, ScatterModel
+from skyherd.datasets.configuration.toml_files import (
+    built_in_names,
+    built_in_text,
+    first_error,
+    get_value,
+    parse_toml,
+    put_value,
+    read_text,
+)
+from skyherd.datasets.configuration.unit_models import FlightModel, UnitModel
+from skyherd.datasets.labelled.ranges import draw_integer, draw_number
 from skyherd.datasets.labelled.read import Dataset, LabelledImage, read_dataset
+from skyherd.datasets.labelled.spec import DatasetSpec, SpecFile, load_spec, spec_names, spec_text
 from skyherd.datasets.shapes.shapes import SHAPES, shape_points
 
+if TYPE_CHECKING:
+    from skyherd.datasets.generated.crowded_missions import SHAPE_SPACING, crowded_mission
+    from skyherd.datasets.generated.random_missions import (
+        BODY_SIDES,
+        Crowd,
+        legible,
+        random_crowd,
+        random_mission,
+        star_mission,
+    )
+    from skyherd.datasets.labelled.check import Verdict, check_dataset
+    from skyherd.datasets.labelled.make import make_dataset
+    from skyherd.datasets.labelled.preview import draw_preview
+else:
+    _LOADED_LATER = {
+        "BODY_SIDES": "generated.random_missions",
+        "Crowd": "generated.random_missions",
+        "SHAPE_SPACING": "generated.crowded_missions",
+        "Verdict": "labelled.check",
+        "check_dataset": "labelled.check",
+        "crowded_mission": "generated.crowded_missions",
+        "draw_preview": "labelled.preview",
+        "legible": "generated.random_missions",
+        "make_dataset": "labelled.make",
+        "random_crowd": "generated.random_missions",
+        "random_mission": "generated.random_missions",
+        "star_mission": "generated.random_missions",
+    }
+    """Modules of the names that are loaded when they are first asked for."""
+
+    def __getattr__(name: str) -> Any:
+        """A name of `_LOADED_LATER` (PEP 562)."""
+        if name not in _LOADED_LATER:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        return getattr(import_module(f"{__name__}.{_LOADED_LATER[name]}"), name)
+
+
 __all__ = [
+    "BODY_SIDES",
+    "CAMERAS",
     "SHAPES",
+    "SHAPE_SPACING",
+    "AutopilotModel",
+    "CameraModel",
+    "Crowd",
     "Dataset",
+    "DatasetSpec",
+    "DriveModel",
+    "FlightModel",
     "LabelledImage",
     "Mission",
+    "Model",
+    "NetworkModel",
+    "RobotsModel",
+    "ScatterModel",
     "Scenario",
+    "ScenarioSource",
+    "SelectionModel",
+    "SizeModel",
+    "SpecFile",
+    "UnitModel",
+    "Verdict",
+    "built_in_names",
+    "built_in_text",
+    "check_dataset",
+    "crowded_mission",
+    "draw_integer",
+    "draw_number",
+    "draw_preview",
+    "first_error",
+    "get_value",
+    "legible",
     "load_mission",
+    "load_spec",
+    "make_dataset",
     "make_mission",
+    "parse_toml",
+    "put_value",
+    "random_crowd",
+    "random_mission",
     "read_dataset",
+    "read_scenario",
+    "read_text",
     "scenario_names",
     "scenario_text",
     "shape_points",
+    "spec_names",
+    "spec_text",
+    "star_mission",
 ]

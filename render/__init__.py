@@ -1,6 +1,25 @@
-"""World to pixels: cameras, markers, ground, sensor, and the truth about each image."""
+"""World to pixels: images of a team of marked robots from above, and the exact truth about them.
 
-from skyherd.render.camera.camera import Camera, CameraPose, footprint_m, homography_image_ground, project
+`Renderer` draws a grey image: textured ground with clutter, marker cards and occluders, seen through lens and
+shutter, and made noisy by the sensor. `project_markers` and `Renderer.truth` say where each marker is in the
+same image. Nothing here depends on detectors or controllers.
+
+Rendering is exact, not supersampled. Each pixel sums, in closed form, the steps of grey at the few lines of a
+card's grid that reach it, by their distances in the image (`skyherd.render.raster.lattice`). How far a line
+reaches, through lens blur and square pixels, is one table (`skyherd.render.raster.edge`). Tilt, perspective,
+lens and rolling shutter only change where a pixel lies on the card and how far each line is from it. Nothing
+is filtered or resampled. Against an independent reference (`tests/helpers/reference.py`, supersampled) the
+worst pixel is off by 0.2 grey levels of 200, and the root mean square is under 0.04.
+"""
+
+from skyherd.render.camera.camera import (
+    Camera,
+    CameraPose,
+    footprint_m,
+    homography_image_ground,
+    project,
+    undistort,
+)
 from skyherd.render.camera.fisheye import Equidistant
 from skyherd.render.camera.lens import Distortion
 from skyherd.render.camera.motion import Motion, Shutter
@@ -33,4 +52,5 @@ __all__ = [
     "project",
     "project_markers",
     "project_team",
+    "undistort",
 ]

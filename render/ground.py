@@ -1,4 +1,8 @@
-"""The ground: a periodic texture, band-limited at every scale it is seen at, with clutter on it."""
+"""The ground: a periodic texture, band-limited at every scale it is seen at, with clutter on it.
+
+A texture is kept at several resolutions, each low-passed by the image's own blur at that resolution, so that
+drawing it by one warp per image does not alias. What a camera that stands still sees is kept and copied.
+"""
 
 from collections import deque
 from typing import Literal
@@ -17,23 +21,34 @@ Image = npt.NDArray[np.uint8]
 
 GroundKind = Literal["plain", "concrete", "tiles", "image"]
 KINDS: tuple[GroundKind, ...] = ("plain", "concrete", "tiles", "image")
+"""Kinds of ground: one grey level, noise with a 1/f spectrum, square tiles, or a repeated picture."""
 
-FINEST, COARSEST = PERIOD, 2
+FINEST = PERIOD
+"""Samples along a period of the finest texture. *Derived*: that in which textures are made."""
+
+COARSEST = 2
+"""Samples along a period of the coarsest texture. *Derived*: the least number that has a spectrum to cut."""
+
+SAMPLES_PER_PX = 1.2
+"""Samples of the texture that the image's pixels ask for, before rounding down to a power of two. *Chosen*:
+between 0.6 and 1.2 samples a pixel; fewer blur the ground, more cost memory, and are hidden by the image's
+own blur."""
+
 KEPT = 6
-"""Drawn grounds that are kept: those of so many cameras that stand still."""
+"""Drawn grounds that are kept. *Chosen*: those of so many cameras that stand still; each is as large as an
+image."""
 
 VIEW_SAMPLES = 2000
-"""Textures are laid side by side until a view of so many samples fits: wrapping costs six times as much."""
+"""Textures are laid side by side until a view of so many samples fits. *Chosen*: larger than usual images; a
+warp that has to wrap costs six times as much."""
 
 AFFINE = 1e-12
-"""Last rows whose first two entries are smaller than this, relative to the third, are affine."""
+"""Homographies whose last row differs from (0, 0, 1) by less are drawn as affine, which costs less.
+*Derived*: over images of 1e4 px this moves a sample by 1e-4 px at most."""
 
 
 class Ground:
     """Endless textured ground, drawn by one warp per image.
-
-    A texture is kept at several resolutions, each low-passed by the image's own blur at that resolution, so
-    that drawing it does not alias. What a camera that stands still sees is kept.
 
     Args:
         seed: of the texture.
@@ -44,6 +59,10 @@ class Ground:
         sigma_px: blur of lens and pixel, in image pixels.
         image: grey picture (height, width) for the kind `image`, repeated, its upper edge to the north.
         clutter: dark quadrilaterals that lie on it.
+
+    Raises:
+        InputError: there is no such kind, or an image is given without the kind `image` or the other way
+            round.
     """
 
     def __init__(
@@ -78,7 +97,12 @@ class Ground:
         self._drawn: dict[bytes, Image] = {}
 
     def draw(self, homography: Array, size_px: tuple[int, int]) -> Image:
-        """Ground seen through `homography` (ground metres to pixels), as an image (height, width)."""
+        """The texture as a pinhole camera sees it, without clutter: grey levels (height, width).
+
+        Args:
+            homography: (3, 3) from ground metres to pixels.
+            size_px: width and height of the image.
+        """
         if self.kind == "plain":
             return np.full(size_px[::-1], round(self.mean), dtype=np.uint8)
         key = homography.tobytes() + bytes(str(size_px), "ascii")
@@ -93,7 +117,11 @@ class Ground:
         return drawn
 
     def draw_bent(self, images: ShapeImages) -> Image:
-        """Ground as `images` have it, through lens and rolling shutter: by one look-up a pixel."""
+        """The texture as seen through lens and rolling shutter: grey levels (height, width).
+
+        `images` are those of the ground itself, in metres (`View.ground`). Each pixel looks up its own
+        sample.
+        """
         width, height = size = images.camera.size_px
         if self.kind == "plain":
             return self.draw(np.eye(3), size)
@@ -118,7 +146,7 @@ class Ground:
         image_ground = inverse(homography)
         center = image_ground @ [width / 2, height / 2, 1.0]
         scale = _local_scale(homography, center[:2] / center[2])
-        wanted = 1.2 * scale * float(np.sqrt(self.period_m.prod()))
+        wanted = SAMPLES_PER_PX * scale * float(np.sqrt(self.period_m.prod()))
         samples = COARSEST
         while 2 * samples <= min(wanted, FINEST):
             samples *= 2

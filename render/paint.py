@@ -1,4 +1,8 @@
-"""Lays flat shapes over an image: grids of cells, and discs."""
+"""Lays flat shapes over an image: grids of grey cells, such as marker cards, and discs.
+
+Each pixel keeps what the shape does not cover of it: `F + (1 - A) background`, with F the shape's light that
+the pixel gathers and A the share of the pixel that it covers.
+"""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -14,18 +18,33 @@ from skyherd.render.raster.spans import cover
 from skyherd.render.view import ShapeImages
 
 Canvas = npt.NDArray[np.uint8] | Float
+"""An image (height, width) that is drawn on: grey levels of 8 bits, or light as float32."""
 
 CHUNK_PX = 50_000
-"""Pixels worked on at a time: what is computed on them stays in cache."""
+"""Pixels worked on at a time. *Chosen*: the arrays computed on them, some 200 KB each, stay in cache; larger
+ones wait for memory, smaller ones for Python."""
 
 RING: Array = 1.0824 * np.exp(2j * np.pi * (np.arange(8) + 0.5) / 8).view(float).reshape(8, 2)
-"""Corners (8, 2) of an octagon around the unit circle."""
+"""Corners (8, 2) of an octagon around the unit circle. *Derived*: its corners lie just beyond `1 / cos(π / 8)
+= 1.08239`, so that its sides do not cut the circle."""
+
+MIDDLE = 1e-6
+"""Least distance of a pixel from a disc's centre, in radii. *Chosen*: there the direction outwards is not
+defined, and the disc is far from its edge anyhow."""
+
+LEAST_SPREAD = 1e-12
+"""Least variance of an edge's blur across a disc's radius, in squared radii. *Chosen*: keeps a division from
+zero where a pixel lies in the disc's centre; it is far below a pixel of any image."""
 
 
 def paint_lattices(canvas: Canvas, images: ShapeImages, lattices: Lattices, spread: EdgeSpread) -> None:
-    """Lay grids of cells over the canvas, each over those before it.
+    """Lay grids of grey cells over the canvas, in place, each over those before it.
 
-    `images` take (column, row), from 0 to m, to pixels.
+    Args:
+        canvas: the image drawn on.
+        images: of the grids; they take (column, row), from 0 to the number of cells, to pixels.
+        lattices: the grids' grey levels.
+        spread: how lens and pixel spread an edge.
     """
     m = float(lattices.cells)
     corners = np.array([[0.0, 0.0], [m, 0.0], [m, m], [0.0, m]])
@@ -35,19 +54,19 @@ def paint_lattices(canvas: Canvas, images: ShapeImages, lattices: Lattices, spre
 
 
 def paint_discs(canvas: Canvas, images: ShapeImages, levels: Array, spread: EdgeSpread) -> None:
-    """Lay discs of grey `levels` (N,) over the canvas; `images` take the unit disc to pixels.
+    """Lay discs of grey `levels` (N,) over the canvas, in place; `images` take the unit disc to pixels.
 
     Their edge is taken as straight, and for its curvature moved inwards by `σ² / 2 R`, which leaves the disc
     its area: right where it is much larger than the blur.
     """
     for pixels in _pixels(images, RING, spread):
         x, y = pixels.x, pixels.y
-        radius = np.maximum(np.hypot(x.at, y.at), 1e-6)
+        radius = np.maximum(np.hypot(x.at, y.at), MIDDLE)
         across_x, across_y = x.at / x.sharpness, y.at / y.sharpness
         square = across_x**2 + across_y**2
         if pixels.corner is not None:
             square += 2 * pixels.corner.correlation * across_x * across_y
-        sigma = np.sqrt(np.maximum(square, 1e-12)) / radius
+        sigma = np.sqrt(np.maximum(square, LEAST_SPREAD)) / radius
         distance = (1 - radius) / sigma - sigma / 2
         place = np.clip(distance, -REACH, REACH) * np.float32(PER_SIGMA) + x.table_start
         covered = spread.table.take(place.astype(np.intp))

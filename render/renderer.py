@@ -1,12 +1,15 @@
-"""World to pixels: marker cards on textured ground, through a camera, onto a noisy sensor."""
+"""Draws images: marker cards on textured ground, through a camera, onto a noisy sensor.
+
+Drawn in this order, each over what was before it: ground, clutter, markers, occluders. Motion blur is the
+mean of sharp images over the exposure.
+"""
 
 from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
 
-from skyherd.geometry import UNIFORM_VARIANCE, Array, IntArray, apply_homography, inverse
-from skyherd.markers.cramer_rao import pose_covariances
+from skyherd.geometry import Array, IntArray, apply_homography, inverse
 from skyherd.markers.dictionary import card_side, cells_per_side, marker_cells
 from skyherd.render.camera.camera import Camera, CameraPose
 from skyherd.render.camera.motion import INSTANT, STILL, Motion, Shutter
@@ -20,14 +23,20 @@ from skyherd.render.truth import FrameTruth, moving_markers, project_markers
 from skyherd.render.view import View
 
 Image = npt.NDArray[np.uint8]
+"""Grey levels (height, width)."""
+
 Light = npt.NDArray[np.float32]
+"""What falls on the sensor, in grey levels, (height, width)."""
 
 MOST_INSTANTS = 64
-"""Motion blur is the mean of so many sharp images at most."""
+"""Sharp images at most whose mean is a blurred one. *Chosen*: right for streaks of up to 120 standard
+deviations of blur, some 100 px; longer ones show steps."""
 
 
 class Renderer:
-    """Draws a team of marked robots as a camera would see it.
+    """Draws a team of marked robots as a camera would see it, and tells where each marker is.
+
+    The same renderer serves many cameras; pose, robots, motion and occluders are given for each image.
 
     Args:
         dictionary: marker dictionary, such as `4X4_50`.
@@ -70,7 +79,20 @@ class Renderer:
         motion: Motion = STILL,
         occluders: Sequence[Occluder] = (),
     ) -> Image:
-        """Grey image (height, width) of robots `ids` (N,) at positions (N, 2) with headings (N,)."""
+        """Draw the image that a camera takes.
+
+        Args:
+            camera: intrinsics and lens.
+            pose: where the camera is in the middle of the exposure of the middle row.
+            ids: (N,) markers of the dictionary.
+            positions_m: (N, 2) places of the markers' centres on the ground.
+            headings_rad: (N,) their forward directions, counter-clockwise from +x.
+            motion: velocities of camera and robots; they matter only with an exposure or a row time.
+            occluders: what lies over markers, each over those before it.
+
+        Returns:
+            Grey levels (height, width), with the sensor's noise, which differs from call to call.
+        """
         team = (ids, positions_m, headings_rad)
         if self.sensor.linear and not self.shutter.exposure_s:
             view = View(camera, pose, motion, self.shutter)
@@ -88,7 +110,9 @@ class Renderer:
         motion: Motion = STILL,
         occluders: Sequence[Occluder] = (),
     ) -> Light:
-        """What falls on the sensor, grey levels (height, width): no noise, nothing rounded but the texture.
+        """Draw what falls on the sensor: `render` without the sensor, in grey levels (height, width).
+
+        Nothing is rounded but the ground's texture.
 
         Motion blur is the mean over the exposure, by Gauss-Legendre quadrature with a sharp image for every
         two standard deviations of blur that anything moves, and two more.
@@ -117,47 +141,27 @@ class Renderer:
         motion: Motion = STILL,
         occluders: Sequence[Occluder] = (),
     ) -> FrameTruth:
-        """Exact truth about the same image."""
+        """Exact truth about the image that `render` draws with the same arguments."""
         return project_markers(
             camera,
             pose,
             positions_m,
             headings_rad,
-            self.side_m,
-            self.side_m * card_side(self.dictionary),
+            side_m=self.side_m,
+            card_side_m=self.side_m * card_side(self.dictionary),
             ids=ids,
             motion=motion,
             shutter=self.shutter,
             occluders=occluders,
         )
 
-    def covariances(self, truth: FrameTruth) -> Array:
-        """Cramér-Rao bound (N, 3, 3) on (u px, v px, heading rad) of each marker, as if wholly seen.
-
-        At the sensor's gain and its noise at mid-grey, rounding included; uneven light and motion blur are
-        left out. NaN for a marker that is not in the image. Not part of the truth since it takes its time.
-        """
-        sensor = self.sensor
-        black, white, ground = (sensor.gain * level for level in (self.black, self.white, self.ground.mean))
-        variance = sensor.noise**2 + sensor.shot * (black + white) / 2 + UNIFORM_VARIANCE
-        seen = np.flatnonzero(truth.visible_fractions > 0)
-        covariances = np.full((len(truth.ids), 3, 3), np.nan)
-        covariances[seen] = pose_covariances(
-            self.dictionary,
-            truth.ids[seen],
-            truth.images_marker[seen],
-            psf_px=self.psf_px,
-            noise=float(np.sqrt(variance)),
-            black=black,
-            white=white,
-            ground=ground,
-        )
-        return covariances
-
     def _instants(
         self, camera: Camera, pose: CameraPose, positions_m: Array, headings_rad: Array, motion: Motion
     ) -> list[tuple[float, float]]:
-        """Instants within the exposure, s, and their weights, which sum to one."""
+        """Instants within the exposure, s, and their weights, which sum to one: nodes of Gauss and Legendre.
+
+        How many follows from the longest way, px, that a marker or a corner of the ground in view moves.
+        """
         half_s = self.shutter.exposure_s / 2
         if not half_s or motion.still:
             return [(0.0, 1.0)]

@@ -21,14 +21,23 @@ from skyherd.errors import InputError
 from skyherd.geometry import Array
 
 Image = npt.NDArray[np.uint8]
+"""Grey levels (height, width)."""
+
 Light = npt.NDArray[np.float32]
+"""Light in grey levels, or a factor on it, (height, width)."""
 
 BANK_EXTRA_PX = 256
+"""By how much a bank of normal deviates is wider and higher than the image. *Chosen*: 65 536 offsets to read
+it at, so that noise hardly repeats; more cost memory."""
+
+SHARPEST_EDGE = 1e-6
+"""Least softness of a shadow's edge, halves of the image's shorter side. *Chosen*: keeps a division from
+zero; it is far below a pixel."""
 
 
 @dataclass(frozen=True)
 class Illumination:
-    """How much of the scene's light arrives where: each part is off at 0.
+    """How much of the scene's light arrives where in the image; each part is off at 0.
 
     Attributes:
         vignetting: share of the light that the image's corners lack.
@@ -50,11 +59,11 @@ class Illumination:
 
     @property
     def even(self) -> bool:
-        """Whether all of the light arrives everywhere."""
+        """Whether all of the light arrives everywhere, so that the factor is 1."""
         return not (self.vignetting or self.gradient or self.shadow)
 
     def of(self, size_px: tuple[int, int]) -> Light:
-        """Factor (height, width) on the light, for an image of a size."""
+        """Factor (height, width) on the light, for an image of `size_px` (width, height)."""
         half = min(size_px) / 2
         u: Array
         v: Array
@@ -67,7 +76,7 @@ class Illumination:
             factor *= 1 + self.gradient / 2 * along / reach
         if self.shadow:
             into = _along(u, v, self.shadow_rad) - self.shadow_offset
-            factor *= 1 - self.shadow * ndtr(into / max(self.shadow_edge, 1e-6))
+            factor *= 1 - self.shadow * ndtr(into / max(self.shadow_edge, SHARPEST_EDGE))
         return np.asarray(factor, dtype=np.float32)
 
 
@@ -77,7 +86,7 @@ def _along(u: Array, v: Array, angle_rad: float) -> Array:
 
 
 class Sensor:
-    """Turns light into an image of 8 bits, as the module says.
+    """Turns light into an image of 8 bits by the law above (see the module).
 
     Fresh normal deviates cost more than all the rest of a frame, so that a bank is drawn once and read
     at a random offset each time.
@@ -120,7 +129,10 @@ class Sensor:
         return not self.shot and self.gain == 1 and self.illumination.even
 
     def expose(self, light: Image | Light) -> Image:
-        """The image (height, width) that the sensor makes of light, which it may change in place."""
+        """Make an image (height, width) of light (height, width), whose array it may change.
+
+        Each call draws new noise.
+        """
         if light.dtype == np.uint8 and self.linear:
             image = self._add_noise(np.asarray(light, dtype=np.uint8))
         else:

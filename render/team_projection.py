@@ -1,4 +1,9 @@
-"""Where a team's markers lie in many cameras' images at one instant: exact, without shutter or motion."""
+"""Where a team's markers lie in many cameras' images at one instant: exact, without shutter or motion.
+
+Runs without rendered images (`perception = "ideal"` or `"noisy"`) need the markers' image points alone, of
+every camera at every instant. Only robots near a camera's footprint are projected, for all cameras in one
+product of matrices, so that the work grows with what is seen, and not with cameras times robots.
+"""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -11,7 +16,8 @@ from skyherd.render.camera.camera import Camera, CameraPose, distort, homography
 from skyherd.render.truth import SQUARE, ground_markers
 
 BEYOND = 1 + 1e-9
-"""Robots on the edge of a footprint count as near it, however its corners were rounded."""
+"""Factor on the radius within which robots count as near a footprint. *Chosen*: a millionth of a millimetre
+over a metre, so that the rounding of the corners leaves out no robot that is in view."""
 
 
 @dataclass(frozen=True)
@@ -36,10 +42,19 @@ def project_team(
     side_m: float,
     card_side_m: float,
 ) -> Iterator[TeamImage]:
-    """Images of a team's markers (N), one for each view: `project_markers`, where a whole card is in view.
+    """Project a team's markers into each of many views: the markers whose whole card is in the image.
 
-    Only markers near the ground that a camera sees are projected: the work grows with what is seen, not with
-    cameras times markers.
+    The points are those of `project_markers` for the same camera and pose, without motion.
+
+    Args:
+        views: a camera and its pose for each image.
+        positions_m: (N, 2) markers' centres on the ground.
+        headings_rad: (N,) their forward directions, counter-clockwise from +x.
+        side_m: side of the black square.
+        card_side_m: side of the white card around it.
+
+    Yields:
+        One `TeamImage` a view, in their order.
     """
     if not views:
         return

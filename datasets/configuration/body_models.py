@@ -1,4 +1,4 @@
-"""Scenario keys of bodies: who takes which place, how large the shape is, how robots keep apart."""
+"""Scenario keys `roles`, `size` and `avoidance`: who takes which place, how large, how far apart."""
 
 from typing import Annotated, Self
 
@@ -11,26 +11,33 @@ from skyherd.datasets.configuration.fields import Model, NotNegative, Positive
 class RolesModel(Model):
     """Which robot takes which point of the template."""
 
-    exchange: bool = Field(False, description="units exchange the robots' places, so that ways are short")
-    period_s: Positive = Field(1.0, description="one unit at a time may exchange, for so long")
+    exchange: bool = Field(
+        False,
+        description="whether units exchange the robots' places in the shape, so that their ways are shorter",
+    )
+    period_s: Positive = Field(
+        1.0, description="s; the units take turns to exchange places, one at a time, each for so long"
+    )
     gain: Annotated[float, Field(ge=0, lt=1)] = Field(
-        0.05, description="an exchange must lower V by this share"
+        0.05, description="least share of V, the cost of the fit, by which an exchange has to lower it"
     )
     classes: list[int] | None = Field(
-        None, description="a class for each robot, by ascending id; they exchange within theirs"
+        None,
+        description="a class number for each robot, by ascending id; robots exchange places only "
+        "within a class",
     )
 
 
 class SizeModel(Model):
-    """How large the shape may be; free, as in the paper, where nothing is given."""
+    """How large the shape becomes; where nothing is given its size is free, as in the paper."""
 
     least_spacing_sides: NotNegative = Field(
-        0.0, description="least distance between two robots of the shape, in marker sides"
+        0.0, description="marker sides; least distance between two robots in the finished shape; 0 for none"
     )
     spacing_sides: Positive | None = Field(
-        None, description="wanted distance between the two nearest robots of the shape, in marker sides"
+        None, description="marker sides; wanted distance between the two nearest robots in the finished shape"
     )
-    unit_m: Positive | None = Field(None, description="wanted size, metres a template unit")
+    unit_m: Positive | None = Field(None, description="m; wanted size of one unit of the template")
 
     @model_validator(mode="after")
     def _one(self) -> Self:
@@ -40,13 +47,20 @@ class SizeModel(Model):
 
 
 class AvoidanceModel(Model):
-    """How robots keep apart; bodies are of `robots.body_radius_sides`."""
+    """How robots keep apart; their bodies have the radius `robots.body_radius_sides`."""
 
-    on: bool = Field(False, description="units tell robots of bodies near them")
+    on: bool = Field(
+        False, description="whether units send each robot the bodies near it, so that it keeps clear of them"
+    )
     detour: Detour = Field(
         "around",
-        description="a barred robot takes the best of all ways, or circles what bars it, or only stops",
+        description="what a robot does whose way is barred: the best of all ways, circling what bars it, or "
+        "only stopping",
     )
-    margin_sides: NotNegative = Field(0.2, description="bodies are kept apart by this")
-    horizon_sides: Positive = Field(8.0, description="robots hear of gaps up to this")
-    lifetime_s: Positive = Field(2.0, description="what was heard of a body is forgotten after this")
+    margin_sides: NotNegative = Field(0.2, description="marker sides; gap that is kept between two bodies")
+    horizon_sides: Positive = Field(
+        8.0, description="marker sides; largest gap to a body that units send to a robot"
+    )
+    lifetime_s: Positive = Field(
+        2.0, description="s; after this a robot forgets what was sent to it of a body"
+    )

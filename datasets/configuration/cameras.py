@@ -46,3 +46,4 @@ CAMERAS: Mapping[str, Mapping[str, Any]] = {
         "distortion": {"k1": -0.12, "k2": 0.02},
     },
 }
+"""Keys of `CameraModel` for each preset. *Chosen* to be like cameras of their kinds; none was calibrated."""

@@ -1,4 +1,4 @@
-"""Scenarios: read from TOML, checked, and turned into a template and a start."""
+"""Scenarios are read from TOML, checked, and completed into missions: with a template and a start."""
 
 import tomllib
 from collections.abc import Iterable
@@ -12,51 +12,61 @@ from pydantic import ValidationError
 
 from skyherd.bodies import Bodies
 from skyherd.control import Schedule, Template
-from skyherd.datasets.configuration.models import RobotsModel, Scenario, ShapeModel
-from skyherd.datasets.configuration.obstacles import check_obstacles, in_order, make_bodies
+from skyherd.datasets.configuration.models import Scenario, ShapeModel
+from skyherd.datasets.configuration.obstacles import check_obstacles
+from skyherd.datasets.configuration.robot_models import RobotsModel
 from skyherd.datasets.configuration.start import coincident, start_headings, start_positions
 from skyherd.datasets.configuration.template_image import read_template_image
 from skyherd.datasets.configuration.toml_files import (
     built_in_names,
     built_in_text,
     first_error,
-    parse,
+    parse_toml,
     put_value,
     read_text,
 )
 from skyherd.datasets.shapes.shapes import shape_points
 from skyherd.errors import DegenerateSetError, InputError
 from skyherd.files.images import Grey, read_grey
-from skyherd.geometry import Array, IntArray
+from skyherd.geometry import Array, IntArray, to_points
 from skyherd.markers.dictionary import dictionary_size
 from skyherd.random_streams import RunStream, generator
 from skyherd.vision import detector_names
 
 BUILT_IN = "skyherd.datasets.scenarios"
+"""Package of the built-in scenarios."""
+
+SAME_POINT = 1e-9
+"""Two points of a template count as one within this share of its extent. *Chosen*: far above rounding, and
+far below any spacing that robots could keep."""
 
 
 def scenario_names() -> list[str]:
-    """Names of the built-in scenarios."""
+    """Names of the built-in scenarios, in alphabetical order."""
     return built_in_names(BUILT_IN)
 
 
 def scenario_text(name: str) -> str:
-    """TOML text of a built-in scenario."""
+    """TOML text of a built-in scenario.
+
+    Raises:
+        InputError: there is none of that name.
+    """
     return built_in_text(BUILT_IN, name, "scenario")
 
 
 @dataclass(frozen=True)
 class Mission:
-    """A checked scenario with what follows from it: the template, and where the team starts.
+    """A checked scenario, completed: the template, and where the team starts.
 
     Attributes:
-        scenario: as given.
-        template: every robot's point, image sense.
-        ids: (N,) robots, ascending.
-        positions_m: (N, 2) start, in the order of `ids`.
-        headings_rad: (N,) start.
+        scenario: the scenario as given.
+        template: the first shape: a point for each robot, in image sense (y down).
+        ids: (N,) markers of the robots, ascending.
+        positions_m: (N, 2) start positions on the ground, in the order of `ids`.
+        headings_rad: (N,) start headings, counter-clockwise from +x.
         ground_image: grey picture (height, width) on the ground, if it has one.
-        later: (time, s, shape) of the shapes that come after the first.
+        later: time, s, and shape of each shape that comes after the first.
     """
 
     scenario: Scenario
@@ -69,43 +79,49 @@ class Mission:
 
     @cached_property
     def schedule(self) -> Schedule:
-        """The shapes to form, one after the other."""
+        """The shapes to form, each with the time at which it begins."""
         return Schedule(self.template, self.later)
 
     def shape_at(self, time_s: float, roles: IntArray) -> Template:
-        """The shape to form at a time, with the points that robots have by their roles (N,)."""
+        """The shape to form at a time, s, its points in the order that roles (N,) give to the robots."""
         shape = self.schedule.at(time_s)
         return Template(shape.ids, shape.points_px[roles])
 
     @cached_property
     def bodies(self) -> Bodies:
-        """The room that robots and obstacles take."""
-        return make_bodies(self.scenario)
+        """The round bodies of robots and obstacles."""
+        return self.scenario.make_bodies()
 
     @cached_property
     def obstacle_ids(self) -> IntArray:
-        """(K,) markers of the obstacles, ascending."""
-        return np.array([obstacle.id for obstacle in in_order(self.scenario)], dtype=np.int64)
+        """Markers (K,) of the obstacles, ascending."""
+        return np.array([obstacle.id for obstacle in self.scenario.obstacles_by_id], dtype=np.int64)
 
     @cached_property
     def obstacle_headings_rad(self) -> Array:
-        """(K,) of the obstacles' markers."""
-        return np.radians([obstacle.heading_deg for obstacle in in_order(self.scenario)])
+        """Headings (K,) of the obstacles' markers, rad, in the order of their ids."""
+        return np.radians([obstacle.heading_deg for obstacle in self.scenario.obstacles_by_id])
 
     @property
     def obstacle_positions_m(self) -> Array:
-        """(K, 2)."""
+        """Middles (K, 2) of the obstacles on the ground, m, in the order of their ids."""
         return self.bodies.obstacles_m
 
     @property
     def obstacle_radii_m(self) -> Array:
-        """(K,) of the obstacles' bodies."""
+        """Radii (K,) of the obstacles' bodies, m, in the order of their ids."""
         return self.bodies.obstacle_radii_m
 
 
 @dataclass(frozen=True)
 class ScenarioSource:
-    """A scenario as written: plain values, what to call it in a complaint, and where its pictures lie."""
+    """A scenario as it is written, not yet checked.
+
+    Attributes:
+        tree: dictionaries, lists and plain values, as in the TOML text.
+        where: what to call it in a complaint.
+        folder: the folder to which its pictures' names are relative.
+    """
 
     tree: dict[str, Any]
     where: str
@@ -116,18 +132,23 @@ def read_scenario(name_or_file: str) -> ScenarioSource:
     """Read a built-in scenario or a TOML file, without checking what it says.
 
     Raises:
-        InputError: there is none, or it is no TOML.
+        InputError: there is no such scenario or file, or it is no TOML.
     """
     path = Path(name_or_file)
     is_file = path.suffix == ".toml" or path.is_file()
     where = str(path) if is_file else f"scenario {name_or_file}"
     text = read_text(path, "scenario") if is_file else scenario_text(name_or_file)
-    tree = parse(text, where, "skyherd scenario show star")
+    tree = parse_toml(text, where, "skyherd scenario show star")
     return ScenarioSource(tree, where, path.parent if is_file else Path())
 
 
 def load_mission(name_or_file: str, settings: Iterable[str] = (), *, seed: int | None = None) -> Mission:
-    """Read and check a built-in scenario or a TOML file, with `key=value` settings put over it.
+    """Read, check and complete a built-in scenario or a TOML file.
+
+    Args:
+        name_or_file: name of a built-in scenario, or a TOML file.
+        settings: `key=value` texts put over it, such as `units.*.height_m=9`.
+        seed: put over the scenario's.
 
     Raises:
         InputError: in one line, the file, the key, the value, and what is allowed.
@@ -141,7 +162,16 @@ def load_mission(name_or_file: str, settings: Iterable[str] = (), *, seed: int |
 
 
 def make_mission(tree: dict[str, Any], *, where: str = "scenario", folder: Path | None = None) -> Mission:
-    """Check a scenario given as a tree of plain values; `folder` is where its pictures lie."""
+    """Check and complete a scenario given as a tree of plain values.
+
+    Args:
+        tree: dictionaries, lists and plain values, as in a TOML file.
+        where: what to call it in a complaint.
+        folder: the folder to which its pictures' names are relative; the working folder if None.
+
+    Raises:
+        InputError: in one line, the key, the value, and what is allowed.
+    """
     try:
         scenario = Scenario.model_validate(tree)
     except ValidationError as error:
@@ -196,13 +226,13 @@ def _complete(scenario: Scenario, folder: Path) -> Mission:
     picture = scenario.ground.image
     ground_image = None if picture is None else read_grey(folder / picture)
     return Mission(
-        scenario,
-        template,
-        ids[order],
-        positions[order],
-        headings[order],
-        ground_image,
-        Schedule(template, tuple(later)).later,
+        scenario=scenario,
+        template=template,
+        ids=ids[order],
+        positions_m=positions[order],
+        headings_rad=headings[order],
+        ground_image=ground_image,
+        later=Schedule(template, tuple(later)).later,
     )
 
 
@@ -258,16 +288,13 @@ def _check_classes(scenario: Scenario, ids: IntArray) -> None:
 
 
 def _check_template(ids: IntArray, template: Template) -> None:
-    missing, extra = np.setdiff1d(ids, template.ids), np.setdiff1d(template.ids, ids)
-    if missing.size or extra.size:
-        what = (
-            f"no point for robot(s) {missing.tolist()}"
-            if missing.size
-            else f"points for {extra.tolist()}, who are no robots"
-        )
+    if (missing := np.setdiff1d(ids, template.ids)).size:
+        raise InputError("template", f"no point for robot(s) {missing.tolist()}", "one point for each robot")
+    if (extra := np.setdiff1d(template.ids, ids)).size:
+        what = f"points for {extra.tolist()}, which are no robots"
         raise InputError("template", what, "one point for each robot")
-    points = np.column_stack([template.points_px.real, template.points_px.imag])
-    if (pair := coincident(points, 1e-9 * float(np.ptp(points)))) is not None:
+    points = to_points(template.points_px)
+    if (pair := coincident(points, SAME_POINT * float(np.ptp(points)))) is not None:
         first, second = template.ids[pair[0]], template.ids[pair[1]]
         raise InputError(
             "template", f"robots {first} and {second} have one point", "each robot its own place"

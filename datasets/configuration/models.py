@@ -3,22 +3,33 @@
 from collections.abc import Iterator
 from typing import Annotated, Literal, Self
 
+import numpy as np
 from pydantic import Field, FiniteFloat, model_validator
 
+from skyherd.bodies import Bodies
 from skyherd.datasets.configuration.body_models import AvoidanceModel, RolesModel, SizeModel
-from skyherd.datasets.configuration.fields import Coordinate, Fraction, Model, NotNegative, Point, Positive
+from skyherd.datasets.configuration.fields import Fraction, Model, NotNegative, Point, Positive
+from skyherd.datasets.configuration.robot_models import MarkerModel, ObstacleModel, RobotsModel
 from skyherd.datasets.configuration.scene_models import GroundModel, OccluderModel, SensorModel
 from skyherd.datasets.configuration.unit_models import UnitModel
 
-MarkerId = Annotated[int, Field(ge=0, lt=2**31)]
+RATE_ROUNDING = 1e-9
+"""By how much images a time step may exceed 1. *Chosen*: rounding of `frame_rate_hz * step_s`, such as 10
+times 0.1."""
 
 
 class ShapeModel(Model):
-    """A shape: exactly one of `points`, `shape` and `image`."""
+    """A shape to form: exactly one of `points`, `shape` and `image`."""
 
-    points: list[Point] | None = Field(None, description="a point for each robot, x right, y up, any unit")
-    shape: str | None = Field(None, description="a named shape, or a word such as word:SKY")
-    image: str | None = Field(None, description="a PNG with every robot's marker in it, beside the scenario")
+    points: list[Point] | None = Field(
+        None, description="a point (x right, y up) for each robot, in any unit"
+    )
+    shape: str | None = Field(
+        None, description="name of a shape (circle, grid, line, star, triangle), or a word such as word:SKY"
+    )
+    image: str | None = Field(
+        None, description="picture with every robot's marker in it, relative to the scenario's folder"
+    )
 
     @model_validator(mode="after")
     def _one(self) -> Self:
@@ -28,112 +39,42 @@ class ShapeModel(Model):
 
 
 class LaterModel(ShapeModel):
-    """A shape that comes later."""
+    """A shape that takes the place of another."""
 
-    at_s: Positive = Field(description="when it takes the place of the one before")
+    at_s: Positive = Field(description="s; time at which it takes the place of the shape before")
 
 
 class TemplateModel(ShapeModel):
     """The shape to form, and those that come after it."""
 
-    then: list[LaterModel] = Field([], max_length=100, description="later shapes, times ascending")
-
-
-class ScatterModel(Model):
-    """Random start: the template's points at `scale_m` metres a unit, each moved by up to `jitter_m`."""
-
-    scale_m: Positive = Field(description="metres a template unit")
-    jitter_m: NotNegative = Field(description="largest displacement along x and along y")
-    rotation_deg: FiniteFloat = Field(0.0, description="turn of the shape, counter-clockwise")
-    spacing_m: NotNegative = Field(0.0, description="least distance between two robots")
-    center_m: Point = Field((0.0, 0.0), description="where the shape's centroid is put")
-
-
-class DriveModel(Model):
-    """What the robots' wheels make of a command; each part is off at 0, limits when left out."""
-
-    max_accel_mps2: Positive | None = Field(None, description="limit of the change of v")
-    max_turn_accel_radps2: Positive | None = Field(None, description="limit of the change of omega")
-    wheel_step_mps: NotNegative = Field(0.0, description="wheel speeds are multiples of this")
-    dead_zone_mps: NotNegative = Field(0.0, description="wheel speeds below this are 0")
-    gain_error: Fraction = Field(
-        0.0, description="each wheel is faster or slower by up to this share, drawn once"
-    )
-    track_m: Positive = Field(0.2, description="between the wheels, which the three above are about")
-    slip: Fraction = Field(
-        0.0, description="standard deviation of what v and omega gain or lose on the ground, as a share"
-    )
-    delay_s: Annotated[FiniteFloat, Field(ge=0, le=60)] = Field(
-        0.0, description="from a command to its effect, in whole time steps, rounded up"
-    )
-    axis_offset_m: Coordinate = Field(
-        0.0, description="how far ahead of the wheel axis the body's centre and the marker lie"
-    )
-
-    @property
-    def has_wheels(self) -> bool:
-        """Whether anything happens to single wheels."""
-        return bool(self.wheel_step_mps or self.dead_zone_mps or self.gain_error)
-
-
-class RobotsModel(Model):
-    """The ground team: where it starts, or how it is scattered."""
-
-    positions_m: list[Point] | None = Field(None, description="start positions on the ground")
-    headings_deg: list[FiniteFloat] | None = Field(
-        None, description="counter-clockwise from +x; random if left out"
-    )
-    scatter: ScatterModel | None = Field(None, description="a random start in place of positions_m")
-    count: Annotated[int, Field(ge=2, le=10_000)] | None = Field(
-        None, description="robots, where nothing else tells"
-    )
-    ids: list[MarkerId] | None = Field(None, description="marker ids; 0, 1, … if left out")
-    max_speed_mps: Positive = Field(1.0, description="limit of |v|")
-    max_turn_radps: Positive = Field(3.0, description="limit of |omega|")
-    timeout_s: Positive = Field(
-        0.5,
-        description="a goal is forgotten after this; keep it above the time between two images",
-    )
-    body_radius_sides: NotNegative = Field(
-        0.0, description="of the round body about the marker, in marker sides; robots are points at 0"
-    )
-    drive: DriveModel = DriveModel()
-
-
-class MarkerModel(Model):
-    """The markers on the robots."""
-
-    dictionary: str = Field("4X4_50", description="OpenCV dictionary, without DICT_")
-    side_m: Positive = Field(description="side of the black square")
-
-
-class ObstacleModel(Model):
-    """Something round that stands still, with a marker like a robot's at its middle."""
-
-    id: MarkerId = Field(description="its marker, which is no robot's")
-    position_m: Point
-    heading_deg: FiniteFloat = Field(0.0, description="of its marker, counter-clockwise from +x")
-    radius_sides: Positive = Field(1.0, description="of its body, in marker sides")
+    then: list[LaterModel] = Field([], max_length=100, description="later shapes, their times ascending")
 
 
 Method = Literal["similarity", "complex-laplacian", "bearing-only"]
+"""Laws that move the robots: skyherd's, and two from the literature to compare it with."""
 
 
 class ControlModel(Model):
-    """Gains of the robots' law."""
+    """The law that moves the robots, and its gains."""
 
     method: Method = Field(
-        "similarity", description="the units' law, or one from the literature that is told the truth"
+        "similarity", description="skyherd's law, or one from the literature that is given the true positions"
     )
-    gains: Literal["marker", "pixel"] = Field("marker", description="marker units, or the paper's pixels")
-    k: Positive = Field(0.1, description="marker gains: speed a metre of goal, 1/s")
-    k_v: Positive = Field(0.001, description="pixel gains: speed a pixel of goal, m/s/px")
-    k_omega: Positive = Field(0.4, description="turn rate a radian, 1/s")
-    b_th: NotNegative = Field(0.01, description="robots stop nearer to the goal: marker sides, or px")
+    gains: Literal["marker", "pixel"] = Field(
+        "marker", description="unit of image distances in the law: marker sides, or pixels as in the paper"
+    )
+    k: Positive = Field(0.1, description="1/s; with marker gains: speed for each metre to the goal")
+    k_v: Positive = Field(0.001, description="m/s/px; with pixel gains: speed for each pixel to the goal")
+    k_omega: Positive = Field(0.4, description="1/s; turn rate for each radian between heading and goal")
+    b_th: NotNegative = Field(
+        0.01, description="marker sides, or px with pixel gains; robots nearer to their goal than this stop"
+    )
     rectify: bool = Field(
-        True, description="units learn from the markers what their cameras do, and take it off"
+        True, description="whether units learn tilt and lens of their cameras from the markers, and undo them"
     )
-    neighbors: Annotated[int, Field(ge=1)] = Field(3, description="nearest robots whose distances are sent")
+    neighbors: Annotated[int, Field(ge=1)] = Field(
+        3, description="to how many nearest robots a unit sends each robot the distances"
+    )
 
 
 class SelectionModel(Model):
@@ -141,30 +82,40 @@ class SelectionModel(Model):
 
     kind: Literal["radius", "tree", "radius-then-tree"] = Field(
         "radius",
-        description="free overlaps, or TC1-TC5 kept by the units' protocol, or that once V has stalled",
+        description="all robots inside the radius, or TC1-TC5 kept by the units' tree protocol, or "
+        "the first until "
+        "V falls no more and then the second",
     )
     share: Literal["leverage", "nearest"] = Field(
-        "leverage", description="tree: two neighbours share the pair that binds them best, or the nearest"
+        "leverage",
+        description="tree: which pair of robots two neighbours share: that which binds them best, or "
+        "the nearest",
     )
     firm: Fraction = Field(
-        0.2, description="tree: units fly to see a better pair while two agree slower than this, times k"
+        0.2,
+        description="tree: while two units agree more slowly than this times k, they fly to see a "
+        "better pair",
     )
     radius: Annotated[FiniteFloat, Field(gt=0, le=1.5)] = Field(
-        0.85, description="safety radius, in halves of the image's shorter side"
+        0.85, description="safety radius about the image's middle, in halves of its shorter side"
     )
-    hysteresis: NotNegative = Field(0.06, description="a robot leaves at radius (1 + hysteresis)")
-    dwell_s: Positive = Field(2.0, description="least time between changes of topology")
-    silence_s: Positive = Field(3.0, description="tree: a unit not heard for so long is dead")
+    hysteresis: NotNegative = Field(
+        0.06, description="a controlled robot is given up at radius times (1 + hysteresis)"
+    )
+    dwell_s: Positive = Field(2.0, description="s; least time between two changes of the topology")
+    silence_s: Positive = Field(
+        3.0, description="s; tree: a unit without a report for so long counts as dead"
+    )
 
 
 class AutopilotModel(Model):
     """Limits that the units' autopilots keep."""
 
-    min_height_m: Positive = 3.0
-    max_height_m: Positive = 100.0
-    max_speed_mps: Positive = 2.0
-    max_climb_mps: Positive = 1.0
-    max_yaw_rate_degps: Positive = 30.0
+    min_height_m: Positive = Field(3.0, description="m; least height")
+    max_height_m: Positive = Field(100.0, description="m; greatest height")
+    max_speed_mps: Positive = Field(2.0, description="m/s; limit on the horizontal speed")
+    max_climb_mps: Positive = Field(1.0, description="m/s; limit on climbing and sinking")
+    max_yaw_rate_degps: Positive = Field(30.0, description="deg/s; limit on turning about the vertical")
 
     @model_validator(mode="after")
     def _room(self) -> Self:
@@ -174,56 +125,86 @@ class AutopilotModel(Model):
 
 
 class NetworkModel(Model):
-    """What goes wrong with images and messages, from the seed."""
+    """What goes wrong with images and messages, drawn from the seed."""
 
-    frame_loss: Fraction = Field(0.0, description="share of images lost")
-    message_loss: Fraction = Field(0.0, description="share of messages lost, for each receiver")
+    frame_loss: Fraction = Field(0.0, description="share of images that are lost")
+    message_loss: Fraction = Field(
+        0.0, description="share of messages that are lost, drawn for each receiver"
+    )
     range_m: Positive | None = Field(
-        None, description="units hear one another up to this distance on the ground; no limit if left out"
+        None,
+        description="m; distance on the ground up to which units receive each other; no limit if left out",
     )
     delay_s: NotNegative = Field(
-        0.0, description="largest random delay of a message, for each receiver; later ones may overtake"
+        0.0,
+        description="s; largest delay of a message, drawn for each receiver; later ones may overtake earlier",
     )
     repeats: Fraction = Field(0.0, description="share of messages that arrive twice")
 
 
 class GoalModel(Model):
-    """When a run counts as converged."""
+    """When a run counts as converged: the shape is reached, and kept to the end."""
 
     shape_error: Positive = Field(
-        0.01, description="RMS distance to the best-fitting shape over its RMS radius"
+        0.01, description="RMS distance to the best-fitting shape, over the shape's RMS radius, to stay under"
     )
-    hold_s: NotNegative = Field(5.0, description="how long it must stay under that, to the end")
+    hold_s: NotNegative = Field(
+        5.0, description="s; how long before the run's end it must have stayed under that"
+    )
 
 
 class Scenario(Model):
-    """A whole run: shape, robots, units, cameras, world."""
+    """A scenario file: all that a run follows from."""
 
-    name: str = Field(pattern=r"^\w[\w .-]*$", description="also the name of its output folder")
-    description: str = ""
-    seed: Annotated[int, Field(ge=0)] = 1
-    duration_s: Annotated[FiniteFloat, Field(gt=0, le=86400)] = Field(description="simulated time")
-    step_s: Annotated[FiniteFloat, Field(gt=0, le=1)] = Field(0.1, description="time step of the world")
-    perception: Literal["rendered", "ideal", "noisy"] = "rendered"
-    detector: str = Field(
-        "tracking", description="marker detector, by name: `skyherd.vision.detector_names()`"
+    name: str = Field(pattern=r"^\w[\w .-]*$", description="name of the scenario, and of its output folder")
+    description: str = Field("", description="what it shows, for people")
+    seed: Annotated[int, Field(ge=0)] = Field(1, description="seed of all random draws; same seed, same run")
+    duration_s: Annotated[FiniteFloat, Field(gt=0, le=86400)] = Field(description="s; simulated time")
+    step_s: Annotated[FiniteFloat, Field(gt=0, le=1)] = Field(0.1, description="s; time step of the world")
+    perception: Literal["rendered", "ideal", "noisy"] = Field(
+        "rendered",
+        description="how units detect markers: in rendered images, exactly, or with the detector's "
+        "measured noise",
     )
-    template: TemplateModel
-    robots: RobotsModel
-    marker: MarkerModel
-    control: ControlModel = ControlModel()
-    selection: SelectionModel = SelectionModel()
-    roles: RolesModel = RolesModel()
-    size: SizeModel = SizeModel()
-    avoidance: AvoidanceModel = AvoidanceModel()
-    units: list[UnitModel] = Field(min_length=1, max_length=256)
-    autopilot: AutopilotModel = AutopilotModel()
-    network: NetworkModel = NetworkModel()
-    sensor: SensorModel = SensorModel()
-    ground: GroundModel = GroundModel()
-    occluders: list[OccluderModel] = Field(default=[], max_length=1000)
-    obstacles: list[ObstacleModel] = Field(default=[], max_length=1000)
-    goal: GoalModel = GoalModel()
+    detector: str = Field(
+        "tracking", description="name of the marker detector, one of `skyherd.vision.detector_names()`"
+    )
+    template: TemplateModel = Field(description="the shape to form, and those that come after it")
+    robots: RobotsModel = Field(description="the ground robots: where they start, and what they can do")
+    marker: MarkerModel = Field(description="the markers on robots and obstacles")
+    control: ControlModel = Field(ControlModel(), description="the law that moves the robots, and its gains")
+    selection: SelectionModel = Field(SelectionModel(), description="which robots each unit controls")
+    roles: RolesModel = Field(RolesModel(), description="which robot takes which point of the template")
+    size: SizeModel = Field(SizeModel(), description="how large the shape becomes")
+    avoidance: AvoidanceModel = Field(AvoidanceModel(), description="how robots keep apart")
+    units: list[UnitModel] = Field(min_length=1, max_length=256, description="the aerial units")
+    autopilot: AutopilotModel = Field(AutopilotModel(), description="limits that the units' autopilots keep")
+    network: NetworkModel = Field(NetworkModel(), description="what goes wrong with images and messages")
+    sensor: SensorModel = Field(SensorModel(), description="what the cameras' sensors do to images")
+    ground: GroundModel = Field(GroundModel(), description="the textured ground, and clutter on it")
+    occluders: list[OccluderModel] = Field(
+        default=[], max_length=1000, description="opaque shapes that lie over markers"
+    )
+    obstacles: list[ObstacleModel] = Field(
+        default=[], max_length=1000, description="round bodies that stand still"
+    )
+    goal: GoalModel = Field(GoalModel(), description="when a run counts as converged")
+
+    @property
+    def obstacles_by_id(self) -> list[ObstacleModel]:
+        """The obstacles, ascending by the id of their markers."""
+        return sorted(self.obstacles, key=lambda obstacle: obstacle.id)
+
+    def make_bodies(self) -> Bodies:
+        """Make the round bodies of robots and obstacles, the obstacles ascending by id."""
+        side_m, obstacles = self.marker.side_m, self.obstacles_by_id
+        return Bodies(
+            radius_m=self.robots.body_radius_sides * side_m,
+            obstacles_m=np.array([obstacle.position_m for obstacle in obstacles], dtype=float).reshape(-1, 2),
+            obstacle_radii_m=np.array(
+                [obstacle.radius_sides * side_m for obstacle in obstacles], dtype=float
+            ),
+        )
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -250,7 +231,7 @@ class Scenario(Model):
         rate = unit.frame_rate_hz
         if not low <= unit.height_m <= high:
             yield f"height_m {unit.height_m:g} is outside the autopilot's {low:g} to {high:g} m"
-        if rate * self.step_s > 1 + 1e-9:
+        if rate * self.step_s > 1 + RATE_ROUNDING:
             yield f"frame_rate_hz {rate:g} is more than one image a step_s of {self.step_s:g}"
         complaints = (unit.camera.lens_complaint(zoom) for zoom in unit.zooms())
         if complaint := next(filter(None, complaints), None):

@@ -1,34 +1,22 @@
-"""Obstacles of a scenario, and the room that they and the robots take."""
+"""Checks the obstacles of a scenario.
+
+Obstacles are round bodies with markers that never move. They are rendered and detected like robots, and stand
+in no template: this is how the controller distinguishes them from robots.
+"""
 
 from collections.abc import Sequence
 
 import numpy as np
 
-from skyherd.bodies import Bodies
-from skyherd.datasets.configuration.models import MarkerModel, ObstacleModel, Scenario
+from skyherd.datasets.configuration.robot_models import MarkerModel, ObstacleModel
 from skyherd.errors import InputError
 from skyherd.geometry import IntArray
-
-
-def in_order(scenario: Scenario) -> list[ObstacleModel]:
-    """The obstacles, ascending by id."""
-    return sorted(scenario.obstacles, key=lambda obstacle: obstacle.id)
-
-
-def make_bodies(scenario: Scenario) -> Bodies:
-    """The bodies of a scenario, obstacles ascending by id."""
-    side_m, obstacles = scenario.marker.side_m, in_order(scenario)
-    return Bodies(
-        scenario.robots.body_radius_sides * side_m,
-        np.array([obstacle.position_m for obstacle in obstacles], dtype=float).reshape(-1, 2),
-        np.array([obstacle.radius_sides * side_m for obstacle in obstacles], dtype=float),
-    )
 
 
 def check_obstacles(
     obstacles: Sequence[ObstacleModel], robot_ids: IntArray, limit: int, marker: MarkerModel
 ) -> None:
-    """Check that each obstacle has a marker of its own, which none other covers.
+    """Check that each obstacle has a marker of its own, and that none covers another.
 
     Raises:
         InputError: an id is a robot's, another obstacle's, or not below `limit`; or two obstacles are nearer

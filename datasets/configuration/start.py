@@ -1,26 +1,30 @@
-"""Where a team starts: as given, or scattered at random, with room for every body."""
+"""Where a team starts: as given, or scattered at random with room for every body."""
 
 import numpy as np
 
 from skyherd.bodies import Bodies
 from skyherd.control import Template
-from skyherd.datasets.configuration.models import RobotsModel, ScatterModel, Scenario
-from skyherd.datasets.configuration.obstacles import in_order, make_bodies
+from skyherd.datasets.configuration.models import Scenario
+from skyherd.datasets.configuration.robot_models import RobotsModel, ScatterModel
 from skyherd.errors import InputError
 from skyherd.geometry import Array, IntArray
 
 SCATTER_TRIES = 2000
+"""Random places tried for each robot before a start is refused. *Chosen*: takes a fraction of a second, and
+leaves out only starts with almost no room."""
+
 ROUNDING_M = 1e-9
-"""Bodies that overlap by less only touch."""
+"""Bodies that overlap by less only touch, m. *Chosen*: far above the rounding of coordinates, 1e-13 m, and
+far below any body."""
 
 
 def start_positions(scenario: Scenario, ids: IntArray, template: Template, rng: np.random.Generator) -> Array:
-    """Start (N, 2) of robots `ids`, in their order.
+    """Start positions (N, 2), m, of the robots `ids` (N,), in their order.
 
     Raises:
         InputError: there is not exactly one start, or two bodies would overlap in it.
     """
-    robots, bodies = scenario.robots, make_bodies(scenario)
+    robots, bodies = scenario.robots, scenario.make_bodies()
     if (robots.positions_m is None) == (robots.scatter is None):
         raise InputError("robots", "needs a start", "exactly one of positions_m and scatter")
     if robots.scatter is not None:
@@ -37,7 +41,11 @@ def start_positions(scenario: Scenario, ids: IntArray, template: Template, rng: 
 
 
 def start_headings(robots: RobotsModel, count: int, rng: np.random.Generator) -> Array:
-    """Headings (N,) at the start; random where none are given."""
+    """Headings (N,) at the start, rad, counter-clockwise from +x; random where none are given.
+
+    Raises:
+        InputError: not as many headings as robots.
+    """
     if robots.headings_deg is None:
         return rng.uniform(-np.pi, np.pi, size=count)
     if len(robots.headings_deg) != count:
@@ -48,7 +56,7 @@ def start_headings(robots: RobotsModel, count: int, rng: np.random.Generator) ->
 
 
 def coincident(points: Array, distance: float) -> tuple[int, int] | None:
-    """Indices of two points (N, 2) within a distance of each other, or None."""
+    """Indices of the first two points (N, 2) within a distance of each other; None if there are none."""
     distances = np.linalg.norm(points[:, None] - points[None], axis=2)
     first, second = np.nonzero(np.triu(distances <= distance, 1))
     return (int(first[0]), int(second[0])) if first.size else None
@@ -63,7 +71,7 @@ def _check_room(scenario: Scenario, bodies: Bodies, ids: IntArray, positions: Ar
         other, place, reach_m = f"robot {ids[second]}", positions[second], 2 * bodies.radius_m
     else:
         row = second - ids.size
-        other, place = f"obstacle {in_order(scenario)[row].id}", bodies.obstacles_m[row]
+        other, place = f"obstacle {scenario.obstacles_by_id[row].id}", bodies.obstacles_m[row]
         reach_m = bodies.radius_m + float(bodies.obstacle_radii_m[row])
     apart_m = float(np.linalg.norm(place - positions[first]))
     raise InputError(

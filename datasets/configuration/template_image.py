@@ -1,4 +1,4 @@
-"""A template read from a picture: the shape is where its markers are."""
+"""Reads a template from a picture: the shape is where its markers are."""
 
 from pathlib import Path
 
@@ -11,7 +11,7 @@ from skyherd.vision import create_detector, explain_mirrored
 
 
 def read_template_image(path: Path, dictionary: str) -> Template:
-    """Template of the markers found in an image file.
+    """Read a template from a picture file: a point for each marker found, at its centre.
 
     Raises:
         InputError: the file cannot be read, or fewer than two markers are found in it.

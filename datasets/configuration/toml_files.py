@@ -1,4 +1,4 @@
-"""What users write in TOML: read from a file or built in, and refused in one line where it is wrong."""
+"""TOML files that users write: read from a file or built in, and refused in one line where they are wrong."""
 
 import tomllib
 from copy import deepcopy
@@ -12,14 +12,23 @@ from skyherd.errors import InputError
 
 
 def built_in_names(package: str) -> list[str]:
-    """Names of the TOML files in a package."""
+    """Names of the TOML files in a package, without their suffix, in alphabetical order."""
     return sorted(
         entry.name.removesuffix(".toml") for entry in files(package).iterdir() if entry.name.endswith(".toml")
     )
 
 
 def built_in_text(package: str, name: str, noun: str) -> str:
-    """TOML text of one of them; InputError names those there are."""
+    """TOML text of a built-in file.
+
+    Args:
+        package: the package in which they lie.
+        name: of the file, without its suffix.
+        noun: what such a file is called in the complaint.
+
+    Raises:
+        InputError: there is none of that name; the error lists those that there are.
+    """
     names = built_in_names(package)
     if name not in names:
         raise InputError(
@@ -31,7 +40,11 @@ def built_in_text(package: str, name: str, noun: str) -> str:
 
 
 def read_text(path: Path, noun: str) -> str:
-    """Text of a file; InputError if it is none or cannot be read."""
+    """Text of a file; `noun` is what it is called in the complaint.
+
+    Raises:
+        InputError: it cannot be read, or is no text.
+    """
     try:
         return path.read_text("utf-8")
     except UnicodeDecodeError:
@@ -40,8 +53,17 @@ def read_text(path: Path, noun: str) -> str:
         raise InputError(str(path), error.strerror or str(error), f"a readable {noun} in TOML") from None
 
 
-def parse(text: str, where: str, example: str) -> dict[str, Any]:
-    """The tree of a TOML text; `example` is the command that shows a good one."""
+def parse_toml(text: str, where: str, example: str) -> dict[str, Any]:
+    """Parse a TOML text into dictionaries, lists and plain values.
+
+    Args:
+        text: the TOML text.
+        where: what to call it in the complaint.
+        example: the command that shows a good one.
+
+    Raises:
+        InputError: it is no TOML.
+    """
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -64,7 +86,7 @@ def put_value(tree: dict[str, Any], key: str, value: Any, where: str) -> None:
 
 
 def get_value(tree: dict[str, Any], key: str) -> Any:
-    """What stands at a dotted key of a whole tree; `*` is the first item."""
+    """The value at a dotted key of a complete tree, where `*` is the first item of a list."""
     node: Any = tree
     for part in key.split("."):
         node = node[part] if isinstance(node, dict) else node[0 if part == "*" else int(part)]
@@ -89,7 +111,14 @@ def _indices(node: Any, part: str, where: str) -> list[int]:
 
 
 def first_error(error: ValidationError, where: str, noun: str, *, see: str | None = None) -> InputError:
-    """The first complaint as one line, how many more there are, and what to `see`: the noun's schema."""
+    """Turn the first complaint of a validation into an error of one line.
+
+    Args:
+        error: what Pydantic raised.
+        where: the file, or what to call it.
+        noun: the verb of the command line whose `schema` shows what is allowed.
+        see: another command to name in place of `skyherd NOUN schema`.
+    """
     first, *others = error.errors()
     key = ".".join(str(part) for part in first["loc"]) or noun
     value = first["input"]

@@ -1,41 +1,49 @@
-"""Keys of a scenario that say what an aerial unit is: where it hangs, how it sways and flies, how it sees."""
+"""Scenario keys of an aerial unit: where it hangs, how it sways and flies, and what camera it has."""
 
 from typing import Annotated, Literal, Self
 
 import numpy as np
 from pydantic import Field, FiniteFloat, model_validator
 
+from skyherd.datasets.configuration.camera_models import CameraModel
 from skyherd.datasets.configuration.fields import Model, NotNegative, Point, Positive
-from skyherd.datasets.configuration.scene_models import CameraModel
 
 LENS_CHECKS = 5
-"""Zooms that a lens is checked at."""
+"""Zooms at which a lens is checked, from the least to the greatest. *Chosen*: what a lens does changes
+smoothly with the zoom, so that five show whether it folds the image."""
 
 
 class FlightModel(Model):
     """How a unit flies; lengths are in halves of the image's shorter side."""
 
-    kind: Literal["follow", "perimeter", "hover", "keep-in-view"] = "follow"
-    desired_radius: Annotated[FiniteFloat, Field(gt=0, le=1.5)] = Field(
-        0.7, description="image distance of the farthest robot to be kept"
+    kind: Literal["follow", "perimeter", "hover", "keep-in-view"] = Field(
+        "follow",
+        description="law of flight: keep the robots that only this unit sees, follow a perimeter, stay, "
+        "or keep its whole set in view",
     )
-    lateral_gain_mps: NotNegative = Field(1.0, description="speed for half an image")
-    climb_gain_mps: NotNegative = Field(1.0, description="climb for half an image")
+    desired_radius: Annotated[FiniteFloat, Field(gt=0, le=1.5)] = Field(
+        0.7,
+        description="wanted image distance of the farthest robot that is to be kept from the image's middle",
+    )
+    lateral_gain_mps: NotNegative = Field(
+        1.0, description="m/s; horizontal speed for an error of half an image"
+    )
+    climb_gain_mps: NotNegative = Field(1.0, description="m/s; climb for an error of half an image")
     dead_band: NotNegative = Field(
-        0.02, description="follow, keep-in-view: errors of radius below this do not climb"
+        0.02, description="follow, keep-in-view: radius errors below this cause no climb"
     )
     zoom_gain_ps: NotNegative = Field(
-        0.3, description="keep-in-view: relative change of zoom for half an image"
+        0.3, description="1/s; keep-in-view: relative change of the zoom for an error of half an image"
     )
     separation_sides: NotNegative = Field(
-        6.0, description="keep-in-view: least distance between two units' image centres, in marker sides"
+        6.0, description="marker sides; keep-in-view: least distance between two units' image centres"
     )
     least_side_px: NotNegative = Field(
-        12.0, description="keep-in-view: neither climb nor zoom out beyond where markers have this side"
+        12.0, description="px; keep-in-view: neither climb nor zoom out once markers have only this side"
     )
-    speed_mps: NotNegative = Field(0.1, description="perimeter: speed along it")
+    speed_mps: NotNegative = Field(0.1, description="m/s; perimeter: speed along it")
     yaw_rate_degps: FiniteFloat = Field(
-        0.0, description="perimeter, hover: turn, counter-clockwise from above"
+        0.0, description="deg/s; perimeter, hover: turn rate, counter-clockwise from above"
     )
 
 
@@ -43,49 +51,53 @@ class SwayModel(Model):
     """How a unit sways: its tilt is filtered noise around the unit's `tilt_deg`, from the scenario's seed."""
 
     tilt_deg: Annotated[FiniteFloat, Field(gt=0, le=15)] = Field(
-        description="root mean square of the tilt, of both axes together"
+        description="deg; root mean square of the tilt, both axes together"
     )
     period_s: Positive = Field(
-        3.0, description="middle of its spectrum, a bell whose width is a quarter of that frequency"
+        3.0,
+        description="s; period in the middle of its spectrum, a bell as wide as a quarter of that frequency",
     )
 
 
 class UnitModel(Model):
-    """One aerial unit."""
+    """One aerial unit: where it starts, its camera, its flight, and when it fails."""
 
-    position_m: Point
-    height_m: Positive
-    yaw_deg: FiniteFloat = 0.0
+    position_m: Point = Field(description="m; ground point (x, y) below it at the start")
+    height_m: Positive = Field(description="m; height above the ground at the start")
+    yaw_deg: FiniteFloat = Field(
+        0.0, description="deg; direction of the image's right on the ground, counter-clockwise from +x"
+    )
     tilt_deg: tuple[
         Annotated[FiniteFloat, Field(ge=-45, le=45)], Annotated[FiniteFloat, Field(ge=-45, le=45)]
-    ] = Field((0.0, 0.0), description="about the camera's u and v axes")
-    sway: SwayModel | None = Field(None, description="left out: the unit hangs still")
-    camera: CameraModel
+    ] = Field((0.0, 0.0), description="deg; constant tilt about the camera's u and v axes")
+    sway: SwayModel | None = Field(None, description="how it sways; it hangs still if left out")
+    camera: CameraModel = Field(description="its camera, of which the controller gets the image size alone")
     zoom: list[tuple[NotNegative, Positive]] = Field(
         default=[(0.0, 1.0)],
         min_length=1,
-        description="[time_s, factor on the focal length] points, linear between",
+        description="points [time in s, factor on the focal length], linear between them",
     )
     zoom_range: tuple[Positive, Positive] = Field(
-        (1.0, 1.0), description="least and largest factor that the unit itself may zoom by"
+        (1.0, 1.0), description="least and greatest factor by which the unit itself may zoom"
     )
     outages: list[tuple[NotNegative, Positive]] = Field(
         [],
-        description="[from_s, to_s] in which the unit is dead: no images, no messages, no memory of before",
+        description="spans [from, to] in s in which it is dead: no images, no messages, and no memory after",
     )
-    flight: FlightModel = FlightModel()
-    frame_rate_hz: Positive = 10.0
+    flight: FlightModel = Field(FlightModel(), description="how it flies")
+    frame_rate_hz: Positive = Field(10.0, description="Hz; images a second; at most one a time step")
     latency_s: NotNegative = Field(
-        0.0, description="from an image to the arrival of its goals and report; not of its own flight command"
+        0.0,
+        description="s; from an image to the arrival of its goals and report; flight commands take no time",
     )
 
     @property
     def ideal(self) -> bool:
-        """Whether Property 1 holds for its camera: square pixels, a straight lens, looking straight down."""
+        """Whether Property 1 holds for its camera: square pixels, a straight lens, and no tilt."""
         return self.sway is None and not any(self.tilt_deg) and self.camera.ideal
 
     def zooms(self) -> list[float]:
-        """Zooms between the least and the greatest that may come, as a lens is checked at."""
+        """Zooms between the least and the greatest that may occur, at which the lens is checked."""
         scripted = [zoom for _, zoom in self.zoom]
         low, high = self.zoom_range
         return [float(z) for z in np.geomspace(min(scripted) * low, max(scripted) * high, LENS_CHECKS)]

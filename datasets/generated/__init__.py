@@ -1,1 +1,1 @@
-"""Missions at random, for benchmarks and tests."""
+"""Random missions for benchmarks and tests: units, robots and shapes drawn from a seed."""

@@ -1,4 +1,7 @@
-"""Random missions for benchmarks and tests: a random tree of units, robots under them, a random shape."""
+"""Random missions: a random tree of units, robots under them, and a random shape.
+
+A mission is a scenario as a tree of plain values, for `make_mission`. It follows from its seed alone.
+"""
 
 from dataclasses import dataclass
 from typing import Any
@@ -13,18 +16,45 @@ from skyherd.geometry import Array, ComplexArray, to_complex, to_points
 from skyherd.random_streams import RunStream, generator
 
 SIDE_M = 0.2
+"""Side of the markers, m. *Chosen*: a small ground robot's; robots' places and spacings are multiples of
+it."""
+
 IN_COMMON = 4
-"""Robots that neighbours see together at the start, at least."""
+"""Robots that neighbours in the tree see together at the start, at least. *Chosen*: a pair for their edge,
+and two more for the edges that either has to others."""
+
 TRIES = 200
+"""Random starts tried before a seed is given up. *Chosen*: a seed that fails so often has hardly any room for
+its robots."""
+
+PLACE_TRIES = 2000
+"""Random places tried for the robots of one group before a start is given up. *Chosen*: a view has room for
+hundreds."""
+
+SHAPE_TRIES = 5000
+"""Random points tried for a shape before it is given up. *Chosen*: as `PLACE_TRIES`, for up to 64 points."""
+
+WITHIN = 0.85
+"""Robots lie within this share of a view's half width about its middle. *Chosen*: the scenario's default
+safety radius, inside which a unit controls robots."""
+
 BODY_SIDES = 1.0
-"""Radius of a body: two marker sides across hold a marker with its quiet zone."""
+"""Radius of a robot's body, marker sides. *Chosen*: two sides across hold a marker with its quiet zone."""
+
 LEGIBLE_PX = 20.0
-"""Side of a marker in the images of `legible`, at least, at the start."""
+"""Side of a marker in the images of `legible`, px, at least, at the start. *Chosen*: 3 px a cell; smaller
+markers are found less surely."""
 
 
 @dataclass(frozen=True)
 class Crowd:
-    """How many units, and how many robots for each."""
+    """The size of a random mission.
+
+    Attributes:
+        units: number of aerial units.
+        robots_a_unit: robots for each unit, so that there are `units * robots_a_unit`.
+        is_chain: whether each unit's parent in the tree is the one before it, rather than any before it.
+    """
 
     units: int
     robots_a_unit: int
@@ -32,16 +62,20 @@ class Crowd:
 
 
 def random_crowd(rng: np.random.Generator, units: tuple[int, int] = (2, 8)) -> Crowd:
-    """2-8 units with 4-8 robots each: at most 64 robots."""
-    return Crowd(int(rng.integers(units[0], units[1], endpoint=True)), int(rng.integers(4, 8, endpoint=True)))
+    """Draw a crowd: a number of units between two bounds, with 4 to 8 robots each."""
+    count = int(rng.integers(units[0], units[1], endpoint=True))
+    return Crowd(units=count, robots_a_unit=int(rng.integers(4, 8, endpoint=True)))
 
 
 def random_mission(seed: int, crowd: Crowd | None = None) -> dict[str, Any]:
-    """A scenario as a tree of plain values, for `make_mission`.
+    """Draw a mission of a crowd, which is itself random if not given; a tree of plain values.
 
     Cameras differ in focal length, image size, yaw and height. Robots lie so that each is in a view, and
     neighbours in the tree see at least IN_COMMON together. The shape is made of random points; roles are
     given by the best-fitting similarity, and the shape that fits has spacings of at least two marker sides.
+
+    Raises:
+        RuntimeError: no start was found, however often one was drawn.
     """
     rng = generator(seed, RunStream.RANDOM_MISSION)
     crowd = crowd or random_crowd(rng)
@@ -50,7 +84,7 @@ def random_mission(seed: int, crowd: Crowd | None = None) -> dict[str, Any]:
         cameras = [random_camera(rng) for _ in centers]
         heights = rng.uniform(8.0, 12.0, crowd.units)
         radii = _radii(heights, cameras)
-        robots = _robots(rng, crowd, centers, parents, 0.85 * radii)
+        robots = _robots(rng, crowd, centers=centers, parents=parents, radii_m=WITHIN * radii)
         if robots is None:
             continue
         template = _template(rng, robots)
@@ -58,21 +92,42 @@ def random_mission(seed: int, crowd: Crowd | None = None) -> dict[str, Any]:
             break
     else:
         raise RuntimeError(f"seed {seed}: no start in {TRIES} tries")
-    return make_tree(seed, rng, centers, heights, cameras, robots, template)
+    return make_tree(
+        seed,
+        rng,
+        centers=centers,
+        heights_m=heights,
+        cameras=cameras,
+        robots=robots,
+        template=template,
+    )
 
 
 def star_mission(seed: int) -> dict[str, Any]:
-    """A star of 16 under three units in a line, from a random start with roles by best fit."""
+    """Draw a mission with a star of 16 robots under three units in a line, 5 m apart and 10 m high.
+
+    The start is random; roles are given by the best-fitting similarity. A tree of plain values.
+    """
     rng = generator(seed, RunStream.STAR_MISSION)
     robots = None
     while robots is None:
         centers, heights = np.array([-5.0, 0.0, 5.0], dtype=np.complex128), np.full(3, 10.0)
         cameras = [random_camera(rng) for _ in centers]
         radii = _radii(heights, cameras)
-        robots = _robots(rng, Crowd(3, 5), centers, [-1, 0, 1], 0.85 * radii, extra=1)
+        robots = _robots(
+            rng, Crowd(3, 5), centers=centers, parents=[-1, 0, 1], radii_m=WITHIN * radii, extra=1
+        )
     spread = 1.3 * np.abs(robots - robots.mean()).std() + np.abs(robots - robots.mean()).mean()
     shape = to_complex(shape_points("star", 16)) * spread
-    return make_tree(seed, rng, centers, heights, cameras, robots, _assign(shape, robots))
+    return make_tree(
+        seed,
+        rng,
+        centers=centers,
+        heights_m=heights,
+        cameras=cameras,
+        robots=robots,
+        template=_assign(shape, robots),
+    )
 
 
 def _radii(heights_m: Array, cameras: list[dict[str, Any]]) -> Array:
@@ -83,13 +138,24 @@ def _radii(heights_m: Array, cameras: list[dict[str, Any]]) -> Array:
 def make_tree(
     seed: int,
     rng: np.random.Generator,
+    *,
     centers: ComplexArray,
-    heights: Array,
+    heights_m: Array,
     cameras: list[dict[str, Any]],
     robots: ComplexArray,
     template: ComplexArray,
 ) -> dict[str, Any]:
-    """A scenario of units at places and heights, m, robots at theirs, and template points in their order."""
+    """Make a scenario, a tree of plain values, of what was drawn.
+
+    Args:
+        seed: of the mission.
+        rng: draws the units' yaws and the robots' headings.
+        centers: (U,) ground points below the units, m, `x + iy`.
+        heights_m: (U,) their heights.
+        cameras: their cameras, as `random_camera` gives them.
+        robots: (N,) start positions, m, `x + iy`.
+        template: (N,) points of the shape, in the robots' order, in any unit.
+    """
     units = [
         {
             "position_m": to_points(center).tolist(),
@@ -99,7 +165,7 @@ def make_tree(
             "flight": {"kind": "keep-in-view", "least_side_px": 0.0},  # the noise assumed holds at any size
             "frame_rate_hz": 5.0,
         }
-        for center, height, camera in zip(centers, heights, cameras, strict=True)
+        for center, height, camera in zip(centers, heights_m, cameras, strict=True)
     ]
     return {
         "name": f"random-{seed}",
@@ -124,10 +190,11 @@ def make_tree(
 
 
 def legible(tree: dict[str, Any]) -> dict[str, Any]:
-    """The same mission for a detector that reads pixels.
+    """Change a mission, given as a tree, for a detector that reads rendered pixels.
 
-    Images have so many that markers are LEGIBLE_PX large at the start, and units keep them from becoming too
-    small. Robots have bodies and avoid one another: one that drove over another would hide it from all.
+    Images have so many pixels that markers are LEGIBLE_PX large at the start, and units keep them from
+    becoming too small. Robots have bodies and avoid one another: one that drove over another would hide it
+    from all.
     """
     units = []
     for unit in tree["units"]:
@@ -158,7 +225,7 @@ def _tree(rng: np.random.Generator, crowd: Crowd) -> tuple[ComplexArray, list[in
 
 
 def random_camera(rng: np.random.Generator) -> dict[str, Any]:
-    """A camera of random size, focal length and principal point."""
+    """Draw a camera of random size, focal length and principal point, as keys of `CameraModel`."""
     size = int(rng.choice([640, 800, 1000]))
     return {
         "half_angle_deg": float(rng.uniform(28.0, 38.0)),
@@ -170,6 +237,7 @@ def random_camera(rng: np.random.Generator) -> dict[str, Any]:
 def _robots(
     rng: np.random.Generator,
     crowd: Crowd,
+    *,
     centers: ComplexArray,
     parents: list[int],
     radii_m: Array,
@@ -179,12 +247,11 @@ def _robots(
     places: list[complex] = []
 
     def put(count: int, units: list[int]) -> bool:
-        for _ in range(2000):
+        for _ in range(PLACE_TRIES):
             if count == 0:
                 return True
-            at = centers[units[0]] + radii_m[units[0]] * np.sqrt(rng.random()) * np.exp(
-                2j * np.pi * rng.random()
-            )
+            away_m = radii_m[units[0]] * np.sqrt(rng.random())
+            at = centers[units[0]] + away_m * np.exp(2j * np.pi * rng.random())
             inside = all(abs(at - centers[unit]) < radii_m[unit] for unit in units)
             if inside and all(abs(at - other) > 3 * SIDE_M for other in places):
                 places.append(at)
@@ -199,18 +266,15 @@ def _robots(
     total = crowd.units * crowd.robots_a_unit + extra
     if len(places) > total:
         return None
-    return (
-        np.array(places)
-        if all(put(1, [int(rng.integers(crowd.units))]) for _ in range(total - len(places)))
-        else None
-    )
+    placed = all(put(1, [int(rng.integers(crowd.units))]) for _ in range(total - len(places)))
+    return np.array(places) if placed else None
 
 
 def _template(rng: np.random.Generator, robots: ComplexArray) -> ComplexArray | None:
     """A random shape over about the start's extent, its points in the robots' order."""
     spread = np.abs(robots - robots.mean()).max()
     shape: list[complex] = []
-    for _ in range(5000):
+    for _ in range(SHAPE_TRIES):
         at = spread * (rng.uniform(-1, 1) + 1j * rng.uniform(-1, 1))
         if all(abs(at - other) > 4 * SIDE_M for other in shape):
             shape.append(at)

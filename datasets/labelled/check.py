@@ -1,8 +1,14 @@
-"""Validation of a labelled image set: files, layouts against the truth, truth against spec and pixels."""
+"""Checks a labelled image set: its files, its layouts against the truth, the truth against spec and pixels.
+
+Layouts follow from the truth table alone, so that they are made again and compared byte by byte. Truth and
+pixels follow from spec and seed, and are compared with what these give, within tolerances, since processors
+and versions of OpenCV differ in the last digits. Last, the detector looks at a sample.
+"""
 
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -10,28 +16,39 @@ import cv2
 import numpy as np
 
 from skyherd.datasets.labelled.agreement import Agreement, look
-from skyherd.datasets.labelled.coco import coco_document
+from skyherd.datasets.labelled.coco import coco_text
 from skyherd.datasets.labelled.folder import Folder, open_folder, same_version
 from skyherd.datasets.labelled.labels import Labels, make_labels
 from skyherd.datasets.labelled.read import Dataset, LabelledImage, read_dataset
 from skyherd.datasets.labelled.sampling import make_scene
 from skyherd.datasets.labelled.scenes import Scene
-from skyherd.datasets.labelled.yolo import COLUMNS, folder_yaml, yolo_table
+from skyherd.datasets.labelled.truth_table import label_table
+from skyherd.datasets.labelled.yolo import folder_yaml, yolo_text
 from skyherd.errors import InputError
-from skyherd.geometry import Array
 
-PLACE_TOLERANCE_PX = 1e-4
-"""What a layout may differ from the table: both are written to a millionth of a pixel or better."""
+MOST_SHOWN = 60
+"""Characters of a JSON value that a complaint shows. *Chosen*: a number or a name, and still one line."""
 
-YOLO_TOLERANCE = 1e-6
+TABLE_TOLERANCE = 1e-4
+"""By how much a number of the truth table may differ from the one that its seed gives; px, deg or shares.
+*Chosen*: far below what anything is measured to, and far above the last digits, in which processors differ.
+The table itself is written to 1e-9."""
 
 PIXEL_TOLERANCE = 1.0
-"""Mean difference, grey levels, that versions of OpenCV may make: other noise alone makes as much."""
+"""Mean difference, grey levels, allowed between an image and the one that its seed gives. *Chosen*: versions
+of OpenCV interpolate the ground differently by less; noise drawn from another seed alone makes as much."""
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """What was found wrong, a line each, and how the detector agrees with the truth, where it was asked."""
+    """The result of a check.
+
+    Attributes:
+        problems: what is wrong, a line each; empty for a good set.
+        images: number of images.
+        markers: number of labelled markers in them; 0 if the tables cannot be read.
+        agreement: how the detector agrees with the truth; None if the tables cannot be read.
+    """
 
     problems: list[str]
     images: int
@@ -40,23 +57,25 @@ class Verdict:
 
 
 def check_dataset(path: Path, *, sample: int = 24) -> Verdict:
-    """Check all files of a set, and the pixels of so many images, evenly spread.
+    """Check all files of a set, and truth and pixels of `sample` images, evenly spread over it.
 
     Raises:
-        InputError: the folder is not that of a data set.
+        InputError: the folder is not that of a labelled image set.
     """
     folder = open_folder(path)
     try:
         dataset = read_dataset(path)
     except InputError as error:
-        return Verdict([str(error)], folder.spec.images, 0, None)
+        return Verdict(problems=[str(error)], images=folder.spec.images, markers=0, agreement=None)
     problems = [*_check_images(dataset), *_check_coco(folder, dataset), *_check_yolo(folder, dataset)]
     count = min(sample, len(dataset))
     chosen = [int(k) for k in np.arange(count) * len(dataset) // max(count, 1)]
     if same_version(path):
         problems += _check_seed(dataset, chosen)
     agreement, doubts = look([dataset[k] for k in chosen], dataset.spec.markers.dictionary)
-    return Verdict(problems + doubts, len(dataset), dataset.markers, agreement)
+    return Verdict(
+        problems=problems + doubts, images=len(dataset), markers=dataset.markers, agreement=agreement
+    )
 
 
 def _check_images(dataset: Dataset) -> Iterator[str]:
@@ -73,87 +92,69 @@ def _check_images(dataset: Dataset) -> Iterator[str]:
 
 
 def _check_coco(folder: Folder, dataset: Dataset) -> Iterator[str]:
-    """Each COCO file says what the truth table says."""
+    """Each COCO file is, to the byte, the text that the truth table makes."""
     for split in folder.splits():
-        file = folder.coco(split)
-        try:
-            found = json.loads(file.read_text("utf-8"))
-        except OSError as error:
-            yield f"{file}: {error.strerror}"
-            continue
-        except ValueError:
-            yield f"{file}: no JSON, or cut short"
-            continue
         images = [(i, dataset[i].path.name, dataset[i].labels) for i in folder.indices(split)]
-        wanted = coco_document(dataset.spec.description, dataset.spec.size_px, images)
-        yield from (f"{file}: {line}" for line in _compare_coco(found, wanted))
-
-
-def _compare_coco(found: Any, wanted: dict[str, Any]) -> Iterator[str]:
-    if not isinstance(found, dict):
-        yield "no COCO document"
-        return
-    for part in ("categories", "images", "annotations"):
-        try:
-            entries = {entry["id"]: entry for entry in found[part]}
-        except (KeyError, TypeError):
-            yield f"no {part}, or one without an id"
-            continue
-        ids = {entry["id"] for entry in wanted[part]}
-        if len(entries) != len(found[part]) or entries.keys() != ids:
-            yield f"{len(found[part])} {part}, of {len(ids)} that the truth table has, or not with their ids"
-        for entry in wanted[part]:
-            if entry["id"] in entries:
-                yield from _compare_entry(entries[entry["id"]], entry, part)
-
-
-def _compare_entry(found: dict[str, Any], wanted: dict[str, Any], part: str) -> Iterator[str]:
-    """The first difference of an image, annotation or category."""
-    for key, value in wanted.items():
-        if not _alike(found.get(key), value):
-            of = (
-                f" of image {wanted['image_id']:06d}, marker {wanted['marker_id']}"
-                if part == "annotations"
-                else ""
-            )
-            yield f"{part}: {key} of id {wanted['id']}{of} is {found.get(key)}, by the truth table {value}"
-            return
-
-
-def _alike(found: Any, wanted: Any) -> bool:
-    if isinstance(wanted, list):
-        return (
-            isinstance(found, list)
-            and len(found) == len(wanted)
-            and all(_alike(a, b) for a, b in zip(found, wanted, strict=True))
-        )
-    if isinstance(wanted, float) and isinstance(found, int | float):
-        return abs(found - wanted) <= PLACE_TOLERANCE_PX
-    return bool(found == wanted)
+        text = coco_text(dataset.spec.description, dataset.spec.size_px, images)
+        yield from _compare(folder.coco(split), text, "the truth table", _json_difference)
 
 
 def _check_yolo(folder: Folder, dataset: Dataset) -> Iterator[str]:
-    """Each YOLO file says what the truth table says."""
+    """Each YOLO file is, to the byte, the text that the truth table makes."""
     for index, image in enumerate(dataset):
-        file = folder.yolo(index)
-        try:
-            rows = [[float(word) for word in line.split()] for line in file.read_text("utf-8").splitlines()]
-        except OSError as error:
-            yield f"{file}: {error.strerror}"
-            continue
-        except ValueError:
-            yield f"{file}: not all of it is numbers"
-            continue
-        wanted = yolo_table(image.labels, dataset.spec.size_px)
-        if [len(row) for row in rows] != [COLUMNS] * len(wanted):
-            yield f"{file}: {len(rows)} lines; by the truth table {len(wanted)}, of {COLUMNS} numbers"
-        elif rows and (far := np.abs(np.array(rows) - wanted).max(axis=1)).max() > YOLO_TOLERANCE:
-            line = int(far.argmax())
-            marker = image.labels.ids[line]
-            yield f"{file}: line {line + 1} is off by {far[line]:.2g} from marker {marker} of the truth table"
-    file = folder.data_yaml
-    if not file.exists() or file.read_text("utf-8", errors="replace") != folder_yaml(folder):
-        yield f"{file}: not there, or not what its spec makes of it"
+        text = yolo_text(image.labels, dataset.spec.size_px)
+        yield from _compare(folder.yolo(index), text, "the truth table", _line_difference)
+    yield from _compare(folder.data_yaml, folder_yaml(folder), "its spec", _line_difference)
+
+
+def _compare(file: Path, wanted: str, source: str, explain: Callable[[str, str], str]) -> Iterator[str]:
+    """A complaint if a file cannot be read, or is not the text that a source makes: the first difference."""
+    try:
+        found = file.read_bytes()
+    except OSError as error:
+        yield f"{file}: {error.strerror}"
+        return
+    if found != wanted.encode():
+        difference = explain(found.decode(errors="replace"), wanted)
+        yield f"{file}: differs from {source}: {difference}"
+
+
+def _line_difference(found: str, wanted: str) -> str:
+    """The first line in which a text differs from the text wanted, and the first word in that line."""
+    lines = list(zip_longest(found.splitlines(), wanted.splitlines()))
+    for number, (here, there) in enumerate(lines, start=1):
+        if here is None or there is None:
+            break
+        for place, (word, right) in enumerate(zip_longest(here.split(), there.split()), start=1):
+            if word != right:
+                return f"line {number}, value {place} is {word} instead of {right}"
+    return f"{len(found.splitlines())} lines instead of {len(wanted.splitlines())}"
+
+
+def _json_difference(found: str, wanted: str) -> str:
+    """The first place, as a dotted key, in which a JSON document differs from the one wanted."""
+    try:
+        document = json.loads(found)
+    except ValueError:
+        return "no JSON, or cut short"
+    nodes = [("", document, json.loads(wanted))]
+    while nodes:
+        key, here, there = nodes.pop()
+        if isinstance(here, dict) and isinstance(there, dict) and here.keys() == there.keys():
+            nodes += [(f"{key}.{name}", here[name], there[name]) for name in reversed(there)]
+        elif isinstance(here, list) and isinstance(there, list) and len(here) == len(there):
+            nodes += [(f"{key}.{k}", here[k], there[k]) for k in reversed(range(len(there)))]
+        elif isinstance(here, list) and isinstance(there, list):
+            return f"{key[1:]} has {len(here)} entries instead of {len(there)}"
+        elif here != there:
+            return f"{key[1:]} is {_shown(here)} instead of {_shown(there)}"
+    return "the right content, but not the text that `skyherd dataset make` writes"
+
+
+def _shown(value: Any) -> str:
+    """A JSON value in a complaint: numbers and short texts as they are, others cut."""
+    text = json.dumps(value)
+    return text if len(text) <= MOST_SHOWN else f"{text[:MOST_SHOWN]}…"
 
 
 def _check_seed(dataset: Dataset, chosen: list[int]) -> Iterator[str]:
@@ -168,11 +169,11 @@ def _check_seed(dataset: Dataset, chosen: list[int]) -> Iterator[str]:
 
 
 def _differs(found: Labels, wanted: Labels) -> str | None:
+    """How an image's rows of the truth table differ from what its seed gives, if they do."""
     if not np.array_equal(found.ids, wanted.ids):
         return f"has markers {found.ids.tolist()}, by its seed {wanted.ids.tolist()}"
-    pairs = zip(_numbers(found), _numbers(wanted), strict=True)
-    far = [np.abs(here - there).max() > PLACE_TOLERANCE_PX for here, there in pairs]
-    return f"markers {wanted.ids[far].tolist()} are not as its seed puts them" if any(far) else None
+    far = (np.abs(label_table(found) - label_table(wanted)) > TABLE_TOLERANCE).any(axis=1)
+    return f"markers {wanted.ids[far].tolist()} are not as its seed puts them" if far.any() else None
 
 
 def _repainted(image: LabelledImage, scene: Scene) -> bool:
@@ -180,18 +181,5 @@ def _repainted(image: LabelledImage, scene: Scene) -> bool:
     try:
         found, wanted = image.read(), scene.render(Path())
     except InputError:
-        return False  # told elsewhere
+        return False  # `_check_images` complains of it
     return found.shape == wanted.shape and float(cv2.absdiff(found, wanted).mean()) > PIXEL_TOLERANCE
-
-
-def _numbers(labels: Labels) -> Array:
-    """All numbers of each marker (N, K)."""
-    columns = (
-        labels.keypoints_px.reshape(-1, 10),
-        labels.headings_deg,
-        labels.sides_px,
-        labels.visible_fractions,
-        labels.visibilities,
-        labels.crb_stds,
-    )
-    return np.column_stack(columns)

@@ -5,6 +5,7 @@ A pixel's centre is at halves there: u and v are those of the truth table plus 0
 out of the image are `0, 0, 0`.
 """
 
+import json
 from collections.abc import Sequence
 from typing import Any
 
@@ -14,6 +15,7 @@ from skyherd.datasets.labelled.labels import KEYPOINTS, OUTSIDE, Labels
 from skyherd.datasets.labelled.outlines import area, bounding_box, visible_outline
 
 Json = dict[str, Any]
+"""A JSON object."""
 
 CATEGORY = {
     "id": 1,
@@ -22,15 +24,22 @@ CATEGORY = {
     "keypoints": list(KEYPOINTS),
     "skeleton": [[1, 2], [2, 3], [3, 4], [4, 1], [5, 1], [5, 2]],
 }
-"""One category; which marker it is, is an annotation's `marker_id`."""
+"""The only category. Which marker it is, is in an annotation's `marker_id`; keypoints of the skeleton count
+from 1."""
 
 DIGITS = 6
+"""Decimals of places, px. *Chosen*: a millionth of a pixel, a hundredth of what the truth table is checked
+to."""
 
 
-def coco_document(
-    description: str, size_px: tuple[int, int], images: Sequence[tuple[int, str, Labels]]
-) -> Json:
-    """A split's document, of images (number, file name, labels); annotations are numbered from 1."""
+def coco_text(description: str, size_px: tuple[int, int], images: Sequence[tuple[int, str, Labels]]) -> str:
+    """The COCO file of a split, as text.
+
+    Args:
+        description: of the set, as its spec has it.
+        size_px: width and height of every image.
+        images: number, file name and labels of each image. Annotations are numbered from 1 in this order.
+    """
     annotations: list[Json] = []
     for number, _, labels in images:
         for k in range(len(labels)):
@@ -38,7 +47,7 @@ def coco_document(
                 {"id": len(annotations) + 1, "image_id": number, **_annotation(labels, k, size_px)}
             )
     width, height = size_px
-    return {
+    document = {
         "info": {
             "description": description,
             "coordinates": "pixels from the image's upper left corner; pixel centres at halves",
@@ -50,6 +59,7 @@ def coco_document(
         "annotations": annotations,
         "categories": [CATEGORY],
     }
+    return json.dumps(document)
 
 
 def _annotation(labels: Labels, k: int, size_px: tuple[int, int]) -> Json:

@@ -1,4 +1,4 @@
-"""Where what lies in the folder of a labelled image set, and which spec it was made from.
+"""The folder of a labelled image set: where everything lies in it, and from which spec it was made.
 
 spec.json                        the spec, SHA-256 of its pictures, the version that made it
 images/train, images/val         000000.png …, numbered through
@@ -22,27 +22,30 @@ from skyherd.errors import InputError
 from skyherd.files.atomic import write_text
 
 TRAIN, VAL = "train", "val"
+"""Names of the splits: images for training, and those kept for validation."""
+
 SPLITS = (TRAIN, VAL)
+"""All splits, in the order in which they are written."""
 
 
 @dataclass(frozen=True)
 class Folder:
-    """The folder of a set, by its spec.
+    """The folder of a set, whose layout follows from its spec.
 
     Attributes:
-        path: of the folder.
-        spec: what it holds.
+        path: the folder.
+        spec: the spec of what it holds.
     """
 
     path: Path
     spec: DatasetSpec
 
     def split(self, index: int) -> str:
-        """Which split an image is in."""
+        """The split that an image, given by its number, is in."""
         return VAL if self.spec.is_validation(index) else TRAIN
 
     def splits(self) -> list[str]:
-        """The splits that have an image."""
+        """The splits that have at least one image."""
         there = {self.split(index) for index in range(self.spec.images)}
         return [split for split in SPLITS if split in there]
 
@@ -51,53 +54,57 @@ class Folder:
         return [index for index in range(self.spec.images) if self.split(index) == split]
 
     def image_name(self, index: int) -> str:
-        """An image's file, from the folder: its name in the tables."""
+        """An image's file relative to the folder, which is its name in the tables."""
         return f"images/{self.split(index)}/{index:06d}.png"
 
     def image(self, index: int) -> Path:
-        """An image's file."""
+        """The file of an image."""
         return self.path / self.image_name(index)
 
     def yolo(self, index: int) -> Path:
-        """An image's YOLO labels."""
+        """The file of an image's YOLO labels."""
         return self.path / f"labels/{self.split(index)}/{index:06d}.txt"
 
     def coco(self, split: str) -> Path:
-        """A split's COCO file."""
+        """The COCO file of a split."""
         return self.path / f"annotations/{split}.json"
 
     @property
     def data_yaml(self) -> Path:
-        """The YOLO set's description."""
+        """The file that describes the set to YOLO's trainers."""
         return self.path / "data.yaml"
 
     @property
     def truth(self) -> Path:
-        """The table of markers."""
+        """The truth table: a row for each marker."""
         return self.path / "truth.csv"
 
     @property
     def images(self) -> Path:
-        """The table of images."""
+        """The table of images: a row for each."""
         return self.path / "images.csv"
 
     @property
     def preview(self) -> Path:
-        """The contact sheet."""
+        """The contact sheet of some images with their labels."""
         return self.path / "preview.png"
 
 
 def open_folder(path: Path) -> Folder:
-    """The folder of a set that was made, or begun.
+    """Open the folder of a set that was made, or begun.
 
     Raises:
-        InputError: it is not one.
+        InputError: it has no record of a spec, or a damaged one.
     """
     return Folder(path, _read_record(path)[0])
 
 
 def same_version(path: Path) -> bool:
-    """Whether this version of skyherd made the set."""
+    """Whether this version of skyherd made the set in a folder; others may draw other images.
+
+    Raises:
+        InputError: it has no record of a spec, or a damaged one.
+    """
     return bool(_read_record(path)[1].get("skyherd") == version("skyherd"))
 
 

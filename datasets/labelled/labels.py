@@ -1,4 +1,4 @@
-"""The labels of one image, rounded once, so that table and layouts agree to the digit."""
+"""The labels of one image, rounded once, so that the truth table and all layouts agree to the digit."""
 
 from dataclasses import dataclass
 
@@ -11,9 +11,11 @@ KEYPOINTS = ("front_left", "front_right", "back_right", "back_left", "center")
 """Keypoints of a marker: corners 0 to 3, the first two ahead, and the centre."""
 
 OUTSIDE, COVERED, SEEN = 0, 1, 2
-"""Visibility of a keypoint, as COCO numbers it."""
+"""Visibility of a keypoint. *Defined* by COCO: 0 not in the image, 1 covered, 2 seen."""
 
 DIGITS = 9
+"""Decimals of all labels. *Chosen*: far below what can be measured; the rounding of doubles differs below
+it."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +44,7 @@ class Labels:
 
     @property
     def keypoints_px(self) -> Array:
-        """(N, 5, 2) corners and centre."""
+        """Keypoints (N, 5, 2) of each marker, px: its corners and its centre."""
         return np.concatenate([self.corners_px, self.centers_px[:, None]], axis=1)
 
     def __len__(self) -> int:
@@ -50,7 +52,7 @@ class Labels:
 
 
 def make_labels(scene: Scene) -> Labels:
-    """Labels of a scene; what nothing is seen of has none."""
+    """Make the labels of a scene: of the markers of which anything is seen in the image."""
     truth = scene.truth
     keep = truth.visible_fractions > 0
     stds = np.sqrt(np.diagonal(scene.bounds(), axis1=1, axis2=2)) * (1.0, 1.0, np.degrees(1.0))

@@ -1,10 +1,9 @@
-"""Making a labelled image set: in parallel, and from where it stopped.
+"""Makes a labelled image set, in parallel, and goes on with one that was interrupted.
 
-An image and its labels follow from (spec, number) alone. Images that are there are left as they are, labels
-are drawn again; so an interrupted set, made again, is the same to the byte.
+An image and its labels follow from spec and number alone. Images that are there are left as they are, and
+labels are drawn again, so that an interrupted set that is made again is the same to the byte.
 """
 
-import json
 import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -15,7 +14,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from skyherd.datasets.labelled.coco import coco_document
+from skyherd.datasets.labelled.coco import coco_text
 from skyherd.datasets.labelled.folder import Folder, claim_folder
 from skyherd.datasets.labelled.labels import Labels, make_labels
 from skyherd.datasets.labelled.preview import write_preview
@@ -28,19 +27,26 @@ from skyherd.errors import OutputError
 from skyherd.files.atomic import write_text, write_whole
 
 BATCH = 8
-"""Most images that a worker is given at a time, all of one camera, whose ground is dear to make; an
-interrupt waits for no more."""
+"""Most images that a worker is given at a time, all of one camera. *Chosen*: the ground of a camera takes as
+long to make as some images, which larger batches share; an interrupt waits for a batch to end."""
 
 OnImages = Callable[[int], None]
-"""Told of how many images more are done."""
+"""Called after each batch with the number of images that it had, for a progress bar."""
 
 Made = tuple[Labels, Row]
+"""An image's labels, and its row of the table of images."""
 
 
 def make_dataset(
     file: SpecFile, path: Path, *, jobs: int = 1, on_images: OnImages = lambda count: None
 ) -> Dataset:
-    """Make the set that a spec describes, with so many processes, or go on with it; then read it back.
+    """Make the set that a spec describes, or go on with it, and read it back.
+
+    Args:
+        file: the spec, and where its pictures lie.
+        path: the folder to make.
+        jobs: number of processes.
+        on_images: called with the number of images of each batch that is done.
 
     Raises:
         InputError: the folder holds something else.
@@ -63,7 +69,11 @@ def make_dataset(
 
 
 def make_images(file: SpecFile, folder: Folder, indices: Sequence[int]) -> list[Made]:
-    """Write images, unless they are there, and their YOLO labels."""
+    """Write the images with the numbers given, unless they are there, and their YOLO labels.
+
+    Returns:
+        The labels and the table row of each image, in their order.
+    """
     return [_make_image(file, folder, index) for index in indices]
 
 
@@ -117,12 +127,12 @@ def _batches(file: SpecFile) -> list[list[int]]:
 
 
 def _write_tables(folder: Folder, made: dict[int, Made]) -> None:
-    """All that is about the whole set."""
+    """Write the files that are about the whole set."""
     spec = folder.spec
     for split in folder.splits():
         images = [(i, folder.image(i).name, made[i][0]) for i in folder.indices(split)]
         folder.coco(split).parent.mkdir(exist_ok=True)
-        write_text(folder.coco(split), json.dumps(coco_document(spec.description, spec.size_px, images)))
+        write_text(folder.coco(split), coco_text(spec.description, spec.size_px, images))
     write_text(folder.data_yaml, folder_yaml(folder))
     ordered = [(folder.image_name(i), made[i]) for i in range(spec.images)]
     rows = (row for name, (labels, _) in ordered for row in truth_rows(name, labels))

@@ -6,10 +6,10 @@ from skyherd.geometry import Array
 
 
 def visible_outline(corners_px: Array, size_px: tuple[int, int]) -> Array:
-    """The square (4, 2) cut to the image, (K, 2), from the image's upper left corner.
+    """Cut a square, given by its corners (4, 2), to the image: the corners (K, 2) of what is left.
 
-    Pixel centres, integers in `corners_px`, become halves. Cut by one border after the other (Sutherland and
-    Hodgman 1974).
+    Places are px from the image's upper left corner, so that pixel centres, integers in `corners_px`, become
+    halves. The square is cut by one border after the other (Sutherland and Hodgman 1974).
     """
     points = corners_px + 0.5
     for axis, sign, limit in ((0, 1, 0), (1, 1, 0), (0, -1, -size_px[0]), (1, -1, -size_px[1])):
@@ -31,12 +31,12 @@ def _cut(points: Array, inside: Array) -> Array:
 
 
 def bounding_box(outline: Array) -> tuple[float, float, float, float]:
-    """Left, top, width, height."""
+    """Bounding box of an outline (K, 2): left, top, width, height, in its unit."""
     low, high = outline.min(axis=0), outline.max(axis=0)
     return float(low[0]), float(low[1]), float(high[0] - low[0]), float(high[1] - low[1])
 
 
 def area(outline: Array) -> float:
-    """Area of a polygon (K, 2), by the shoelace formula."""
+    """Area of a polygon with corners (K, 2) in order, by the shoelace formula."""
     x, y = outline.T
     return float(abs(x @ np.roll(y, -1) - y @ np.roll(x, -1)) / 2)

@@ -1,4 +1,4 @@
-"""A contact sheet of a labelled image set: some of its images, the truth drawn on them."""
+"""A contact sheet of a labelled image set: some of its images, with their labels drawn on them."""
 
 from pathlib import Path
 
@@ -15,13 +15,19 @@ from skyherd.inspection.annotator import Annotator
 from skyherd.messages import Detections
 
 COLUMNS, ROWS = 3, 3
+"""Images side by side and one above the other. *Chosen*: nine show the variety, and each is still large
+enough."""
+
 CELL_PX, GAP_PX, CAPTION_PX, FONT_PX = 600, 14, 26, 14
+"""Width of an image on the sheet, gaps between images, height of a caption, size of its text; px. *Chosen* by
+eye."""
 
 Picture = npt.NDArray[np.uint8]
+"""RGB image (height, width, 3)."""
 
 
 def write_preview(dataset: Dataset, path: Path) -> Path:
-    """Write the sheet as PNG.
+    """Write the contact sheet of a set as PNG; returns its path.
 
     Raises:
         InputError: an image of the set is damaged or not there.
@@ -32,7 +38,11 @@ def write_preview(dataset: Dataset, path: Path) -> Path:
 
 
 def draw_preview(dataset: Dataset, columns: int = COLUMNS, rows: int = ROWS) -> Picture:
-    """RGB sheet of images evenly spread over the set, each with what it is below it."""
+    """Draw a sheet (height, width, 3), RGB, of images evenly spread over the set, each with a caption below.
+
+    Raises:
+        InputError: an image of the set is damaged or not there.
+    """
     count = min(columns * rows, len(dataset))
     columns, rows = min(columns, count), -(-count // min(columns, count))
     width, height = dataset.spec.size_px

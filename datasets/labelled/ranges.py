@@ -1,4 +1,4 @@
-"""Ranges from which values are drawn: `[least, greatest]`, or one number where nothing varies."""
+"""Ranges from which values are drawn: `[least, greatest]` in TOML, or one number if nothing varies."""
 
 from dataclasses import dataclass
 from typing import Annotated, Any, TypeVar
@@ -30,13 +30,22 @@ class _OneOrTwo:
 
 
 Span = Annotated[tuple[T, T], BeforeValidator(_pair), AfterValidator(_ordered), _OneOrTwo()]
+"""A range of values of a type: a pair in ascending order; one number is taken as both."""
+
+BELOW_NEXT = 1e-9
+"""By how much a draw of whole numbers ends below the number after the last. *Chosen*: keeps the rounding of
+the product from reaching that number; it changes the odds by as little."""
 
 
-def draw(rng: np.random.Generator, span: tuple[float, float]) -> float:
-    """A number between the ends, uniform; drawn also where they are equal, lest streams shift."""
+def draw_number(rng: np.random.Generator, span: tuple[float, float]) -> float:
+    """Draw a number uniformly from a range.
+
+    One random number is used even where the ends are equal, so that a range that is narrowed to one value
+    does not change the values drawn after it.
+    """
     return float(rng.uniform(0.0, 1.0) * (span[1] - span[0]) + span[0])
 
 
-def draw_whole(rng: np.random.Generator, span: tuple[int, int]) -> int:
-    """A whole number from the first to the last, each as likely."""
-    return int(np.floor(draw(rng, (span[0], span[1] + 1 - 1e-9))))
+def draw_integer(rng: np.random.Generator, span: tuple[int, int]) -> int:
+    """Draw a whole number from the first to the last of a range, each as likely."""
+    return int(np.floor(draw_number(rng, (span[0], span[1] + 1 - BELOW_NEXT))))

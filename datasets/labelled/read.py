@@ -1,4 +1,4 @@
-"""A labelled image set, read back: images and truth."""
+"""Reads a labelled image set back: its images, and the truth about them."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -17,11 +17,11 @@ class LabelledImage:
     """One image and the truth about it.
 
     Attributes:
-        name: of the file, from the set's folder.
-        path: of the file.
+        name: the file, relative to the set's folder.
+        path: the file.
         split: `train` or `val`.
         labels: exact truth about its markers.
-        taken: how it was taken, by the columns of `images.csv`.
+        taken: how it was taken: the texts of its row in `images.csv`, by column.
     """
 
     name: str
@@ -31,13 +31,23 @@ class LabelledImage:
     taken: dict[str, str]
 
     def read(self) -> Grey:
-        """The image, grey, (height, width); InputError if the file is damaged or not there."""
+        """Read the image: grey levels (height, width).
+
+        Raises:
+            InputError: the file is damaged or not there.
+        """
         return read_grey(self.path)
 
 
 @dataclass(frozen=True)
 class Dataset:
-    """A set: its spec, and its images in the order of their numbers."""
+    """A labelled image set: a sequence of its images, in the order of their numbers.
+
+    Attributes:
+        path: its folder.
+        spec: the spec that it was made from.
+        images: all images.
+    """
 
     path: Path
     spec: DatasetSpec
@@ -54,15 +64,15 @@ class Dataset:
 
     @property
     def markers(self) -> int:
-        """Labelled markers in all images."""
+        """Number of labelled markers in all images."""
         return sum(len(image.labels) for image in self)
 
 
 def read_dataset(path: Path | str) -> Dataset:
-    """Read what `skyherd dataset make` left in a folder; pictures only when they are asked for.
+    """Read what `skyherd dataset make` left in a folder; images are read when they are asked for.
 
     Raises:
-        InputError: it is no such folder, or a table is damaged or not there.
+        InputError: the folder has no labelled set, or a table of it is damaged or not there.
     """
     folder = open_folder(Path(path))
     labels, taken = read_labels(folder.truth), read_table(folder.images, ("image", "split"))
@@ -74,7 +84,13 @@ def read_dataset(path: Path | str) -> Dataset:
     if strangers := sorted(labels.keys() - set(names)):
         raise InputError(str(folder.truth), f"{strangers[0]} is no image of the set", "make it again")
     images = (
-        LabelledImage(name, folder.path / name, row["split"], labels.get(name, no_labels()), row)
+        LabelledImage(
+            name=name,
+            path=folder.path / name,
+            split=row["split"],
+            labels=labels.get(name, no_labels()),
+            taken=row,
+        )
         for name, row in zip(names, taken, strict=True)
     )
     return Dataset(folder.path, folder.spec, tuple(images))

@@ -1,4 +1,4 @@
-"""Scenes drawn at random from a spec: each from seed and number alone.
+"""Draws scenes at random from a spec, each from seed and number alone.
 
 Streams of random numbers are `[seed, use, number]`, so that an image is the same whoever makes it, and when.
 """
@@ -7,48 +7,48 @@ from functools import lru_cache
 
 import numpy as np
 
-from skyherd.datasets.configuration.scene_models import (
-    CameraModel,
-    DistortionModel,
-    GroundModel,
-    OccluderModel,
-    SensorModel,
-)
-from skyherd.datasets.labelled.ranges import draw, draw_whole
+from skyherd.datasets.configuration.camera_models import CameraModel, DistortionModel
+from skyherd.datasets.configuration.scene_models import GroundModel, OccluderModel, SensorModel
+from skyherd.datasets.labelled.ranges import draw_integer, draw_number
 from skyherd.datasets.labelled.scenes import Scene, Station, corners_m
 from skyherd.datasets.labelled.spec import DatasetSpec, OccludersSpec, SensorSpec
 from skyherd.geometry import Array, BoolArray, IntArray, apply_homography, inverse
 from skyherd.markers.dictionary import card_side, dictionary_size
 from skyherd.random_streams import LabelledSetStream, generator
-from skyherd.render import Camera, CameraPose, Motion, homography_image_ground, project
-from skyherd.render.camera.camera import undistort
+from skyherd.render import Camera, CameraPose, Motion, homography_image_ground, project, undistort
 
 EXPOSURE_S = 0.01
+"""Exposure of images with motion blur, s. *Chosen*: the streak's length is asked for, and the camera's speed
+follows, so that the exposure cancels."""
+
 CANDIDATES = 60
-"""Places that are tried for each marker."""
+"""Random places tried for each marker. *Chosen*: fills images well; with fewer, more markers find no room."""
 
 
 def station_number(spec: DatasetSpec, index: int) -> int:
-    """Which camera takes an image."""
+    """Number of the camera that takes an image, given by its own number."""
     return int(generator(spec.seed, LabelledSetStream.IMAGE, index).integers(spec.cameras))
 
 
 @lru_cache(maxsize=64)
 def make_station(spec_json: str, number: int) -> Station:
-    """Draw one of the cameras of a set, given as JSON, and its ground."""
+    """Draw one of the cameras of a set and the ground under it.
+
+    The spec is given as JSON, by which the last 64 stations are kept.
+    """
     spec = DatasetSpec.model_validate_json(spec_json)
     rng = generator(spec.seed, LabelledSetStream.CAMERA, number)
-    lens = {name: draw(rng, span) for name, span in spec.camera.distortion}
+    lens = {name: draw_number(rng, span) for name, span in spec.camera.distortion}
     camera = CameraModel(
         size_px=spec.size_px,
-        half_angle_deg=draw(rng, spec.camera.half_angle_deg),
-        aspect=draw(rng, spec.camera.aspect),
+        half_angle_deg=draw_number(rng, spec.camera.half_angle_deg),
+        aspect=draw_number(rng, spec.camera.aspect),
         distortion=DistortionModel(**lens),
     )
-    psf_px, model = draw(rng, spec.camera.psf_px), spec.ground
+    psf_px, model = draw_number(rng, spec.camera.psf_px), spec.ground
     choice = int(rng.integers(len(model.kinds) + len(model.images)))
-    level = {"mean": draw(rng, model.mean), "contrast": draw(rng, model.contrast)}
-    tile_m, width_m = draw(rng, model.tile_sides), draw(rng, model.image_sides)
+    level = {"mean": draw_number(rng, model.mean), "contrast": draw_number(rng, model.contrast)}
+    tile_m, width_m = draw_number(rng, model.tile_sides), draw_number(rng, model.image_sides)
     if choice >= len(model.kinds):
         ground = GroundModel(
             kind="image", image=model.images[choice - len(model.kinds)], tile_m=width_m, **level
@@ -56,19 +56,24 @@ def make_station(spec_json: str, number: int) -> Station:
     else:
         kind = model.kinds[choice]
         ground = GroundModel(kind=kind, tile_m=tile_m if kind == "tiles" else None, **level)
-    return Station(number, camera, psf_px, ground, int(rng.integers(2**31)))
+    return Station(
+        number=number, camera=camera, psf_px=psf_px, ground=ground, ground_seed=int(rng.integers(2**31))
+    )
 
 
 def make_scene(spec: DatasetSpec, index: int) -> Scene:
-    """Draw the scene of one image."""
+    """Draw the scene of one image of a set, given by its number."""
     rng = generator(spec.seed, LabelledSetStream.IMAGE, index)
     station = make_station(spec.model_dump_json(), int(rng.integers(spec.cameras)))
     pose = _draw_pose(spec, station, rng)
-    motion_px, sensor = draw(rng, spec.sensor.motion_px), _draw_sensor(spec.sensor, station.psf_px, rng)
+    motion_px, sensor = (
+        draw_number(rng, spec.sensor.motion_px),
+        _draw_sensor(spec.sensor, station.psf_px, rng),
+    )
     toward, speed = rng.uniform(-np.pi, np.pi), motion_px / EXPOSURE_S * pose.height_m
     speed /= station.camera.focal_length_px
-    black, white = draw(rng, spec.markers.black), draw(rng, spec.markers.white)
-    clutter = draw_whole(rng, spec.ground.clutter)
+    black, white = draw_number(rng, spec.markers.black), draw_number(rng, spec.markers.white)
+    clutter = draw_integer(rng, spec.ground.clutter)
     ids, positions_m, headings_rad = _draw_team(spec, station.camera.make(), pose, rng)
     return Scene(
         station=station,
@@ -93,21 +98,23 @@ def _draw_pose(spec: DatasetSpec, station: Station, rng: np.random.Generator) ->
 
     A tilt t shrinks it there by cos t for the distance and by sqrt(cos t) for the slant.
     """
-    side_px, tilt = draw(rng, spec.markers.side_px), np.radians(draw(rng, spec.camera.tilt_deg))
+    side_px, tilt = draw_number(rng, spec.markers.side_px), np.radians(draw_number(rng, spec.camera.tilt_deg))
     toward, yaw = rng.uniform(-np.pi, np.pi, 2)
     camera = station.camera
     height_m = camera.focal_length_px * camera.aspect**0.5 / side_px * np.cos(tilt) ** 1.5
     x, y = rng.uniform(-20, 20, 2)
     about = (float(tilt * np.cos(toward)), float(tilt * np.sin(toward)))
-    return CameraPose((float(x), float(y)), float(height_m), float(yaw), about)
+    return CameraPose(
+        position_m=(float(x), float(y)), height_m=float(height_m), yaw_rad=float(yaw), tilt_rad=about
+    )
 
 
 def _draw_sensor(model: SensorSpec, psf_px: float, rng: np.random.Generator) -> SensorModel:
     values = {
-        name: draw(rng, getattr(model, name))
+        name: draw_number(rng, getattr(model, name))
         for name in ("noise", "shot", "gain", "vignetting", "gradient", "shadow")
     }
-    quality = draw_whole(rng, model.jpeg_quality or (100, 100))
+    quality = draw_integer(rng, model.jpeg_quality or (100, 100))
     gradient_deg, shadow_deg = rng.uniform(-180, 180, 2)
     return SensorModel(
         **values,
@@ -127,7 +134,7 @@ def _draw_team(
     """Markers at random places of the image, as many of those asked for as fit without touching."""
     model = spec.markers
     known = np.arange(dictionary_size(model.dictionary)) if model.ids is None else np.array(model.ids)
-    count = draw_whole(rng, model.count)
+    count = draw_integer(rng, model.count)
     ids, tries = rng.permutation(known)[:count], CANDIDATES * max(count, 1)
     width, height = camera.size_px
     points_px = rng.uniform([-0.5, -0.5], [width - 0.5, height - 0.5], (tries, 2))
@@ -166,7 +173,7 @@ def _draw_occluders(
     made = []
     for place in positions_m:
         hit, square, toward, turn = rng.uniform(size=4) * (1.0, 1.0, 2 * np.pi, np.pi / 2)
-        radius, level = draw(rng, model.radius_sides), draw(rng, model.level)
+        radius, level = draw_number(rng, model.radius_sides), draw_number(rng, model.level)
         center = place + rng.uniform(0.3, 0.6) * np.array([np.cos(toward), np.sin(toward)])
         if hit >= model.share:
             continue

@@ -1,6 +1,6 @@
-"""The scene of one image of a set: rendered, and told the truth about.
+"""The scene of one image of a set: it renders the image, and gives truth and bound of its markers.
 
-The markers' sides are 1 m on the ground: metres are marker sides.
+The markers' sides are 1 m on the ground, so that metres are marker sides.
 """
 
 from collections.abc import Sequence
@@ -12,11 +12,11 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from skyherd.datasets.configuration.scene_models import CameraModel, GroundModel, OccluderModel, SensorModel
+from skyherd.datasets.configuration.camera_models import CameraModel
+from skyherd.datasets.configuration.scene_models import GroundModel, OccluderModel, SensorModel
 from skyherd.datasets.labelled.outlines import area
 from skyherd.files.images import read_grey
 from skyherd.geometry import ROBOT_FRAME_CORNERS, UNIFORM_VARIANCE, Array, IntArray, to_points
-from skyherd.markers.blur_model import total_sigma_px
 from skyherd.markers.cramer_rao import pose_covariances
 from skyherd.markers.dictionary import card_side
 from skyherd.render import (
@@ -32,18 +32,19 @@ from skyherd.render import (
 )
 
 CLUTTER_SIDES = (0.4, 1.2)
+"""Least and greatest side of the clutter, marker sides. *Chosen*: such as could be taken for markers."""
 
 
 @dataclass(frozen=True)
 class Station:
-    """One of the cameras, and the ground under it.
+    """One of the cameras of a set, and the ground under it.
 
     Attributes:
-        number: of the camera.
-        camera: its intrinsics.
+        number: the camera's number.
+        camera: its intrinsics and lens.
         psf_px: standard deviation of its lens's blur.
-        ground: what lies under it.
-        ground_seed: of its texture.
+        ground: the ground under it.
+        ground_seed: seed of the ground's texture.
     """
 
     number: int
@@ -60,18 +61,18 @@ class Scene:
     Attributes:
         station: camera and ground.
         pose: where the camera is.
-        dictionary: of the markers.
-        black: grey level of their black.
-        white: grey level of their card.
+        dictionary: dictionary of the markers.
+        black: grey level of the markers' black.
+        white: grey level of their cards.
         ids: (N,) markers, ascending.
-        positions_m: (N, 2) where they lie.
-        headings_rad: (N,) their headings on the ground.
-        sensor: what the image suffers.
-        motion_px: length of the streak of a point.
-        motion: of the camera.
-        clutter: how many dark quadrilaterals are in the image, about.
+        positions_m: (N, 2) their places on the ground, in marker sides.
+        headings_rad: (N,) their headings, counter-clockwise from +x.
+        sensor: what the sensor does to the image.
+        motion_px: length of the streak that a point leaves.
+        motion: velocity of the camera, which leaves it.
+        clutter: about how many dark quadrilaterals are in the image.
         occluders: what lies over markers.
-        noise_key: seed of noise and clutter.
+        noise_key: seed of noise and clutter: the set's seed, the stream, the image's number.
     """
 
     station: Station
@@ -91,30 +92,36 @@ class Scene:
 
     @cached_property
     def camera(self) -> Camera:
-        """The camera's intrinsics."""
+        """The camera: intrinsics and lens."""
         return self.station.camera.make()
 
     @cached_property
     def truth(self) -> FrameTruth:
-        """Exact truth about the markers."""
+        """Exact truth about the markers, those outside the image as well."""
         return project_markers(
             self.camera,
             self.pose,
             self.positions_m,
             self.headings_rad,
-            1.0,
-            card_side(self.dictionary),
+            side_m=1.0,
+            card_side_m=card_side(self.dictionary),
             ids=self.ids,
             occluders=[occluder.make() for occluder in self.occluders],
         )
 
     def render(self, folder: Path) -> npt.NDArray[np.uint8]:
-        """The image (height, width); pictures of the ground lie in `folder`."""
+        """Render the image: grey levels (height, width). Pictures of the ground are relative to `folder`.
+
+        Raises:
+            InputError: a picture of the ground cannot be read.
+        """
         sensor, rng = self.sensor, np.random.default_rng(self.noise_key)
         ground = copy(_floor(self.station, folder))
         if self.clutter:
             density = self.clutter / area(footprint_m(self.camera, self.pose))
-            ground.clutter = Clutter(int(rng.integers(2**31)), density, CLUTTER_SIDES)
+            ground.clutter = Clutter(
+                seed=int(rng.integers(2**31)), density_per_m2=density, side_m=CLUTTER_SIDES
+            )
         renderer = Renderer(
             self.dictionary,
             1.0,
@@ -123,7 +130,7 @@ class Scene:
             psf_px=sensor.psf_px,
             black=self.black,
             white=self.white,
-            shutter=sensor.shutter(),
+            shutter=sensor.make_shutter(),
         )
         return renderer.render(
             self.camera,
@@ -154,7 +161,9 @@ class Scene:
         )
         last = np.array(self.camera.size_px) - 1
         at = np.rint(truth.centers_px).astype(int).clip(0, last)
-        light = sensor.gain * sensor.illumination().of(self.camera.size_px)[at[:, 1], at[:, 0]].astype(float)
+        light = sensor.gain * sensor.make_illumination().of(self.camera.size_px)[at[:, 1], at[:, 0]].astype(
+            float
+        )
         signal = light * (self.black + self.white) / 2
         variance = sensor.noise**2 + sensor.shot * signal + UNIFORM_VARIANCE
         return np.asarray(bounds * (variance / light**2)[:, None, None])
@@ -162,20 +171,22 @@ class Scene:
 
 @lru_cache(maxsize=2)
 def _floor(station: Station, folder: Path) -> Ground:
-    """The ground of a camera: dear to make, and large."""
-    model = station.ground
-    return Ground(
+    """The ground of a camera. The last two are kept: one takes long to make and much memory."""
+    image = station.ground.image
+    return station.ground.make(
         station.ground_seed,
-        kind=model.kind,
-        mean=model.mean,
-        contrast=model.contrast,
-        tile_m=model.period_m,
-        sigma_px=total_sigma_px(station.psf_px),
-        image=None if model.image is None else read_grey(folder / model.image),
+        psf_px=station.psf_px,
+        image=None if image is None else read_grey(folder / image),
     )
 
 
 def corners_m(positions_m: Array, headings_rad: Array, side_m: float) -> Array:
-    """Corners (N, 4, 2) of squares on the ground, in the order of a marker's."""
+    """Corners (N, 4, 2) of squares on the ground, in the corner order of a marker.
+
+    Args:
+        positions_m: (N, 2) their centres.
+        headings_rad: (N,) their headings, counter-clockwise from +x.
+        side_m: their side.
+    """
     offsets = side_m * ROBOT_FRAME_CORNERS * np.exp(1j * headings_rad)[:, None]
     return positions_m[:, None] + to_points(offsets)

@@ -1,7 +1,7 @@
-"""What a labelled image set is to be: read from TOML and checked, every key with its range.
+"""The spec of a labelled image set: read from TOML and checked, every key with its range.
 
-Every value that varies is a range, `[least, greatest]`, drawn uniformly, or one number. Lengths on the
-ground are in marker sides.
+Every value that varies is a range, `[least, greatest]`, from which it is drawn uniformly, or one number.
+Lengths on the ground are in marker sides.
 """
 
 from dataclasses import dataclass
@@ -13,13 +13,14 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import Field, FiniteFloat, ValidationError, model_validator
 
-from skyherd.datasets.configuration.fields import Fraction, Model, NotNegative, Positive
-from skyherd.datasets.configuration.scene_models import CameraModel, Coefficient, DistortionModel, Grey, Share
+from skyherd.datasets.configuration.camera_models import CameraModel, Coefficient, DistortionModel
+from skyherd.datasets.configuration.fields import Fraction, Model, NotNegative, Positive, Share
+from skyherd.datasets.configuration.scene_models import Grey
 from skyherd.datasets.configuration.toml_files import (
     built_in_names,
     built_in_text,
     first_error,
-    parse,
+    parse_toml,
     read_text,
 )
 from skyherd.datasets.labelled.ranges import Span
@@ -27,28 +28,42 @@ from skyherd.files.images import read_grey
 from skyherd.markers.dictionary import card_side, dictionary_size
 
 BUILT_IN = "skyherd.datasets.specs"
+"""Package of the built-in specs."""
+
 MOST_OBLIQUE_DEG = 80.0
-"""No ray of an image may meet the ground at more than this from the vertical."""
+"""Largest angle between a ray of an image and the vertical, degrees. *Chosen*: at 80 the ground is six times
+as far as straight below; at 90 it is the horizon."""
+
+SPLIT_ROUNDING = 1e-9
+"""Added before cutting off decimals of a number of images. *Chosen*: makes up for the rounding of products
+such as `5 * 0.2`."""
 
 Blur = Annotated[FiniteFloat, Field(ge=0.3, le=5)]
+"""Standard deviation of a lens's blur, px. *Chosen*: from sharp lenses to images out of focus."""
+
 Side = Annotated[FiniteFloat, Field(ge=6, le=2000)]
+"""Side of a marker in the image, px. *Chosen*: 6 px is one a cell for the smallest dictionaries."""
+
 Size = Annotated[int, Field(ge=64, le=8192)]
+"""Width or height of an image, px."""
 
 
 class MarkersSpec(Model):
     """The markers of an image; all have one size on the ground, and no two cards touch."""
 
-    dictionary: str = Field("4X4_50", description="of the markers: `skyherd markers --help`")
+    dictionary: str = Field("4X4_50", description="marker dictionary, named as in `skyherd markers --help`")
     ids: list[Annotated[int, Field(ge=0)]] | None = Field(
         None, min_length=1, description="markers that may appear; all of the dictionary if left out"
     )
     count: Span[Annotated[int, Field(ge=0, le=1000)]] = Field(
         (4, 12), description="markers in an image; fewer where no more have room"
     )
-    side_px: Span[Side] = Field((16.0, 80.0), description="side of the black square in the image's middle")
+    side_px: Span[Side] = Field(
+        (16.0, 80.0), description="px; side of the black square in the image's middle"
+    )
     black: Span[Grey] = Field((30.0, 30.0), description="grey level of the markers' black")
-    white: Span[Grey] = Field((230.0, 230.0), description="grey level of the card")
-    cut: Share = Field(0.0, description="chance of each marker to be cut by the image's border")
+    white: Span[Grey] = Field((230.0, 230.0), description="grey level of the white card")
+    cut: Share = Field(0.0, description="chance of each marker to be cut by the image's border, 0 to 1")
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -66,59 +81,59 @@ class MarkersSpec(Model):
 class DistortionSpec(Model):
     """Coefficients of the lenses after Brown and Conrady, as OpenCV names them."""
 
-    k1: Span[Coefficient] = Field((0.0, 0.0), description="radial, of the square of the distance")
-    k2: Span[Coefficient] = Field((0.0, 0.0), description="radial, of its fourth power")
-    k3: Span[Coefficient] = Field((0.0, 0.0), description="radial, of its sixth power")
-    p1: Span[Coefficient] = Field((0.0, 0.0), description="tangential, along v")
-    p2: Span[Coefficient] = Field((0.0, 0.0), description="tangential, along u")
+    k1: Span[Coefficient] = Field((0.0, 0.0), description="radial coefficient of r²")
+    k2: Span[Coefficient] = Field((0.0, 0.0), description="radial coefficient of r⁴")
+    k3: Span[Coefficient] = Field((0.0, 0.0), description="radial coefficient of r⁶")
+    p1: Span[Coefficient] = Field((0.0, 0.0), description="tangential coefficient, along v")
+    p2: Span[Coefficient] = Field((0.0, 0.0), description="tangential coefficient, along u")
 
 
 class CameraSpec(Model):
-    """The cameras; all but the tilt, which each image has its own of, is drawn once a camera."""
+    """The cameras; all is drawn once for each camera, but the tilt, which is drawn for each image."""
 
     half_angle_deg: Span[Annotated[FiniteFloat, Field(ge=5, le=70)]] = Field(
-        (27.0, 27.0), description="half the field of view across the image's shorter side"
+        (27.0, 27.0), description="deg; half the field of view across the image's shorter side"
     )
     aspect: Span[Annotated[FiniteFloat, Field(ge=0.5, le=2)]] = Field(
-        (1.0, 1.0), description="focal length along v over along u"
+        (1.0, 1.0), description="focal length along v over that along u; 1 for square pixels"
     )
-    psf_px: Span[Blur] = Field((0.8, 0.8), description="standard deviation of the lens's blur")
+    psf_px: Span[Blur] = Field((0.8, 0.8), description="px; standard deviation of the lens's blur")
     tilt_deg: Span[Annotated[FiniteFloat, Field(ge=0, le=60)]] = Field(
-        (0.0, 0.0), description="angle between the camera's axis and the vertical, in any direction"
+        (0.0, 0.0), description="deg; angle between the camera's axis and the vertical, in any direction"
     )
-    distortion: DistortionSpec = DistortionSpec()
+    distortion: DistortionSpec = Field(DistortionSpec(), description="coefficients of the lenses")
 
 
 class SensorSpec(Model):
-    """What images suffer; each is off at 0, gain at 1, jpeg_quality when left out."""
+    """What the sensor does to images; each part is off at 0, gain at 1, jpeg_quality if left out."""
 
-    noise: Span[NotNegative] = Field((2.0, 2.0), description="standard deviation, grey levels")
-    shot: Span[Share] = Field((0.0, 0.0), description="variance of shot noise a grey level of signal")
-    gain: Span[Positive] = Field((1.0, 1.0), description="grey levels out for one in")
+    noise: Span[NotNegative] = Field((2.0, 2.0), description="grey levels; standard deviation")
+    shot: Span[Share] = Field((0.0, 0.0), description="variance of shot noise for each grey level")
+    gain: Span[Positive] = Field((1.0, 1.0), description="grey levels out for each of light")
     motion_px: Span[Annotated[FiniteFloat, Field(ge=0, le=40)]] = Field(
-        (0.0, 0.0), description="length of the streak that a moving camera makes of a point"
+        (0.0, 0.0), description="px; length of the streak that a moving camera makes of a point"
     )
     vignetting: Span[Share] = Field((0.0, 0.0), description="share of light that the image's corners lack")
     gradient: Span[Share] = Field((0.0, 0.0), description="growth of the light from border to border")
     shadow: Span[Share] = Field((0.0, 0.0), description="share of light that a cast shadow takes away")
     jpeg_quality: Span[Annotated[int, Field(ge=1, le=100)]] | None = Field(
-        None, description="images go through a JPEG before they are stored without loss"
+        None, description="quality, 1 to 100, of a JPEG that images go through; none if left out"
     )
 
 
 class GroundSpec(Model):
-    """What lies under the markers; one for each camera, but the clutter, of which each image has its own."""
+    """The ground under the markers: one for each camera, with clutter that each image has of its own."""
 
     kinds: list[Literal["plain", "concrete", "tiles"]] = Field(
-        ["concrete"], description="each as likely as any other, and as any of `images`"
+        ["concrete"], description="kinds of ground; each is as likely as any other, and as any of `images`"
     )
-    images: list[str] = Field([], max_length=100, description="picture files, beside the spec")
-    mean: Span[Grey] = Field((128.0, 128.0), description="grey level; pictures have their own")
-    contrast: Span[NotNegative] = Field((12.0, 12.0), description="standard deviation, grey levels")
-    tile_sides: Span[Positive] = Field((3.0, 8.0), description="side of a tile, marker sides")
-    image_sides: Span[Positive] = Field((20.0, 20.0), description="width of a picture, marker sides")
+    images: list[str] = Field([], max_length=100, description="picture files, relative to the spec's folder")
+    mean: Span[Grey] = Field((128.0, 128.0), description="mean grey level; pictures have their own")
+    contrast: Span[NotNegative] = Field((12.0, 12.0), description="grey levels; standard deviation")
+    tile_sides: Span[Positive] = Field((3.0, 8.0), description="marker sides; side of a tile")
+    image_sides: Span[Positive] = Field((20.0, 20.0), description="marker sides; width of a picture")
     clutter: Span[Annotated[int, Field(ge=0, le=500)]] = Field(
-        (0, 0), description="dark quadrilaterals in an image, about"
+        (0, 0), description="about how many dark quadrilaterals are in an image"
     )
 
     @model_validator(mode="after")
@@ -131,29 +146,29 @@ class GroundSpec(Model):
 class OccludersSpec(Model):
     """Discs and squares that lie over markers."""
 
-    share: Share = Field(0.0, description="chance of each marker that something lies on it")
+    share: Share = Field(0.0, description="chance of each marker that something lies on it, 0 to 1")
     radius_sides: Span[Annotated[FiniteFloat, Field(gt=0, le=5)]] = Field(
-        (0.2, 0.5), description="radius of a disc, half the side of a square; marker sides"
+        (0.2, 0.5), description="marker sides; radius of a disc, or half the side of a square"
     )
-    level: Span[Grey] = Field((20.0, 220.0), description="grey level")
+    level: Span[Grey] = Field((20.0, 220.0), description="grey level of what lies on it")
 
 
 class DatasetSpec(Model):
-    """A labelled image set: each image follows from seed and number, and from nothing else."""
+    """The spec of a set: with the seed, all that each image follows from."""
 
-    description: str = Field("", description="what it is for")
-    seed: Annotated[int, Field(ge=0, lt=2**63)] = Field(1, description="of everything")
-    images: Annotated[int, Field(ge=1, le=1_000_000)] = Field(description="how many")
-    size_px: tuple[Size, Size] = Field((640, 480), description="width and height of every image")
+    description: str = Field("", description="what the set is for, for people")
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = Field(1, description="seed of all random draws")
+    images: Annotated[int, Field(ge=1, le=1_000_000)] = Field(description="number of images")
+    size_px: tuple[Size, Size] = Field((640, 480), description="px; width and height of every image")
     validation: Fraction = Field(0.2, description="share of the images that are kept for validation")
     cameras: Annotated[int, Field(ge=1, le=1_000_000)] = Field(
         8, description="different cameras, each with its lens, over a ground of its own"
     )
-    markers: MarkersSpec = MarkersSpec()
-    camera: CameraSpec = CameraSpec()
-    sensor: SensorSpec = SensorSpec()
-    ground: GroundSpec = GroundSpec()
-    occluders: OccludersSpec = OccludersSpec()
+    markers: MarkersSpec = Field(MarkersSpec(), description="the markers of an image")
+    camera: CameraSpec = Field(CameraSpec(), description="the cameras")
+    sensor: SensorSpec = Field(SensorSpec(), description="what the sensor does to images")
+    ground: GroundSpec = Field(GroundSpec(), description="the ground under the markers")
+    occluders: OccludersSpec = Field(OccludersSpec(), description="what lies over markers")
 
     @model_validator(mode="after")
     def _possible(self) -> Self:
@@ -183,36 +198,42 @@ class DatasetSpec(Model):
         return CameraModel(size_px=self.size_px, half_angle_deg=widest, distortion=lens).lens_complaint(1.0)
 
     def is_validation(self, index: int) -> bool:
-        """Whether an image is kept for validation: so many in any run of images, whatever their number."""
-        return int((index + 1) * self.validation + 1e-9) > int(index * self.validation + 1e-9)
+        """Whether an image, given by its number, is kept for validation; such images are evenly spread."""
+        return int((index + 1) * self.validation + SPLIT_ROUNDING) > int(
+            index * self.validation + SPLIT_ROUNDING
+        )
 
 
 @dataclass(frozen=True)
 class SpecFile:
-    """A checked spec, and the folder beside which its pictures lie."""
+    """A checked spec, and the folder to which its pictures' names are relative."""
 
     spec: DatasetSpec
     folder: Path = Path()
 
     def pictures(self) -> dict[str, str]:
-        """SHA-256 of each picture that it names: the images follow from these as well."""
+        """SHA-256 of each picture that the spec names, since the images follow from these as well."""
         return {
             name: sha256((self.folder / name).read_bytes()).hexdigest() for name in self.spec.ground.images
         }
 
 
 def spec_names() -> list[str]:
-    """Names of the built-in specs."""
+    """Names of the built-in specs, in alphabetical order."""
     return built_in_names(BUILT_IN)
 
 
 def spec_text(name: str) -> str:
-    """TOML text of a built-in spec."""
+    """TOML text of a built-in spec.
+
+    Raises:
+        InputError: there is none of that name.
+    """
     return built_in_text(BUILT_IN, name, "dataset")
 
 
 def load_spec(name_or_file: str, *, seed: int | None = None, images: int | None = None) -> SpecFile:
-    """Read and check a built-in spec or a TOML file; seed and number of images may be put over it.
+    """Read and check a built-in spec or a TOML file; `seed` and number of `images` are put over it if given.
 
     Raises:
         InputError: in one line, the file, the key, the value, and what is allowed.
@@ -220,7 +241,7 @@ def load_spec(name_or_file: str, *, seed: int | None = None, images: int | None 
     path = Path(name_or_file)
     is_file = path.suffix == ".toml" or path.is_file()
     where = str(path) if is_file else f"dataset {name_or_file}"
-    tree = parse(
+    tree = parse_toml(
         read_text(path, "dataset spec") if is_file else spec_text(name_or_file),
         where,
         "skyherd dataset show small",

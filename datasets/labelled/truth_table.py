@@ -17,19 +17,33 @@ import numpy as np
 from skyherd.datasets.labelled.labels import KEYPOINTS, Labels
 from skyherd.datasets.labelled.scenes import Scene
 from skyherd.errors import InputError
+from skyherd.geometry import Array
 from skyherd.inspection.table import CORNERS
 
 VISIBILITIES = [f"visibility_{name}" for name in KEYPOINTS]
+"""Columns with the visibility of each keypoint."""
+
+
 BOUNDS = ["crb_std_u_px", "crb_std_v_px", "crb_std_heading_deg"]
+"""Columns with the least standard deviations (Cramér–Rao)."""
+
+
 NUMBERS = ["u_px", "v_px", "heading_deg", "side_px", *CORNERS, "visible_fraction", *VISIBILITIES, *BOUNDS]
+"""Columns with numbers, in the order of `label_table`."""
+
 TRUTH_COLUMNS = ["image", "id", *NUMBERS]
+"""All columns of `truth.csv`."""
+
+DIGITS = 9
+"""Decimals of the numbers of `images.csv`. *Chosen*: as those of labels."""
 
 Row = dict[str, Any]
+"""Values of a row by column."""
 
 
-def truth_rows(image: str, labels: Labels) -> list[Row]:
-    """A row a marker."""
-    table = np.column_stack(
+def label_table(labels: Labels) -> Array:
+    """All numbers of an image's labels, (N, 22): a row a marker, a column for each of `NUMBERS`."""
+    return np.column_stack(
         [
             labels.centers_px,
             labels.headings_deg,
@@ -40,9 +54,13 @@ def truth_rows(image: str, labels: Labels) -> list[Row]:
             labels.crb_stds,
         ]
     )
+
+
+def truth_rows(image: str, labels: Labels) -> list[Row]:
+    """The rows of `truth.csv` for an image: its name, the marker's id, and the numbers of `label_table`."""
     return [
         {"image": image, "id": marker_id, **dict(zip(NUMBERS, map(_plain, values), strict=True))}
-        for marker_id, values in zip(labels.ids.tolist(), table.tolist(), strict=True)
+        for marker_id, values in zip(labels.ids.tolist(), label_table(labels).tolist(), strict=True)
     ]
 
 
@@ -52,7 +70,7 @@ def _plain(value: float) -> float | int:
 
 
 def image_row(image: str, split: str, scene: Scene) -> Row:
-    """The row of an image."""
+    """The row of `images.csv` for an image: all that it was made with."""
     station, pose, sensor, camera = scene.station, scene.pose, scene.sensor, scene.camera
     matrix = camera.intrinsic_matrix()
     row = {
@@ -84,12 +102,13 @@ def image_row(image: str, split: str, scene: Scene) -> Row:
         "occluders": len(scene.occluders),
     }
     return {
-        name: round(float(value), 9) if isinstance(value, float) else value for name, value in row.items()
+        name: round(float(value), DIGITS) if isinstance(value, float) else value
+        for name, value in row.items()
     }
 
 
 def table_text(rows: Iterable[Mapping[str, Any]], columns: Iterable[str]) -> str:
-    """Rows as CSV, every digit kept."""
+    """The text of a CSV file with these rows and columns; numbers keep every digit."""
     stream = io.StringIO()
     writer = csv.DictWriter(stream, list(columns), lineterminator="\n")
     writer.writeheader()
@@ -98,7 +117,11 @@ def table_text(rows: Iterable[Mapping[str, Any]], columns: Iterable[str]) -> str
 
 
 def read_table(path: Path, needed: Iterable[str]) -> list[dict[str, str]]:
-    """Rows of a CSV; InputError if it cannot be read or a column is not there."""
+    """Rows of a CSV file, as texts by column.
+
+    Raises:
+        InputError: it cannot be read, or a column of `needed` is not there.
+    """
     try:
         with path.open(encoding="utf-8", newline="") as stream:
             reader = csv.DictReader(stream, strict=True)
@@ -114,7 +137,7 @@ def read_table(path: Path, needed: Iterable[str]) -> list[dict[str, str]]:
 
 
 def read_labels(path: Path) -> dict[str, Labels]:
-    """Labels of each image that has any, from `truth.csv`.
+    """Read the labels of each image that has any, by the image's name, from `truth.csv`.
 
     Raises:
         InputError: it cannot be read, or a value is no number.
@@ -131,7 +154,7 @@ def read_labels(path: Path) -> dict[str, Labels]:
 
 
 def no_labels() -> Labels:
-    """Labels of an image without a marker."""
+    """The labels of an image without a marker."""
     return _labels(np.zeros((0, 1 + len(NUMBERS))))
 
 

@@ -9,42 +9,38 @@ import numpy as np
 from skyherd.datasets.labelled.folder import Folder
 from skyherd.datasets.labelled.labels import KEYPOINTS, OUTSIDE, Labels
 from skyherd.datasets.labelled.outlines import bounding_box, visible_outline
-from skyherd.geometry import Array
 
-COLUMNS = 5 + 3 * len(KEYPOINTS)
+CLASS = 0
+"""Number of the only class, `marker`. *Derived*: classes count from 0 in `data.yaml`."""
+
+DIGITS = 9
+"""Decimals of places, which are shares of the image's size. *Chosen*: 1e-6 px in the largest image."""
 
 FLIPPED = (1, 0, 3, 2, 4)
-"""Keypoints of a marker's mirror image."""
+"""Which keypoint each becomes in a mirror image. *Derived*: left and right change places."""
 
 
 def yolo_text(labels: Labels, size_px: tuple[int, int]) -> str:
-    """The label file of an image; empty if no marker is in it."""
-    return "".join(_line(row) for row in yolo_table(labels, size_px))
+    """The label file of an image of a size (width, height); empty if no marker is in it."""
+    return "".join(_line(labels, k, size_px) for k in range(len(labels)))
 
 
-def yolo_table(labels: Labels, size_px: tuple[int, int]) -> Array:
-    """What the lines say, (N, 20)."""
-    size, rows = np.array(size_px, dtype=float), np.zeros((len(labels), COLUMNS))
-    for k, row in enumerate(rows):
-        left, top, width, height = bounding_box(visible_outline(labels.corners_px[k], size_px))
-        row[1:5] = np.array([left + width / 2, top + height / 2, width, height]) / np.tile(size, 2)
-        flags = labels.visibilities[k]
-        places = np.where(flags[:, None] == OUTSIDE, 0.0, (labels.keypoints_px[k] + 0.5) / size)
-        row[5:] = np.column_stack([places, flags]).ravel()
-    return rows
-
-
-def _line(row: Array) -> str:
-    places = [f"{value:.9f}" for value in row]
-    for k in (0, *range(7, COLUMNS, 3)):
-        places[k] = str(int(row[k]))
-    return " ".join(places) + "\n"
+def _line(labels: Labels, k: int, size_px: tuple[int, int]) -> str:
+    """The line of one marker, newline included."""
+    size, flags = np.array(size_px, dtype=float), labels.visibilities[k]
+    left, top, width, height = bounding_box(visible_outline(labels.corners_px[k], size_px))
+    box = np.array([left + width / 2, top + height / 2, width, height]) / np.tile(size, 2)
+    places = np.where(flags[:, None] == OUTSIDE, 0.0, (labels.keypoints_px[k] + 0.5) / size)
+    words = [str(CLASS), *(f"{value:.{DIGITS}f}" for value in box)]
+    for (u, v), flag in zip(places, flags, strict=True):
+        words += [f"{u:.{DIGITS}f}", f"{v:.{DIGITS}f}", str(flag)]
+    return " ".join(words) + "\n"
 
 
 def folder_yaml(folder: Folder) -> str:
     """`data.yaml`: the folders of images, from where it lies, and the keypoints.
 
-    Where a split has no image, the other is named twice: trainers want both.
+    Where a split has no image, the other is named twice, since YOLO's trainers refuse a set without both.
     """
     splits = folder.splits()
     return (

@@ -1,1 +1,1 @@
-"""Shapes to form, words among them."""
+"""Named formation shapes, and words that robots write."""

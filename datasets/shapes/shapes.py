@@ -1,4 +1,4 @@
-"""Named formation shapes: N points (N, 2) in map sense, x right and y up, in units of their own."""
+"""Named formation shapes: points (N, 2) in map sense, x right and y up, each shape in a unit of its own."""
 
 from collections.abc import Callable
 
@@ -9,18 +9,25 @@ from skyherd.errors import InputError
 from skyherd.geometry import Array
 
 STAR_INNER_RATIO = 0.515
-"""Inner over outer radius of the star, as in the paper's second simulation (4.12 / 8)."""
+"""Inner over outer radius of the star. *Derived* from the paper's second simulation: 4.12 / 8."""
+
+LEAST_STAR = 6
+"""Robots of the smallest star. *Derived*: three tips and three notches; fewer make no star."""
 
 
 def circle(count: int) -> Array:
-    """Evenly spaced on a circle of radius 1, from angle 0."""
+    """`count` points, evenly spaced on a circle of radius 1, counter-clockwise from angle 0."""
     angle = 2 * np.pi * np.arange(count) / count
     return np.column_stack([np.cos(angle), np.sin(angle)])
 
 
 def star(count: int) -> Array:
-    """Tips at radius 1 and notches at `STAR_INNER_RATIO` in turn; `count` is even and at least 6."""
-    if count % 2 or count < 6:
+    """A star: tips at radius 1 and notches at `STAR_INNER_RATIO` in turn, counter-clockwise from angle 0.
+
+    Raises:
+        InputError: `count` is odd, or less than 6.
+    """
+    if count % 2 or count < LEAST_STAR:
         raise InputError(
             "template.shape", f"a star of {count} robots", "an even number of robots, at least 6"
         )
@@ -30,7 +37,7 @@ def star(count: int) -> Array:
 
 
 def grid(count: int) -> Array:
-    """Square grid of spacing 1, filled row by row, as near to a square as `count` divides."""
+    """A grid of spacing 1 about its middle, filled row by row, as near to a square as `count` divides."""
     columns = next(c for c in range(int(np.ceil(np.sqrt(count))), count + 1) if count % c == 0)
     index = np.arange(count)
     points: Array = np.column_stack([index % columns, index // columns]).astype(float)
@@ -38,12 +45,16 @@ def grid(count: int) -> Array:
 
 
 def line(count: int) -> Array:
-    """Evenly spaced along x, spacing 1."""
+    """`count` points along x, spacing 1, about their middle."""
     return np.column_stack([np.arange(count) - (count - 1) / 2, np.zeros(count)])
 
 
 def triangle(count: int) -> Array:
-    """Evenly spaced along an equilateral triangle of side 2, its corners taken; a multiple of 3."""
+    """Evenly spaced along an equilateral triangle of side 2, with a robot at each corner.
+
+    Raises:
+        InputError: `count` is no multiple of 3.
+    """
     if count % 3:
         raise InputError("template.shape", f"a triangle of {count} robots", "a multiple of 3")
     corners = 2 / np.sqrt(3) * np.exp(1j * np.radians([90, 210, 330]))
@@ -59,13 +70,14 @@ SHAPES: dict[str, Callable[[int], Array]] = {
     "star": star,
     "triangle": triangle,
 }
+"""Functions from a number of robots to the points of a shape, by the shape's name."""
 
 
 def shape_points(name: str, count: int) -> Array:
-    """Points of a named shape, or of a word such as `word:SKY`, for `count` robots.
+    """Points (N, 2), x right and y up, of a named shape, or of a word such as `word:SKY`, for `count` robots.
 
     Raises:
-        InputError: there is no such shape, or not for so many robots; it names those that there are.
+        InputError: there is no such shape, or not for so many robots; the error says what there is.
     """
     if name.startswith(PREFIX):
         return word_points(name.removeprefix(PREFIX), count)

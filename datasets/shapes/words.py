@@ -1,4 +1,8 @@
-"""Words as formation shapes: robots spread along the strokes of letters."""
+"""Words as formation shapes: robots spread along the strokes of letters.
+
+Strokes (`skyherd.datasets.shapes.letters`) only meet at their ends. A robot stands at each end; Webster's
+rule shares the rest out among the strokes, by which spacings differ least from their mean.
+"""
 
 from dataclasses import dataclass
 from heapq import heapify, heapreplace
@@ -11,57 +15,74 @@ from skyherd.errors import InputError
 from skyherd.geometry import Array, ComplexArray, to_points
 
 PREFIX = "word:"
+"""What the name of a shape that is a word begins with."""
+
 GAP = 0.42
-"""Between two letters, in heights."""
+"""Room between two letters, in heights. *Chosen*: wider than the gaps between robots, so that letters stay
+apart."""
 
 TURN_DEG = 62.0
-"""A curve has a robot at least every so many degrees of its turn,"""
+"""A curve has a robot at least every so many degrees of its turn. *Chosen*: rings get six robots or more, and
+look round."""
 
 REACH = 0.75
-"""and any stroke at least every so many heights."""
+"""A stroke has a robot at least every so many heights. *Chosen*: a letter's full height has one between its
+ends, so that it looks like a line."""
 
 LEAST_SPACING = 0.6
-"""No two robots are nearer to each other than this, in mean distances between neighbours on a stroke."""
+"""Least distance of two robots, in mean distances between neighbours on a stroke. *Chosen*: nearer ones would
+read as a joint, or collide."""
 
 MOST_LETTERS = 40
+"""Letters of the longest word. *Chosen*: longer texts are mistakes, and would take long to try."""
+
 MET = 1e-6
-"""Ends of strokes nearer than this are one point."""
+"""Ends of strokes nearer than this are one point, in heights. *Chosen*: far above the rounding of arcs, far
+below a letter."""
 
 
 @dataclass(frozen=True)
 class Stroke:
-    """A curve (M,) without corners, and the numbers of the points that it begins and ends at."""
+    """A curve without corners.
+
+    Attributes:
+        curve: (M,) points of the polyline, `x + iy`, in letter heights.
+        ends: numbers of the joints at which it begins and ends.
+    """
 
     curve: ComplexArray
     ends: tuple[int, int]
 
     @property
     def length(self) -> float:
-        """Arc length."""
+        """Length of the curve, in letter heights."""
         return float(np.abs(np.diff(self.curve)).sum())
 
     @property
     def least_parts(self) -> int:
-        """In how many parts it is cut at least, so that lines look like lines, and rings like rings."""
+        """Least number of parts into which robots cut it, by `TURN_DEG` and `REACH`."""
         turns = np.angle(np.diff(self.curve)[1:] / np.diff(self.curve)[:-1])
         return int(np.ceil(max(np.degrees(np.abs(turns).sum()) / TURN_DEG, self.length / REACH)))
 
     def cut(self, parts: int) -> ComplexArray:
-        """The points (parts - 1,) that cut it into equal parts."""
+        """The points (parts - 1,), `x + iy`, that cut it into parts of equal length."""
         along = np.append(0.0, np.cumsum(np.abs(np.diff(self.curve))))
         at = along[-1] * np.arange(1, parts) / parts
         return np.asarray(np.interp(at, along, self.curve.real) + 1j * np.interp(at, along, self.curve.imag))
 
 
 def word_points(text: str, count: int) -> Array:
-    """Points (N, 2) of `count` robots that write a word, letters 1 high, in writing order.
+    """Points (N, 2), x right and y up, of `count` robots that write a word, in writing order.
+
+    Letters are 1 high.
 
     Robots stand wherever a stroke ends, turns sharply or meets another, and share out the rest of the
     strokes as evenly as whole numbers allow: the next robot goes to the stroke whose length over
     `parts + 1/2` is greatest (Webster's rule, by which parts differ least from their mean).
 
     Raises:
-        InputError: another sign than A-Z and 0-9, or too few robots to write it.
+        InputError: the text is empty, too long or has other signs than A-Z and 0-9, or the robots are too
+            few.
     """
     if not text or len(text) > MOST_LETTERS or not set(text) <= set(STROKES):
         what = f"no shape {PREFIX + text!r}"

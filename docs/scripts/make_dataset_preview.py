@@ -5,9 +5,7 @@ from tempfile import TemporaryDirectory
 
 from PIL import Image
 
-from skyherd.datasets.labelled.make import make_dataset
-from skyherd.datasets.labelled.preview import draw_preview
-from skyherd.datasets.labelled.spec import load_spec
+from skyherd.datasets import draw_preview, load_spec, make_dataset
 
 WIDTH_PX = 1200
 

@@ -11,8 +11,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from skyherd.control import GroundMap
-from skyherd.datasets import Mission, make_mission, scenario_text
-from skyherd.datasets.configuration.toml_files import parse
+from skyherd.datasets import Mission, make_mission, parse_toml, scenario_text
 from skyherd.drawing.palette import INK, TEMPLATE_COLOR, UNIT_COLORS
 from skyherd.geometry import Array
 from skyherd.loop import Step, run_steps
@@ -39,7 +38,7 @@ GRID_M = np.arange(-6.0, 6.1, 1.5)
 
 def fly(*, rectify: bool) -> tuple[Mission, list[Step]]:
     """The star of sixteen under one bad camera that hovers."""
-    tree: dict[str, Any] = parse(scenario_text("star"), "star", "")
+    tree: dict[str, Any] = parse_toml(scenario_text("star"), "star", "")
     tree |= {"duration_s": 12.0, "units": [UNIT], "seed": 4}
     tree["robots"] = {"scatter": {"scale_m": 0.72, "jitter_m": 0.6, "spacing_m": 1.1}}
     tree["marker"] = {"side_m": 0.72}

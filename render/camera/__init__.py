@@ -1,1 +1,1 @@
-"""Cameras: poses, lenses, motion."""
+"""Cameras: intrinsics and poses, lenses, and what moves while an image is taken."""

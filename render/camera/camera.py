@@ -5,6 +5,14 @@ on the ground and +v along (sin psi, -cos psi): the image is what one sees looki
 For square pixels and no tilt, with ground points as complex numbers,
 
     p = c + (f / h) conj((x - x_camera) exp(-i psi)).
+
+Frames: ground points are (x, y) in metres, z up. Image points are (u, v) in pixels, u right and v down, an
+integer being a pixel's centre. Camera rays are (x, y) where they meet the plane at distance 1 before the
+camera.
+
+What a lens does to each pixel of an image is needed for every image. It is computed at knots a few pixels
+apart and splined between them (`lens_field`), so that a change of zoom costs as much as one image, and not
+forty.
 """
 
 from dataclasses import dataclass
@@ -21,16 +29,18 @@ from skyherd.render.camera.lens import NO_DISTORTION, Distortion
 from skyherd.render.camera.lens_displacement import LensField
 
 KNOT_PX = 5
-"""What a lens does is computed so far apart, and between by splines of the fifth degree: right to 1e-4 px,
-and to 1e-3 where a lens is about to fold."""
+"""Distance of the knots at which a lens is computed, px. *Chosen*: splines of the fifth degree between them
+are right to 1e-4 px, and to 1e-3 px where a lens is about to fold. Fewer knots cost less and are less
+exact."""
 
 LEAST_KNOTS = 48
-"""Along a side of a small image."""
+"""Knots along a side of an image, at least. *Chosen*: keeps the splines exact in small images, where a lens
+bends as much over fewer pixels."""
 
 
 @dataclass(frozen=True)
 class Camera:
-    """Intrinsics; `zoom` of the pose multiplies the focal length.
+    """Intrinsics of a camera and its lens; the `zoom` of a pose multiplies the focal length.
 
     Attributes:
         size_px: width, height.
@@ -39,7 +49,7 @@ class Camera:
         aspect: focal length along v over that along u; 1 for square pixels.
         skew: change of u with v along the sensor, as a fraction of the focal length.
         mirrored: the stream is flipped left to right, as behind a mirror.
-        distortion: of the lens, or the fisheye that it is.
+        distortion: the lens: a perspective one after Brown and Conrady, or an equidistant fisheye.
 
     Raises:
         InputError: a size or focal length is not positive, or the lens makes no image of this size.
@@ -81,7 +91,7 @@ class Camera:
         return np.array([[-0.5, -0.5], [right, -0.5], [right, bottom], [-0.5, bottom]])
 
     def intrinsic_matrix(self, zoom: float = 1.0) -> Array:
-        """K (3, 3), from camera rays to pixels."""
+        """K (3, 3): homography from camera rays to pixels, before the lens's distortion."""
         width, height = self.size_px
         cu, cv = self.principal_point_px or ((width - 1) / 2, (height - 1) / 2)
         f = self.focal_px * zoom
@@ -93,10 +103,15 @@ class Camera:
 
 @dataclass(frozen=True)
 class CameraPose:
-    """Where a camera is: ground position (x, y), height, yaw, tilt, zoom.
+    """Where a camera is and how it is turned and zoomed.
 
-    A positive tilt turns the scene about the camera's +u (then +v) axis, right-handed: the camera itself
-    turns the other way.
+    Attributes:
+        position_m: the ground point (x, y) below it.
+        height_m: height above the ground.
+        yaw_rad: direction of the image's +u axis on the ground, counter-clockwise from +x.
+        tilt_rad: turns of the scene about the camera's +u axis, and then about its +v axis, right-handed; the
+            camera itself turns the other way.
+        zoom: factor on the focal length.
     """
 
     position_m: tuple[float, float]
@@ -129,7 +144,10 @@ def homography_image_ground(camera: Camera, pose: CameraPose) -> Array:
 
 
 def distort(camera: Camera, zoom: float, points_px: Array) -> Array:
-    """Pixels (..., 2) through the lens, of pixels as they would be without it."""
+    """Take pixels (..., 2) as they would be without the lens to where they are seen through it.
+
+    `zoom` is the pose's. Without a distortion the points come back as they are.
+    """
     if not camera.distortion:
         return points_px
     matrix = camera.intrinsic_matrix(zoom)
@@ -138,7 +156,11 @@ def distort(camera: Camera, zoom: float, points_px: Array) -> Array:
 
 
 def undistort(camera: Camera, zoom: float, points_px: Array) -> Array:
-    """Pixels (..., 2) as they would be without the lens: the inverse of `distort`."""
+    """Take pixels (..., 2) seen through the lens to where they would be without it: the inverse of `distort`.
+
+    Raises:
+        InputError: a pixel shows no ray, since the lens folds the image there.
+    """
     if not camera.distortion:
         return points_px
     matrix = camera.intrinsic_matrix(zoom)
@@ -146,7 +168,7 @@ def undistort(camera: Camera, zoom: float, points_px: Array) -> Array:
     return apply_homography(matrix, camera.distortion.at(zoom).remove(rays))
 
 
-def lens_slopes(camera: Camera, zoom: float, points_px: Array) -> Array:
+def lens_jacobians(camera: Camera, zoom: float, points_px: Array) -> Array:
     """Derivatives (..., 2, 2) of `distort` at pixels (..., 2) as they would be without the lens."""
     matrix = camera.intrinsic_matrix(zoom)
     rays = apply_homography(inverse(matrix), points_px)
@@ -156,16 +178,19 @@ def lens_slopes(camera: Camera, zoom: float, points_px: Array) -> Array:
 
 @lru_cache(maxsize=8)
 def lens_field(camera: Camera, zoom: float) -> LensField | None:
-    """What the lens does to each pixel; None if nothing. Kept, as it costs as much as an image."""
+    """What the lens does to each pixel of an image, or None if it does nothing.
+
+    The last eight are kept, since computing one costs as much as drawing an image.
+    """
     if not camera.distortion:
         return None
     (u_knots, along_u), (v_knots, along_v) = (_spline(length) for length in camera.size_px)
     knots = np.stack(np.meshgrid(u_knots, v_knots), axis=-1)
     straight = undistort(camera, zoom, knots)
-    slopes = inverse(lens_slopes(camera, zoom, straight)).reshape(*knots.shape[:2], 4)
+    slopes = inverse(lens_jacobians(camera, zoom, straight)).reshape(*knots.shape[:2], 4)
     fields = np.concatenate([straight - knots, slopes], axis=-1).transpose(2, 0, 1)
     du, dv, uu, uv, vu, vv = (along_v @ fields @ along_u.T).astype(np.float32).reshape(6, -1)
-    return LensField(du, dv, (uu, uv, vu, vv))
+    return LensField(shift_u=du, shift_v=dv, slopes=(uu, uv, vu, vv))
 
 
 @lru_cache(maxsize=16)
@@ -177,11 +202,14 @@ def _spline(length: int) -> tuple[Array, Array]:
 
 
 def project(camera: Camera, pose: CameraPose, points_m: npt.ArrayLike) -> Array:
-    """Pixels (..., 2) of ground points (..., 2), through the lens."""
+    """Pixels (..., 2), through the lens, of ground points (..., 2) in metres.
+
+    The points have to lie before the camera's horizon; others come out mirrored through it.
+    """
     return distort(camera, pose.zoom, apply_homography(homography_image_ground(camera, pose), points_m))
 
 
 def footprint_m(camera: Camera, pose: CameraPose) -> Array:
-    """Ground points (4, 2) under the image's corners."""
+    """Ground points (4, 2), metres, under the image's corners, clockwise from the upper left."""
     ground_image = inverse(homography_image_ground(camera, pose))
     return apply_homography(ground_image, undistort(camera, pose.zoom, camera.corners_px))

@@ -7,6 +7,10 @@ as if it met it at
 
 With a focal length of f px a ray is therefore seen f θ px from the principal point (Kannala and Brandt 2006,
 with the first coefficient alone).
+
+A lens is a map of rays: `apply`, `remove` and `jacobian`, `at` a zoom, `turn`, and whether it bends at all.
+This class and `skyherd.render.camera.lens.Distortion` both have these, so that markers, ground and truth work
+with either of them.
 """
 
 from dataclasses import dataclass
@@ -18,31 +22,33 @@ from skyherd.errors import InputError
 from skyherd.geometry import Array
 
 MOST_RAD = 1.45
-"""Rays farther off the axis, 83 degrees, are refused: the plane of unit distance is too far away there."""
+"""Largest angle of a ray with the axis, rad (83 degrees). *Chosen*: rays are points of the plane at unit
+distance, which is 8 away at this angle; at 90 degrees it is infinitely far."""
 
 NEAR = 1e-4
-"""Radii below this take the first terms of the series: right to its fourth power."""
+"""Radii below this take the first two terms of a series in place of a quotient 0 / 0. *Derived*: what the
+series leaves out is of the radius' fourth power, 1e-16, which is the rounding of a double."""
 
 
 @dataclass(frozen=True)
 class Equidistant:
-    """Lens after `r' = atan r`; the same at every zoom."""
+    """The equidistant fisheye lens, `r' = atan r`; it is the same at every zoom."""
 
     def __bool__(self) -> bool:
-        """It always bends."""
+        """Whether the lens bends straight lines: always."""
         return True
 
     def at(self, zoom: float) -> Self:
-        """The lens at a zoom."""
+        """The lens at a zoom: itself."""
         return self
 
     def apply(self, rays: Array) -> Array:
-        """Rays (..., 2) as they are seen."""
+        """Take rays (..., 2) to where the lens makes them appear (..., 2)."""
         radius = np.linalg.norm(rays, axis=-1, keepdims=True)
         return np.asarray(rays * _ratio(np.arctan(radius), radius, -1 / 3))
 
     def jacobian(self, rays: Array) -> Array:
-        """Derivatives (..., 2, 2) of rays as seen: 1 / (1 + r²) along the radius, θ / r across it."""
+        """Derivatives (..., 2, 2) of `apply`: 1 / (1 + r²) along the radius, θ / r across it."""
         radius = np.linalg.norm(rays, axis=-1, keepdims=True)[..., None]
         across = _ratio(np.arctan(radius), radius, -1 / 3)
         # (1 / (1 + r²) - θ / r) / r², which goes to -2/3.
@@ -51,7 +57,7 @@ class Equidistant:
         return np.asarray(across * np.eye(2) + bend * rays[..., :, None] * rays[..., None, :])
 
     def remove(self, seen: Array) -> Array:
-        """Rays (..., 2) that are seen so.
+        """Take rays as they appear (..., 2) to the rays themselves (..., 2): the inverse of `apply`.
 
         Raises:
             InputError: a ray is too far off the axis.
@@ -66,7 +72,7 @@ class Equidistant:
         return np.asarray(seen * _ratio(np.tan(radius), radius, 1 / 3))
 
     def turn(self) -> float:
-        """It never turns back."""
+        """Square of the radius at which the image folds back: infinity, since it never does."""
         return float("inf")
 
 

@@ -1,4 +1,9 @@
-"""What moves while an image is taken: the shutter, and velocities of camera and robots."""
+"""What moves while an image is taken: the shutter, and the velocities of camera and robots.
+
+Motion blur is the mean of sharp images over the exposure. A rolling shutter gives each image row an instant
+of its own. Both hold for robots and cameras alike: `Motion` moves them, and `skyherd.render.view` asks it for
+the instant of each row. `docs/sensor.png` shows every part of camera and sensor.
+"""
 
 from dataclasses import dataclass, replace
 
@@ -10,10 +15,14 @@ from skyherd.render.camera.camera import CameraPose
 
 @dataclass(frozen=True)
 class Shutter:
-    """When light falls on which row; zeros: all rows at one instant.
+    """When light falls on which row; with zeros all rows see one instant.
 
     Row v gathers light for `exposure_s` around the time `row_time_s (v - (height - 1) / 2)`: the pose given
     is the middle row's in the middle of its exposure.
+
+    Attributes:
+        exposure_s: for how long each row gathers light.
+        row_time_s: time from one row to the next.
     """
 
     exposure_s: float = 0.0
@@ -22,7 +31,7 @@ class Shutter:
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """Velocities at the time of the pose, constant over the time that an image takes.
+    """Velocities of camera and robots, constant over the time that an image takes.
 
     Attributes:
         camera_mps: of the camera, ground axes x, y, and up.
@@ -40,13 +49,13 @@ class Motion:
 
     @property
     def still(self) -> bool:
-        """Whether nothing moves."""
+        """Whether nothing moves: all velocities are zero or not given."""
         robots = (rates for rates in (self.robots_mps, self.robots_radps) if rates is not None)
         camera = (*self.camera_mps, self.yaw_rate_radps, *self.tilt_rates_radps)
         return not (any(camera) or any(np.any(rates) for rates in robots))
 
     def pose_at(self, pose: CameraPose, time_s: float) -> CameraPose:
-        """The camera's pose some time later."""
+        """The camera's pose `time_s` after the instant of `pose`; earlier if negative."""
         vx, vy, climb = self.camera_mps
         by_u, by_v = self.tilt_rates_radps
         return replace(
@@ -58,7 +67,7 @@ class Motion:
         )
 
     def robots_at(self, positions_m: Array, headings_rad: Array, time_s: float) -> tuple[Array, Array]:
-        """The robots' positions (N, 2) and headings (N,) some time later."""
+        """Positions (N, 2), m, and headings (N,), rad, `time_s` after the instant of those given."""
         if self.robots_mps is not None:
             positions_m = positions_m + np.asarray(self.robots_mps) * time_s
         if self.robots_radps is not None:
@@ -67,4 +76,7 @@ class Motion:
 
 
 STILL = Motion()
+"""Nothing moves."""
+
 INSTANT = Shutter()
+"""All rows see the same instant, without blur."""

@@ -1,1 +1,1 @@
-"""How much of what each pixel sees, in closed form."""
+"""Which pixels a flat shape touches, and how much of it each of them gathers, in closed form."""

@@ -27,22 +27,33 @@ import numpy.typing as npt
 from skyherd.render.raster.edge import PER_SIGMA, REACH
 from skyherd.render.raster.pixels import Axis, Corner, Float, Index, Pixels
 
-SLANTED, MIDPOINT, GAUSS = 0.35, (0.5,), (0.5 - 12**-0.5, 0.5 + 12**-0.5)
-"""Correlations above this take Gauss's two nodes, others the midpoint; shares of ρ."""
+SLANTED = 0.35
+"""Correlation ρ from which on the integral over r takes two nodes in place of one. *Chosen*: the midpoint
+rule is right to 0.1 grey levels of 200 at 0.3; two nodes cost twice as much."""
+
+MIDPOINT = (0.5,)
+"""Nodes of the midpoint rule, as shares of ρ."""
+
+GAUSS = (0.5 - 12**-0.5, 0.5 + 12**-0.5)
+"""Nodes of Gauss's rule of two points, as shares of ρ. *Derived*: `(1 ± 1/√3) / 2`."""
 
 FELT = 3.4
-"""Lines farther than this many σ are left out: 0.07 grey levels of 200."""
+"""Distance in σ beyond which a line is left out. *Derived*: `200 Φ(-3.4)`, 0.07 grey levels of 200, are left
+there. More lines a pixel cost more."""
+
+LEAST_SHARPNESS = 1e-6
+"""Least cells to one σ. *Chosen*: keeps a division from zero; such a card is far smaller than a pixel."""
 
 
 @dataclass(frozen=True)
 class Lattices:
-    """Grids of one size: what the law needs of them, flattened, each grid padded by one empty cell.
+    """N grids of one size: the steps T of their levels, flattened, each grid padded by one empty cell.
 
     Attributes:
-        cells: m, along a side.
+        cells: m, number of cells along a side.
         light: T of the grey levels: ((T_00, T_0k), (T_j0, T_jk)), N grids.
-        inside: T_0 and T_k of what is 1 inside the grid, along one axis.
-        corners: T_jk of the same, one grid.
+        inside: T_0 and T_k along one axis of a grid whose cells are all 1: for the share that is covered.
+        corners: T_jk of the same grid.
     """
 
     cells: int
@@ -52,7 +63,7 @@ class Lattices:
 
     @classmethod
     def of(cls, levels: npt.NDArray[np.floating]) -> "Lattices":
-        """Of grey levels (N, m, m)."""
+        """The steps of grids with grey levels (N, m, m), rows along y."""
         cells = levels.shape[1]
         padded = np.pad(levels.astype(np.float32), ((0, 0), (1, 1), (1, 1)))
         along_x = np.diff(padded, axis=2, append=np.float32(0))
@@ -60,15 +71,15 @@ class Lattices:
         inside = np.pad(np.ones(cells, np.float32), 1)
         edge = np.diff(inside, append=np.float32(0))
         return cls(
-            cells,
-            ((padded.ravel(), along_x.ravel()), (along_y.ravel(), both.ravel())),
-            (inside, edge),
-            np.outer(edge, edge).ravel(),
+            cells=cells,
+            light=((padded.ravel(), along_x.ravel()), (along_y.ravel(), both.ravel())),
+            inside=(inside, edge),
+            corners=np.outer(edge, edge).ravel(),
         )
 
 
 @dataclass(frozen=True)
-class Gathered:
+class NearestLines:
     """The K lines nearest to each pixel on one axis.
 
     Attributes:
@@ -82,7 +93,8 @@ class Gathered:
     spread: list[Float]
 
 
-def _gather(axis: Axis, lines: int, cells: int, table: Float) -> Gathered:
+def _gather(axis: Axis, lines: int, cells: int, table: Float) -> NearestLines:
+    """The nearest lines of each pixel along one axis, with S of their distances."""
     first = np.floor(axis.at + np.float32(1 - lines / 2))
     np.clip(first, 0, cells + 1 - lines, out=first)
     nearest = (axis.at - first) * axis.sharpness
@@ -93,17 +105,22 @@ def _gather(axis: Axis, lines: int, cells: int, table: Float) -> Gathered:
         place *= np.float32(PER_SIGMA)
         place += axis.table_start
         spread.append(table.take(place.astype(np.intp), mode="wrap"))
-    return Gathered(first, distances, spread)
+    return NearestLines(first, distances, spread)
 
 
 def gather_light(pixels: Pixels, lattices: Lattices, table: Float) -> tuple[Float, Float]:
-    """F (P,), the lattices' light at the pixels, and A (P,), how much of each pixel they cover.
+    """The light F (P,) that pixels gather from their lattices, and the share A (P,) of each that is covered.
 
-    `table` is S as `EdgeSpread` has it.
+    F is in grey levels and already weighed by the cover: what a lattice does not cover adds nothing.
+
+    Args:
+        pixels: P pixels, each in the coordinates of its own lattice.
+        lattices: the grids' levels.
+        table: S, as `EdgeSpread` has it.
     """
     cells, width = lattices.cells, lattices.cells + 2
     softest = min(float(pixels.x.sharpness.min()), float(pixels.y.sharpness.min()))
-    lines = int(np.clip(np.ceil(2 * FELT / max(softest, 1e-6)), 1, cells + 1))
+    lines = int(np.clip(np.ceil(2 * FELT / max(softest, LEAST_SHARPNESS)), 1, cells + 1))
     x = _gather(pixels.x, lines, cells, table)
     y = _gather(pixels.y, lines, cells, table)
     one_grid = (x.first + np.float32(width) * y.first).astype(np.intp)
@@ -126,14 +143,14 @@ def gather_light(pixels: Pixels, lattices: Lattices, table: Float) -> tuple[Floa
 
 
 def _at_corner(corner: Corner, x: Float, y: Float, nodes: tuple[float, ...]) -> Float:
-    """What a corner at distances x, y (P,) gathers beyond the product of its edges."""
+    """What the corner at distances x, y (P,), in σ, adds to the product of its two edges."""
     density = sum(_binormal(np.float32(share) * corner.correlation, x, y) for share in nodes) / len(nodes)
     cumulants = corner.even * x * y + corner.odd_x * (x * x - 1) + corner.odd_y * (y * y - 1)
     return np.asarray(density * (corner.correlation + cumulants), dtype=np.float32)
 
 
 def _binormal(r: Float, x: Float, y: Float) -> Float:
-    """φ_r at x, y."""
+    """The density of two standard normal variables with correlation r, at x, y."""
     rest = 1 - r * r
     scale = np.float32(2 * np.pi) * np.sqrt(rest)
     return np.asarray(np.exp((x * x + y * y - 2 * r * x * y) / (-2 * rest)) / scale, dtype=np.float32)

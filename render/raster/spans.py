@@ -8,7 +8,8 @@ import numpy as np
 from skyherd.geometry import Array, IntArray
 
 TINY = 1e-9
-"""Edges this near to a row's direction bound it at infinity."""
+"""Edges whose normal has a smaller part along a row count as along the row. *Chosen*: they bound the row's
+pixels at 1e9 px, beyond any image, and no division is by zero."""
 
 
 @dataclass(frozen=True)
@@ -16,10 +17,10 @@ class Spans:
     """Runs of pixels, one for each shape and image row that it touches, ordered by shape.
 
     Attributes:
-        shape: (R,) which shape.
+        shape: (R,) number of the shape.
         v: (R,) image row.
-        u: (R,) first pixel of the run.
-        count: (R,) pixels in it, at least one.
+        u: (R,) column of the run's first pixel.
+        count: (R,) pixels in the run, at least one.
     """
 
     shape: IntArray
@@ -28,8 +29,8 @@ class Spans:
     count: IntArray
 
     def part(self, rows: slice) -> "Spans":
-        """Some of the runs."""
-        return Spans(self.shape[rows], self.v[rows], self.u[rows], self.count[rows])
+        """The runs of a slice."""
+        return Spans(shape=self.shape[rows], v=self.v[rows], u=self.u[rows], count=self.count[rows])
 
     def chunks(self, pixels: int) -> "list[Spans]":
         """The same runs in parts of about so many pixels, which keeps what is computed on them in cache."""
@@ -42,10 +43,15 @@ class Spans:
 
 
 def cover(outlines_px: Array, margin_px: float, size_px: tuple[int, int]) -> Spans:
-    """Pixels of an image of `size_px` within `margin_px` of convex outlines (N, V, 2).
+    """Find the pixels of an image that are within a margin of convex outlines.
 
     A pixel belongs to a shape if it lies behind each of its edges, moved outwards by the margin:
-    `n_u u + n_v v <= d + margin` with unit normals n.
+    `n_u u + n_v v <= d + margin` with unit normals n. The outlines may be in either sense.
+
+    Args:
+        outlines_px: (N, V, 2) corners of the shapes' outlines.
+        margin_px: how far beyond its outline a shape still matters.
+        size_px: width and height of the image.
     """
     width, height = size_px
     u, v = outlines_px.T
@@ -69,4 +75,4 @@ def cover(outlines_px: Array, margin_px: float, size_px: tuple[int, int]) -> Spa
     low = np.ceil(np.minimum(np.maximum(low, 0), width)).astype(np.int64)
     high = np.floor(np.minimum(np.maximum(high, -1), width - 1)).astype(np.int64) + 1
     some = high > low
-    return Spans(shape[some], row[some], low[some], (high - low)[some])
+    return Spans(shape=shape[some], v=row[some], u=low[some], count=(high - low)[some])

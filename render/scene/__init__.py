@@ -1,1 +1,1 @@
-"""What lies on the ground besides markers."""
+"""What there is on the ground besides markers: textures, clutter, and what covers markers."""

@@ -1,4 +1,4 @@
-"""Opaque shapes of one grey level, flat on the ground: they cover markers, and clutter is made of them."""
+"""Opaque flat shapes of one grey level that cover markers: discs and convex quadrilaterals."""
 
 from dataclasses import dataclass
 
@@ -11,7 +11,13 @@ from skyherd.geometry import Array, BoolArray, apply_homography, inverse
 
 @dataclass(frozen=True)
 class Disc:
-    """A disc: where it lies, ground metres, and its grey level."""
+    """A disc on the ground.
+
+    Attributes:
+        center_m: its middle on the ground.
+        radius_m: its radius.
+        level: its grey level.
+    """
 
     center_m: tuple[float, float]
     radius_m: float
@@ -30,7 +36,11 @@ class Disc:
 
 @dataclass(frozen=True, eq=False)
 class Quad:
-    """A convex quadrilateral: its corners (4, 2) in order, ground metres, and its grey level.
+    """A convex quadrilateral on the ground.
+
+    Attributes:
+        corners_m: (4, 2) corners on the ground, in order, in either sense; read-only.
+        level: its grey level.
 
     Raises:
         InputError: the corners do not make a convex quadrilateral.
@@ -59,10 +69,11 @@ class Quad:
 
 
 Occluder = Disc | Quad
+"""What can cover markers."""
 
 
 def convex(corners: Array) -> BoolArray:
-    """Which quadrilaterals (N, 4, 2) turn the same way at every corner (N,)."""
+    """Which quadrilaterals (N, 4, 2) are convex (N,): they turn the same way at every corner."""
     along = np.roll(corners, -1, axis=1) - corners
     following = np.roll(along, -1, axis=1)
     turn = along[..., 0] * following[..., 1] - along[..., 1] * following[..., 0]
@@ -72,7 +83,8 @@ def convex(corners: Array) -> BoolArray:
 def quads_square(corners: Array) -> Array:
     """Homographies (N, 3, 3) that take the unit square's corners (0,0), (1,0), (1,1), (0,1) to (N, 4, 2).
 
-    Closed form (Heckbert 1989): with sums and differences of the corners, two projective terms g and h.
+    In closed form (Heckbert 1989, "Fundamentals of Texture Mapping and Image Warping", section 2.2.3): the
+    two projective terms g and h follow from sums and differences of the corners, the other terms from these.
     """
     p0, p1, p2, p3 = np.moveaxis(corners, 1, 0)
     d1, d2, d3 = p1 - p2, p3 - p2, p0 - p1 + p2 - p3

@@ -11,15 +11,8 @@ from PIL import Image
 from skyherd.cli import main
 from skyherd.errors import InputError
 from skyherd.markers.dictionary import card_side
-from skyherd.markers.sheets import (
-    PAPERS_MM,
-    draw_pages,
-    largest_side_mm,
-    lay_out,
-    parse_ids,
-    parse_length_mm,
-    write_sheets,
-)
+from skyherd.markers.sheet_layout import PAPERS_MM, largest_side_mm, lay_out, parse_ids, parse_length_mm
+from skyherd.markers.sheets import draw_pages, write_sheets
 from skyherd.vision import create_detector
 
 POINTS_PER_MM = 72 / 25.4

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from reference import polygon_edges_light
 
-from skyherd.markers.cramer_rao import pose_covariances
 from skyherd.render import (
     Camera,
     CameraPose,
@@ -159,23 +158,3 @@ def test_motion_blur_is_the_mean_over_the_exposure():
     assert np.abs(blurred - sharp).max() > 10, "it matters"
     still = make_renderer(shutter=Shutter(exposure_s)).light(camera, pose, *PAIR)
     np.testing.assert_array_equal(still, sharp, "nothing moves, nothing is blurred")
-
-
-def test_the_bound_is_that_of_the_markers_seen_at_the_sensors_noise():
-    camera = Camera((300, 200), 40.0, (0.0, 0.0))
-    positions = np.array([[2.0, -2.5], [4.5, -2.5], [100.0, 0.0]])
-    renderer = make_renderer(noise=3.0, shot=0.1, gain=2.0)
-    truth = renderer.truth(camera, CameraPose((0, 0), 1.0), np.arange(3), positions, np.zeros(3))
-    bound = renderer.covariances(truth)
-    expected = pose_covariances(
-        DICTIONARY,
-        [0, 1],
-        truth.images_marker[:2],
-        psf_px=0.8,
-        noise=np.sqrt(9 + 0.1 * 260 + 1 / 12),
-        black=60.0,
-        white=460.0,
-        ground=256.0,
-    )
-    np.testing.assert_allclose(bound[:2], expected)
-    assert np.isnan(bound[2]).all()

@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from skyherd.datasets import make_mission
-from skyherd.datasets.configuration.models import DriveModel
+from skyherd.datasets.configuration.robot_models import DriveModel
 from skyherd.errors import InputError
 from skyherd.geometry import wrap_angle
 from skyherd.messages import VelocityCommand

@@ -9,7 +9,7 @@ import pyarrow as pa
 import pytest
 from study_runs import conduct_here
 
-from skyherd.datasets.configuration.models import ScatterModel
+from skyherd.datasets.configuration.robot_models import ScatterModel
 from skyherd.errors import InputError
 from skyherd.study.methods import make_methods
 from skyherd.study.methods_page import markdown

@@ -7,8 +7,7 @@ from skyherd.errors import DegenerateSetError, InputError
 from skyherd.geometry import Array, ComplexArray, IntArray, apply_homography, inverse, to_complex, to_points
 from skyherd.loop import UnitFrame
 from skyherd.messages import Detections
-from skyherd.render import Camera, CameraPose, homography_image_ground
-from skyherd.render.camera.camera import undistort
+from skyherd.render import Camera, CameraPose, homography_image_ground, undistort
 
 
 def rectified_goals_px(frame: UnitFrame) -> Array:

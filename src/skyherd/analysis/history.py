@@ -9,11 +9,9 @@ import numpy as np
 from skyherd.analysis.goal_points import goal_error_m
 from skyherd.analysis.tree_snapshot import TreeHistory, TreeSnapshot
 from skyherd.control import Template, control_matrix
-from skyherd.datasets import Mission
-from skyherd.datasets.configuration.body_models import SizeModel
+from skyherd.datasets import Mission, SizeModel
 from skyherd.geometry import Array, BoolArray, IntArray, to_complex
 from skyherd.loop import Step, dead_units
-from skyherd.sim.world import make_camera
 
 
 @dataclass(frozen=True)
@@ -166,7 +164,7 @@ def _trees(mission: Mission, steps: list[Step]) -> list[TreeSnapshot | None]:
 
 
 def _goal_errors(mission: Mission, steps: list[Step]) -> Array:
-    cameras = [make_camera(unit.camera) for unit in mission.scenario.units]
+    cameras = [unit.camera.make() for unit in mission.scenario.units]
     errors = np.full((len(steps), len(cameras)), np.nan)
     if mission.scenario.size != SizeModel():
         return errors

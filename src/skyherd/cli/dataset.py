@@ -9,9 +9,15 @@ import typer
 from rich.table import Table
 
 from skyherd.cli.console import CountBar, complain, out
-from skyherd.datasets.labelled.check import Verdict, check_dataset
-from skyherd.datasets.labelled.make import make_dataset
-from skyherd.datasets.labelled.spec import DatasetSpec, load_spec, spec_names, spec_text
+from skyherd.datasets import (
+    DatasetSpec,
+    Verdict,
+    check_dataset,
+    load_spec,
+    make_dataset,
+    spec_names,
+    spec_text,
+)
 from skyherd.errors import InputError
 
 dataset_app = typer.Typer(help="Make labelled image sets, and check them.", rich_markup_mode=None)

@@ -11,7 +11,7 @@ from skyherd.cli.console import complain, err, out, warn
 from skyherd.errors import InputError
 from skyherd.inspection.inspector import DETECTIONS, FileResult, Inspector
 from skyherd.inspection.table import FORMATS
-from skyherd.vision.detectors.registry import detector_names
+from skyherd.vision import detector_names
 from skyherd.vision.diagnosis.reasons import Reason
 
 SHOWN_IDS = 16

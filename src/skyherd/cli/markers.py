@@ -8,7 +8,8 @@ import typer
 from skyherd.cli.console import out
 from skyherd.errors import InputError
 from skyherd.markers.dictionary import load_dictionary
-from skyherd.markers.sheets import PAPERS_MM, parse_ids, parse_length_mm, write_sheets
+from skyherd.markers.sheet_layout import PAPERS_MM, parse_ids, parse_length_mm
+from skyherd.markers.sheets import write_sheets
 
 
 def markers(

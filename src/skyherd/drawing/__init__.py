@@ -1,1 +1,1 @@
-"""Drawing into images: lines, text and shapes, and the project's colours."""
+"""Drawing into images: lines, arrows, text and shapes, and the project's colours."""

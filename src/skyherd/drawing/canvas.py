@@ -18,19 +18,36 @@ from PIL import Image as PillowImage
 from PIL import ImageDraw, ImageFont
 
 Image = npt.NDArray[np.uint8]
+"""RGB image (height, width, 3), drawn on in place."""
+
 Color = tuple[int, int, int]
+"""Red, green and blue, 0 to 255."""
+
 Align = Literal["left", "center", "right"]
+"""Which point of a text lies at the place given."""
 
 _SHIFT = 4
+"""Bits after the point in OpenCV's fixed-point coordinates. *Chosen*: 1/16 px, finer than anti-aliasing
+shows."""
+
 _ONE = 1 << _SHIFT
+"""One pixel in these coordinates. *Derived*."""
+
 _FAR_PX = 1e5
+"""Points farther out are pulled in to this, px. *Chosen*: far outside any image, and no overflow in fixed
+point."""
+
 _CAP_HEIGHT = 0.729
-"""Height of DejaVu Sans capitals and digits over the font size."""
+"""Height of DejaVu Sans capitals and digits over the font size. *Derived* from the font: 1493 of 2048
+units."""
+
+_POINT_PX = 1e-9
+"""Length below which an arrow is a point, px. *Chosen*: keeps a division from zero."""
 
 
 @dataclass(frozen=True)
 class Box:
-    """A rectangle of an image, px."""
+    """A rectangle of an image: its left and top pixel, its width and height, px."""
 
     left: int
     top: int
@@ -57,7 +74,7 @@ def _fixed_point(point_px: Sequence[float]) -> tuple[int, int]:
 def draw_lines(
     image: Image, lines_px: Iterable[npt.ArrayLike], color: Color, width_px: int = 1, *, closed: bool = False
 ) -> None:
-    """Draw polylines, each (M, 2)."""
+    """Draw polylines, each with points (M, 2); `closed` joins their ends."""
     lines = [_fixed(line) for line in lines_px]
     if lines:
         cv2.polylines(image, lines, closed, color, width_px, cv2.LINE_AA, _SHIFT)
@@ -66,12 +83,12 @@ def draw_lines(
 def draw_segments(
     image: Image, starts_px: npt.ArrayLike, ends_px: npt.ArrayLike, color: Color, width_px: int = 1
 ) -> None:
-    """Draw straight lines from (N, 2) to (N, 2)."""
+    """Draw straight lines from points (N, 2) to points (N, 2)."""
     draw_lines(image, np.stack([starts_px, ends_px], axis=1), color, width_px)
 
 
 def fill_polygon(image: Image, points_px: npt.ArrayLike, color: Color) -> None:
-    """Fill a polygon (M, 2)."""
+    """Fill a polygon with corners (M, 2)."""
     cv2.fillPoly(image, [_fixed(points_px)], color, cv2.LINE_AA, _SHIFT)
 
 
@@ -86,7 +103,7 @@ def draw_circle(
 def draw_ring(
     image: Image, center_px: Sequence[float], radius_px: float, colors: Sequence[Color], width_px: int = 2
 ) -> None:
-    """Draw a circle in equal arcs of the colours given, clockwise from the left."""
+    """Draw a circle in as many equal arcs as there are colours, clockwise from the left."""
     if len(colors) == 1:
         draw_circle(image, center_px, radius_px, colors[0], width_px)
         return
@@ -100,7 +117,7 @@ def draw_ring(
 def dashes(
     starts_px: npt.ArrayLike, ends_px: npt.ArrayLike, dash_px: float = 4.0
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Starts (M, 2) and ends (M, 2) of the dashes, as long as the gaps, of lines (N, 2) to (N, 2)."""
+    """Cut lines from (N, 2) to (N, 2) into dashes as long as the gaps: starts (M, 2) and ends (M, 2)."""
     starts, ends = np.asarray(starts_px, dtype=float), np.asarray(ends_px, dtype=float)
     lengths = np.linalg.norm(ends - starts, axis=1)
     counts = np.ceil(lengths / (2 * dash_px)).astype(int)
@@ -115,7 +132,7 @@ def dashes(
 def circle_dashes(
     center_px: npt.ArrayLike, radius_px: float, dash_px: float = 6.0
 ) -> list[npt.NDArray[np.float64]]:
-    """Arcs (M, 2) of a dashed circle."""
+    """Arcs of a dashed circle, each a polyline (4, 2); dashes are as long as the gaps."""
     count = max(8, round(np.pi * radius_px / dash_px))
     starts = 2 * np.pi * np.arange(count) / count
     angles = starts[:, None] + np.linspace(0.0, np.pi / count, 4)
@@ -129,7 +146,7 @@ def _font(size_px: int, bold: bool) -> ImageFont.FreeTypeFont:
 
 
 def text_width(text: str, size_px: int = 13, *, bold: bool = False) -> float:
-    """Width of a text, px."""
+    """Width of a line of text, px, in a font of `size_px`."""
     return float(_font(size_px, bold).getlength(text))
 
 
@@ -174,9 +191,9 @@ def draw_text(
     align: Align = "left",
     halo: Color | None = None,
 ) -> None:
-    """Write a line of text; `at_px` is half-way up its capitals, at its left, centre or right.
+    """Write a line of text; `at_px` is half-way up its capitals, at its left, centre or right end.
 
-    The halo is a rim in that colour, for text over pictures.
+    A `halo` is a rim in that colour, which keeps text legible over pictures.
     """
     sprite = _sprite(text, size_px, bold, align, color, halo)
     left = round(at_px[0] - sprite.anchor_px[0])
@@ -198,13 +215,13 @@ def draw_arrows(
     *,
     scale: float = 1.0,
 ) -> None:
-    """Draw arrows with a pale rim from (N, 2) to (N, 2); short ones have small heads.
+    """Draw arrows from (N, 2) to (N, 2) with a rim in the colour `halo`; short ones have smaller heads.
 
     The shaft is `2 scale` px wide, the head `8 scale` px long.
     """
     starts, tips = np.asarray(starts_px, dtype=float), np.asarray(tips_px, dtype=float)
     lengths = np.linalg.norm(tips - starts, axis=1, keepdims=True)
-    along = (tips - starts) / np.maximum(lengths, 1e-9)
+    along = (tips - starts) / np.maximum(lengths, _POINT_PX)
     heads = np.minimum(8.0 * scale, 0.6 * lengths)
     bases, across = tips - heads * along, 0.45 * heads * along[:, ::-1] * (-1.0, 1.0)
     draw_segments(image, starts, tips, halo, round(4 * scale))

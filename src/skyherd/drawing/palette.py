@@ -1,16 +1,26 @@
-"""One colour for each aerial unit, told apart by the colour-blind too (Okabe and Ito, 2008), and the rest."""
+"""The project's colours: of units, which colour-blind people tell apart too, and a few others."""
 
 UNIT_COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#F0E442", "#666666")
+"""Colours of units, in their order (Okabe and Ito 2008, "Color Universal Design")."""
+
 INK = "#1b1f24"
+"""Text and outlines."""
+
 PAPER = "#ffffff"
+"""Background."""
+
 MUTED = "#8a9099"
+"""What should stay in the background: axes, notes."""
+
 TEMPLATE_COLOR = "#7a3db8"
+"""The shape to form."""
+
 WARNING = "#a50026"
-"""Darker than all of the above but ink, so that it stands out without its hue, too."""
+"""Warnings: darker than all of the above but ink, so that it stands out without its hue, too."""
 
 
 def unit_color(unit: int) -> str:
-    """Hex colour of a unit; they repeat after eight."""
+    """Colour of a unit as `#rrggbb`; colours repeat after eight units."""
     return UNIT_COLORS[unit % len(UNIT_COLORS)]
 
 

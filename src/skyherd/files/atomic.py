@@ -1,4 +1,4 @@
-"""Files that are there whole or not at all."""
+"""Writes files so that they are there whole or not at all."""
 
 import os
 from collections.abc import Callable
@@ -8,7 +8,9 @@ from skyherd.errors import InputError, OutputError
 
 
 def write_whole(path: Path, write: Callable[[Path], object]) -> Path:
-    """Let `write` make a file under another name, and give it the name `path` once it is whole.
+    """Write a file under a temporary name beside `path`, and rename it to `path` once it is whole.
+
+    `write` is called with the temporary path and makes the file. Returns `path`.
 
     Raises:
         OutputError: it could not be written; nothing is left of it.
@@ -28,7 +30,11 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> Path:
 
 
 def write_text(path: Path, text: str) -> Path:
-    """Write a text file, UTF-8, whole or not at all; OutputError if it cannot be."""
+    """Write a text file in UTF-8, whole or not at all; returns `path`.
+
+    Raises:
+        OutputError: it could not be written; nothing is left of it.
+    """
     return write_whole(path, lambda part: part.write_text(text, "utf-8"))
 
 
@@ -36,7 +42,7 @@ def refuse_existing(folder: Path, *, force: bool) -> None:
     """Refuse an output folder that exists, unless `force`; nothing is touched.
 
     Raises:
-        InputError: it exists.
+        InputError: it is a file, or it exists and `force` is not given.
     """
     if folder.exists() and not folder.is_dir():
         raise InputError(str(folder), "is a file", "a folder to make; choose another --out")

@@ -1,4 +1,4 @@
-"""Any picture file as a grey image of 8 bits.
+"""Reads any picture file as a grey image of 8 bits.
 
 Pillow reads it; transparency lies over white, and the camera's orientation mark (EXIF) is obeyed. Of more
 than 8 bits, levels are those of the fewest of 8, 10, 12, 14 and 16 bits that hold the brightest pixel:
@@ -21,17 +21,23 @@ from PIL import Image, UnidentifiedImageError
 from skyherd.errors import InputError
 
 Grey = npt.NDArray[np.uint8]
+"""Grey levels of 8 bits, (height, width)."""
 
 MAX_PIXELS = 400_000_000
-"""Larger pictures are refused: a small file may claim to be one of any size."""
+"""Pixels of the largest picture that is read. *Chosen*: beyond any camera; a small damaged file may claim any
+size, and would fill the memory."""
 
 FORMATS = "a PNG, JPEG, TIFF, BMP, WebP or GIF picture"
+"""Kinds of pictures that can be read, as complaints name them."""
+
 BIT_DEPTHS = (8, 10, 12, 14, 16)
+"""Bits a pixel that cameras have. *Chosen*: see the module."""
+
 LUMA = (0.299, 0.587, 0.114)
-"""Weights of red, green and blue (ITU-R BT.601), those of Pillow."""
+"""Weights of red, green and blue in grey. *Defined* by ITU-R BT.601, and used by Pillow."""
 
 ORIENTATION = 0x0112
-"""EXIF tag: how the camera was held."""
+"""Number of the EXIF tag that says how the camera was held. *Defined* by EXIF."""
 
 _BROKEN = (OSError, SyntaxError, ValueError, EOFError, TypeError, IndexError, struct.error, zlib.error)
 """What Pillow raises on files that are damaged in one way or another."""
@@ -43,10 +49,10 @@ SUFFIXES = frozenset(
 
 
 def read_grey(path: Path) -> Grey:
-    """A picture file as (height, width) uint8.
+    """Read a picture file as grey levels (height, width), upright.
 
     Raises:
-        InputError: there is no such file, or it is not a whole picture.
+        InputError: there is no such file, or it is no whole picture, or it is too large.
     """
     data = _read_bytes(path)
     with _quiet_pillow():

@@ -1,4 +1,4 @@
-"""Pictures to look at, one after the other: from a file, a folder or a video."""
+"""Finds pictures and videos, and reads videos frame by frame as grey images."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -12,8 +12,14 @@ import numpy.typing as npt
 from skyherd.errors import InputError
 from skyherd.files.images import SUFFIXES
 
-DEEPER, FEW = ("*/*", "*/*/*"), 4
-"""Where pictures are looked for that are not in the folder itself, and how many such folders are named."""
+DEEPER = ("*/*", "*/*/*")
+"""Where pictures are looked for, to name their folder, if there are none in the folder itself."""
+
+FEW = 4
+"""Such folders that a complaint names at most. *Chosen*: fits a line or two."""
+
+USUAL_RATE_HZ = Fraction(25)
+"""Frames a second of a video that says nothing of its rate. *Chosen*: usual, and only times depend on it."""
 
 VIDEO_SUFFIXES = frozenset(
     {".mp4", ".m4v", ".mov", ".avi", ".mkv", ".webm", ".mpg", ".mpeg", ".ts", ".mts", ".wmv"}
@@ -23,7 +29,13 @@ VIDEO_SUFFIXES = frozenset(
 
 @dataclass(frozen=True)
 class Frame:
-    """A picture of a video: its number from 0, its time, and grey levels (height, width)."""
+    """A picture of a video.
+
+    Attributes:
+        index: its number, from 0.
+        time_s: its time from the video's beginning.
+        image: grey levels (height, width).
+    """
 
     index: int
     time_s: float
@@ -32,7 +44,13 @@ class Frame:
 
 @dataclass(frozen=True)
 class Clip:
-    """What is known of a video before it is read: frames a second, and their number, 0 if not known."""
+    """What is known of a video before it is read.
+
+    Attributes:
+        path: the file.
+        rate_hz: frames a second.
+        count: number of frames; 0 if not known.
+    """
 
     path: Path
     rate_hz: Fraction
@@ -40,12 +58,12 @@ class Clip:
 
 
 def is_video(path: Path) -> bool:
-    """Whether a file is a video, by its name."""
+    """Whether a file is a video, by the end of its name."""
     return path.suffix.lower() in VIDEO_SUFFIXES
 
 
 def find_files(target: Path) -> list[Path]:
-    """The file itself, or the pictures and videos of a folder in the order of their names.
+    """The file itself, or the pictures and videos in a folder, in the order of their names.
 
     Raises:
         InputError: there is no such file or folder, or no picture in the folder.
@@ -70,7 +88,7 @@ def find_files(target: Path) -> list[Path]:
 
 
 def open_clip(path: Path) -> Clip:
-    """Rate and length of a video.
+    """Open a video to find its rate and length; nothing stays open.
 
     Raises:
         InputError: it is not a video that can be read.
@@ -78,7 +96,7 @@ def open_clip(path: Path) -> Clip:
     try:
         with av.open(str(path)) as container:
             stream = container.streams.video[0]
-            rate = stream.average_rate or stream.guessed_rate or Fraction(25)
+            rate = stream.average_rate or stream.guessed_rate or USUAL_RATE_HZ
             seconds = float((container.duration or 0) / av.time_base)
             return Clip(path, Fraction(rate), stream.frames or round(seconds * float(rate)))
     except (OSError, av.FFmpegError, IndexError) as error:
@@ -86,10 +104,10 @@ def open_clip(path: Path) -> Clip:
 
 
 def read_clip(clip: Clip) -> Iterator[Frame]:
-    """Frames of a video, one at a time.
+    """Read the frames of a video, one at a time.
 
     Raises:
-        InputError: it cannot be read on, or held no frame.
+        InputError: it cannot be read to its end, or has no frame.
     """
     index = 0
     try:

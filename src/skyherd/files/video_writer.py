@@ -1,4 +1,8 @@
-"""Video files that play in a browser, and a sink that cannot lie about what it wrote."""
+"""Writes video files that play in a browser, and checks each before it takes its name.
+
+Frames go to a temporary file, which is read back and counted when it is closed. Only a whole file with as
+many frames as were written gets the name that was asked for.
+"""
 
 import os
 from collections.abc import Iterator
@@ -15,16 +19,25 @@ import numpy.typing as npt
 from skyherd.errors import OutputError
 
 Image = npt.NDArray[np.uint8]
+"""RGB image (height, width, 3)."""
 
 QUALITY = {"crf": "23", "preset": "veryfast"}
 """Settings of libx264: constant quality, and fast enough to keep up with the loop."""
 
 THREADS = 2
+"""Threads that encode. *Chosen*: enough to keep up with the loop, and the rest of the processor stays
+free."""
+
 BT709 = 1
-"""Colour space, primaries and transfer of HD video in FFmpeg's numbering; players assume them."""
+"""Colour space, primaries and transfer of HD video, which players assume. *Defined*: their number in
+FFmpeg."""
 
 STUDIO_RANGE = 1
+"""Levels from 16 to 235, which players assume. *Defined*: their number in FFmpeg."""
+
 MAX_DENOMINATOR = 10_000
+"""Largest denominator of a rate. *Chosen*: holds 30000/1001 and the like exactly, and fits the container's
+time base."""
 
 
 class VideoSink:
@@ -32,6 +45,13 @@ class VideoSink:
 
     Frames go to `<path>.part`, which takes the place of `path` only when it is whole: closed, read
     again, and found to hold as many frames as were written. If the body raises, nothing is left behind.
+
+    Attributes:
+        path: the file to make.
+        size_px: width and height of every frame.
+        rate_hz: frames a second.
+        frames: how many were written so far.
+        part: the temporary file.
 
     Args:
         path: the file to make, an MP4.
@@ -56,7 +76,11 @@ class VideoSink:
         self._open = True
 
     def write(self, frame: Image) -> None:
-        """Append one frame, (height, width, 3) uint8 RGB; it is not kept."""
+        """Append one frame, (height, width, 3) uint8 RGB; the array may be changed afterwards.
+
+        Raises:
+            OutputError: the sink is closed, the frame has another size or type, or the disk is full.
+        """
         width, height = self.size_px
         if not self._open:
             raise OutputError(f"{self.path}: already closed; frames are written before")
@@ -72,7 +96,11 @@ class VideoSink:
         self.frames += 1
 
     def close(self) -> None:
-        """Finish the file, check it and put it in place; closing twice does nothing."""
+        """Finish the file, check it and rename it; closing twice does nothing.
+
+        Raises:
+            OutputError: no frame was written, or the file did not become whole; nothing is left of it.
+        """
         if not self._open:
             return
         try:
@@ -92,7 +120,7 @@ class VideoSink:
         self._open = False
 
     def abort(self) -> None:
-        """Close and remove what was written so far; the target stays as it was."""
+        """Close and remove what was written so far; a file that was there before stays as it was."""
         self._open = False
         with suppress(OSError, av.FFmpegError):
             self._container.close()
@@ -152,13 +180,13 @@ def _checked_rate(path: Path, rate_hz: Fraction | float) -> Fraction:
 
 
 def count_frames(path: str | os.PathLike[str]) -> int:
-    """Number of frames in a video file, counted packet by packet."""
+    """Number of frames in a video file, counted packet by packet without decoding."""
     with av.open(str(path)) as container:
         return sum(1 for packet in container.demux(video=0) if packet.size)
 
 
 def read_frames(path: str | os.PathLike[str]) -> Iterator[Image]:
-    """Frames of a video file as (height, width, 3) uint8 RGB, one at a time.
+    """Read the frames of a video file, one at a time: (height, width, 3) uint8 RGB.
 
     Raises:
         OutputError: the file is not a video that can be read.

@@ -1,1 +1,1 @@
-"""Square markers: dictionaries and their codes, printable sheets, blur, and the bound on measuring them."""
+"""Square markers: dictionaries and codes, how well they can be measured, and printable sheets."""

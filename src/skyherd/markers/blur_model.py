@@ -1,4 +1,4 @@
-"""A marker card under a Gaussian: the model of lens and pixel that drawing and fitting share.
+"""A marker card under a Gaussian blur: the model of lens and pixel that the bound and the detector share.
 
 A card is a grid of flat cells, so its image under a Gaussian of standard deviation sigma separates:
 
@@ -17,19 +17,31 @@ from skyherd.markers.dictionary import QUIET_ZONE_CELLS
 
 
 def total_sigma_px(psf_px: float) -> float:
-    """Standard deviation, px, of lens and pixel together."""
+    """Standard deviation of lens and pixel together, px: `sqrt(psf² + 1/12)`.
+
+    `psf_px` is the standard deviation of the lens's blur; 1/12 px² is the variance of a square pixel.
+    """
     return float(np.sqrt(psf_px**2 + UNIFORM_VARIANCE))
 
 
 def cell_edges(n_cells: int, side: float) -> Array:
-    """Edges (n + 3,) of a card's cells along one axis, from its centre: quiet zone, n cells, quiet zone."""
+    """Edges (n + 3,) of a card's cells along one axis: quiet zone, n cells, quiet zone.
+
+    They are measured from the card's centre, in the unit of `side`, the side of the black square.
+    """
     lines = np.concatenate([[-QUIET_ZONE_CELLS], np.arange(n_cells + 1), [n_cells + QUIET_ZONE_CELLS]])
     return np.asarray(side * (lines / n_cells - 0.5))
 
 
 @dataclass(frozen=True)
 class Gathered:
-    """E (samples, cells) and its first and second derivatives along x: how the Gaussian gathers cells."""
+    """How much of each cell a Gaussian gathers, with derivatives; each (samples, cells).
+
+    Attributes:
+        value: E, the shares.
+        slope: dE/dx.
+        curvature: d²E/dx².
+    """
 
     value: Array
     slope: Array
@@ -37,13 +49,19 @@ class Gathered:
 
 
 def gather(x: Array, edges: Array, sigma: float) -> Array:
-    """E (samples, cells): how much of each cell the Gaussian gathers at each x."""
+    """E (samples, cells): the share of each cell that a Gaussian at each x gathers.
+
+    Args:
+        x: (samples,) places along the axis.
+        edges: (cells + 1,) of the cells, ascending.
+        sigma: standard deviation of the Gaussian; all in one unit.
+    """
     steps = ndtr((x[:, None] - edges[None, :]) / sigma)
     return np.asarray(steps[:, :-1] - steps[:, 1:])
 
 
 def gather_with_derivatives(x: Array, edges: Array, sigma: float) -> Gathered:
-    """E and dE/dx, d²E/dx²; by the heat equation `dE/dσ = σ d²E/dx²`."""
+    """`gather` with its derivatives along x; dE/dσ is `σ d²E/dx²`, by the heat equation."""
     z = (x[:, None] - edges[None, :]) / sigma
     bell = np.exp(-z * z / 2) / (np.sqrt(2 * np.pi) * sigma)
     bend = -z * bell / sigma

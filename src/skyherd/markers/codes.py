@@ -1,4 +1,4 @@
-"""Marker dictionaries larger than OpenCV's, for more than a thousand robots.
+"""Marker dictionaries larger than OpenCV's, for more than a thousand robots: linear codes.
 
 The bits of a marker of n cells a side, row by row, are a word of n² bits. Let C be a linear code, closed
 under bitwise exclusive or, that the eight rotations and reflections of the square map onto itself. Its words
@@ -21,17 +21,18 @@ import numpy.typing as npt
 from skyherd.geometry import BoolArray, IntArray
 
 Words = npt.NDArray[np.uint64]
+"""Words of a code, a bit for each cell."""
 
 
 @dataclass(frozen=True)
 class MarkerCode:
-    """A generated dictionary.
+    """A generated dictionary: a linear code, of which a few numbers generate thousands of markers.
 
     Attributes:
         cells: bits along a marker's side, the black border not counted.
         size: number of markers.
         distance: least Hamming distance over all rotations and reflections.
-        basis: of the linear code; the first cell is the highest bit.
+        basis: words whose sums modulo 2 are the code; the first cell is the highest bit.
     """
 
     cells: int
@@ -130,17 +131,21 @@ CODES = {
         ),
     ),
 }
-"""Generated dictionaries by name."""
+"""Generated dictionaries by name: cells a side and number of markers. *Measured*: the bases were found by
+`benchmarks/search_dictionaries.py`; the distances follow from them."""
 
 
 def symmetries(cells: int) -> IntArray:
-    """(8, n²) permutations of the cells: row k turns by k quarters, from 4 on mirrored."""
+    """Symmetries of the square as permutations (8, n²) of its n² cells.
+
+    Row k turns by k quarters; rows from 4 on are mirrored first.
+    """
     index = np.arange(cells * cells).reshape(cells, cells)
     return np.array([np.rot90(side, k).ravel() for side in (index, index[:, ::-1]) for k in range(4)])
 
 
 def span(basis: Sequence[int]) -> Words:
-    """All sums modulo 2 of the basis, (2^k,)."""
+    """All words (2^k,) of a linear code: the sums modulo 2 of its k basis words."""
     words = np.zeros(1, np.uint64)
     for vector in basis:
         words = np.concatenate([words, words ^ np.uint64(vector)])
@@ -148,13 +153,13 @@ def span(basis: Sequence[int]) -> Words:
 
 
 def word_bits(words: Words, count: int) -> BoolArray:
-    """Bits (N, count) of words (N,), the highest first."""
+    """The lowest `count` bits (N, count) of words (N,), the highest of them first."""
     shifts = np.arange(count - 1, -1, -1, dtype=np.uint64)
     return np.asarray((words[:, None] >> shifts) & np.uint64(1), dtype=bool)
 
 
 def code_bits(code: MarkerCode) -> BoolArray:
-    """White cells (N, n, n) of a dictionary's markers.
+    """White cells (N, n, n) of the markers of a generated dictionary, without their black border.
 
     Of each orbit the least word is taken, and those whose cells change most often come first: they are the
     least like dark things that are no markers, and their many edges are measured best.

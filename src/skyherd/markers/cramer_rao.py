@@ -18,6 +18,9 @@ A displacement field w of the pattern, with the Gaussian of lens and pixel left 
 Σ being the Gaussian's covariance; by the heat equation `∂I/∂ log σ = Σ : ∇∇I`. The image is that of
 `skyherd.markers.blur_model` in the marker's own axes, where it is separable, with the blur of the marker's
 centre.
+
+Every unknown of the geometry is a generator of homographies, so that the marker's own moves and the plane's
+slant are one formula. What the markers of an image share is eliminated by its Schur complement.
 """
 
 from collections.abc import Sequence
@@ -31,33 +34,40 @@ from skyherd.markers.blur_model import cell_edges, gather_with_derivatives, tota
 from skyherd.markers.dictionary import marker_cells
 
 SAMPLES_PER_PX = 1.0
-"""The sum over pixels is taken on a grid along the marker's sides, of this density, weighted by area."""
+"""Density of the grid along the marker's sides on which the sum over pixels is taken, samples a pixel.
+*Chosen*: each sample is weighted by its area in pixels; denser grids change the bound hardly, since blur is
+wider than a pixel, and cost more."""
 
 SIMILAR = 1e-6
-"""A homography whose shear and perspective over a marker stay under this counts as a similarity."""
+"""Shear and perspective over a marker below which a homography counts as a similarity. *Chosen*: far above
+rounding, and far below what any image can show; the plane then has no unknowns."""
 
 N_POSE, N_OWN = 3, 8
-"""Unknowns of one marker: u, v, heading; with log scale, gain, offset, log blur and ground level, eight."""
+"""Unknowns of one marker. *Derived* by counting: u, v and heading are its pose; with log scale, gain, offset,
+log blur and ground level there are eight."""
 
 _CARD = np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-"""From card coordinates (right, down) to marker coordinates (forward, left)."""
+"""From card coordinates (right, down) to marker coordinates (forward, left). *Derived*: forward is up on the
+card."""
 
 _MOVES = np.zeros((4, 3, 3))
 _MOVES[0, 0, 2] = _MOVES[1, 1, 2] = 1.0
 _MOVES[2, 1, 0], _MOVES[2, 0, 1] = 1.0, -1.0
 _MOVES[3, 0, 0] = _MOVES[3, 1, 1] = 1.0
-"""Generators of a marker's shift right and down, its turn and its log scale, on the card."""
+"""Generators (4, 3, 3) of a marker's shift right and down, its turn and its log scale, on the card.
+*Derived*: the derivatives of these homographies at the identity."""
 
 _SLANTS = np.zeros((4, 3, 3))
 _SLANTS[0, 0, 0], _SLANTS[0, 1, 1] = 1.0, -1.0
 _SLANTS[1, 0, 1] = _SLANTS[1, 1, 0] = 1.0
 _SLANTS[2, 2, 0] = _SLANTS[3, 2, 1] = 1.0
-"""Generators of the plane's two affine and two projective parameters, on the image."""
+"""Generators (4, 3, 3) of the plane's two affine and two projective parameters, on the image. *Derived*
+likewise."""
 
 
 @dataclass(frozen=True)
 class _Light:
-    """What fixes an image apart from geometry: blur of lens and pixel, grey levels."""
+    """What an image depends on besides geometry: blur of lens and pixel together, and grey levels."""
 
     sigma_px: float
     black: float
@@ -80,7 +90,7 @@ def pose_covariances(
     """Least covariance (N, 3, 3) of (u px, v px, heading rad) that any unbiased estimate can have.
 
     Args:
-        dictionary: of the markers, such as `4X4_50`.
+        dictionary: dictionary of the markers, such as `4X4_50`.
         ids: (N,) markers of one image, whole and uncovered.
         images_marker: (N, 3, 3) homographies from marker coordinates (forward, left, in sides) to pixels.
         psf_px: standard deviation of the lens's blur.
@@ -88,8 +98,9 @@ def pose_covariances(
         black: grey level of the marker's black.
         white: grey level of the card.
         ground: grey level of the ground around it.
-        shared_plane: the plane in which the markers lie has to be found too, from all of them together; it
-            has not if every homography is a similarity, or if this is False.
+        shared_plane: whether the plane in which the markers lie is unknown too, and has to be found from all
+            of
+            them together. It is taken as known if every homography is a similarity.
 
     Raises:
         InputError: noise or blur is not positive, or the shapes do not agree.
@@ -102,7 +113,7 @@ def pose_covariances(
     if not len(ids):
         return np.zeros((0, 3, 3))
     images_card = images_marker @ _CARD
-    light = _Light(total_sigma_px(psf_px), black, white, ground)
+    light = _Light(sigma_px=total_sigma_px(psf_px), black=black, white=white, ground=ground)
     moves = np.broadcast_to(_MOVES, (len(ids), 4, 3, 3))
     if shared_plane and not all(_is_similarity(image_card) for image_card in images_card):
         moves = np.concatenate([moves, _slants_on_cards(images_card)], axis=1)
@@ -116,7 +127,10 @@ def pose_covariances(
 
 
 def sides_px(images_marker: Array) -> Array:
-    """Sides (N,) of markers in the image: `sqrt |det J|`, J the Jacobian at the marker's centre."""
+    """Sides (N,), px, of markers in the image: `sqrt |det J|`, J being the Jacobian at the marker's centre.
+
+    `images_marker` (N, 3, 3) take marker coordinates, in sides, to pixels.
+    """
     return np.asarray(np.sqrt(np.abs(np.linalg.det(_jacobians(images_marker)))))
 
 
@@ -234,7 +248,7 @@ def _pose_covariances(information: Array, derivatives: Array) -> Array:
     covariances = by_own @ own_inverse @ by_own.transpose(0, 2, 1)
     if cross.shape[2]:
         plane = information[:, N_OWN:, N_OWN:]
-        left = (plane - cross.transpose(0, 2, 1) @ own_inverse @ cross).sum(axis=0)
+        residual = (plane - cross.transpose(0, 2, 1) @ own_inverse @ cross).sum(axis=0)
         through = derivatives[:, :, 4:] - by_own @ own_inverse @ cross
-        covariances = covariances + through @ np.linalg.inv(left) @ through.transpose(0, 2, 1)
+        covariances = covariances + through @ np.linalg.inv(residual) @ through.transpose(0, 2, 1)
     return np.asarray((covariances + covariances.transpose(0, 2, 1)) / 2)

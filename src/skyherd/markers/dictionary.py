@@ -1,4 +1,4 @@
-"""Square markers: dictionaries, cells, and how a marker's corners tell its pose.
+"""Square markers: their dictionaries and cells, and the pose that follows from a marker's corners.
 
 A marker of `n` cells a side (bits and black border) is a black square with the bits inside, on a white
 card that adds a quiet zone. Its forward direction is from the centre to the middle of the edge between
@@ -16,11 +16,16 @@ from skyherd.geometry import SQUARE_CORNERS, Array, fit_squares, to_complex, to_
 from skyherd.markers.codes import CODES, code_bits
 
 QUIET_ZONE_CELLS = 1.0
-"""Width of the white card around the black square, in cells."""
+"""Width of the white card around the black square, in cells. *Chosen*: the least that detectors ask for;
+twice as wide costs a quarter more room on the robot."""
+
+
+MIDDLE_GREY = 127
+"""Grey level above which a cell drawn by OpenCV is white. *Derived*: cells are drawn as 0 or 255."""
 
 
 def dictionary_names() -> list[str]:
-    """Names of OpenCV's dictionaries, without their `DICT_` prefix, and of the generated ones."""
+    """Names of OpenCV's dictionaries, without their `DICT_` prefix, and of the generated ones, in order."""
     return sorted(
         [*CODES, *(name.removeprefix("DICT_") for name in dir(cv2.aruco) if name.startswith("DICT_"))]
     )
@@ -28,7 +33,11 @@ def dictionary_names() -> list[str]:
 
 @cache
 def load_dictionary(name: str) -> cv2.aruco.Dictionary:
-    """The dictionary of that name, such as `4X4_50`; InputError names those there are."""
+    """The dictionary of a name such as `4X4_50`.
+
+    Raises:
+        InputError: there is none of that name; the error lists those that there are.
+    """
     if name in CODES:
         return _generate(name)
     if name not in dictionary_names():
@@ -58,29 +67,33 @@ def cells_per_side(name: str) -> int:
 
 @cache
 def marker_cells(name: str, marker_id: int) -> npt.NDArray[np.bool_]:
-    """White cells of one marker, (n, n) with its black border; row 0 is the forward edge."""
+    """White cells (n, n) of one marker, its black border included; row 0 is the forward edge. Read-only.
+
+    Raises:
+        InputError: the dictionary has no marker of that id.
+    """
     if not 0 <= marker_id < dictionary_size(name):
         raise InputError("marker id", f"{marker_id} is not in {name}", f"0 to {dictionary_size(name) - 1}")
     n = cells_per_side(name)
-    cells = np.asarray(cv2.aruco.generateImageMarker(load_dictionary(name), marker_id, n)) > 127
+    cells = np.asarray(cv2.aruco.generateImageMarker(load_dictionary(name), marker_id, n)) > MIDDLE_GREY
     cells.setflags(write=False)
     return cells
 
 
 def card_side(name: str) -> float:
-    """Side of the white card (marker and quiet zone) in marker sides."""
+    """Side of the white card, marker and quiet zone, in marker sides."""
     return 1.0 + 2.0 * QUIET_ZONE_CELLS / cells_per_side(name)
 
 
 def corners_of_pose(centers_px: npt.ArrayLike, headings_rad: npt.ArrayLike, sides_px: npt.ArrayLike) -> Array:
-    """Image corners (N, 4, 2) of squares at centres (N, 2), headings (N,) and sides (N,)."""
+    """Image corners (N, 4, 2), px, of squares with centres (N, 2), headings (N,) and sides (N,)."""
     arms = 1j * np.asarray(sides_px) * np.exp(1j * np.asarray(headings_rad))
     corners = to_complex(centers_px)[:, None] + arms[:, None] * SQUARE_CORNERS
     return np.stack([corners.real, corners.imag], axis=-1)
 
 
 def pose_of_corners(corners_px: npt.ArrayLike) -> tuple[Array, Array, Array]:
-    """Centre (N, 2), heading (N,) and side (N,) of the squares nearest to corners (N, 4, 2).
+    """Centres (N, 2), headings (N,) and sides (N,) of the squares nearest to image corners (N, 4, 2).
 
     The least-squares similarity of the unit square (`skyherd.geometry.fit_squares`): side `|arm|`, heading
     `arg(-i arm)`.

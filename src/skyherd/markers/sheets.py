@@ -1,14 +1,11 @@
-"""Printable marker sheets: a vector PDF at true size.
+"""Printable marker sheets: a vector PDF at true size. Lengths are in millimetres.
 
 Every marker lies on its white card, a quiet zone wide, below a strip with its id and an arrow that points
 forward: the marker's row 0 is at the top. Cut marks stand at the corners of card and strip and where the two
-meet. A ruler at the foot of each page tells whether it was printed at true size.
+meet. A ruler at the foot of each page shows whether it was printed at true size.
 """
 
-import math
-import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,160 +17,22 @@ from matplotlib.patches import PathPatch, Polygon, Rectangle
 from matplotlib.path import Path as Outline
 
 from skyherd.drawing.palette import INK, MUTED, PAPER
-from skyherd.errors import InputError
 from skyherd.files.atomic import write_whole
-from skyherd.markers.dictionary import (
-    QUIET_ZONE_CELLS,
-    card_side,
-    cells_per_side,
-    dictionary_size,
-    marker_cells,
-)
-
-PAPERS_MM = {
-    "A5": (148.0, 210.0),
-    "A4": (210.0, 297.0),
-    "A3": (297.0, 420.0),
-    "A2": (420.0, 594.0),
-    "A1": (594.0, 841.0),
-    "A0": (841.0, 1189.0),
-    "Letter": (215.9, 279.4),
-    "Legal": (215.9, 355.6),
-    "Tabloid": (279.4, 431.8),
-}
-"""Width and height of each paper, upright."""
-
-UNITS_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
-MARGIN_MM = 8.0
-"""Few printers reach the paper's edge."""
-
-RULER_MM = 14.0
-"""Height of the foot that holds the ruler."""
-
-STRIP_MM = 8.0
-GAP_MM = 8.0
-"""Between markers: room for the cut marks of both."""
+from skyherd.markers.dictionary import QUIET_ZONE_CELLS, cells_per_side, marker_cells
+from skyherd.markers.sheet_layout import MARGIN_MM, STRIP_MM, Layout, lay_out
 
 MARK_MM, MARK_OFFSET_MM = 3.0, 0.8
+"""Length of a cut mark, and its distance from the card, mm. *Chosen*: seen after the cut on no side."""
+
 MM_PER_INCH = 25.4
+"""Millimetres in an inch. *Defined*."""
+
 FONT_PT = 8.0
-
-
-@dataclass(frozen=True)
-class Layout:
-    """Where markers lie on a page.
-
-    Attributes:
-        page_mm: width and height, as the paper is turned.
-        columns: markers side by side.
-        rows: markers one above the other.
-        side_mm: side of the black square.
-        card_mm: side of the white card.
-    """
-
-    page_mm: tuple[float, float]
-    columns: int
-    rows: int
-    side_mm: float
-    card_mm: float
-
-    @property
-    def per_page(self) -> int:
-        """Markers on a full page."""
-        return self.columns * self.rows
-
-    def corner_mm(self, place: int) -> tuple[float, float]:
-        """Lower left corner of the card at a place of the page, from the page's lower left corner, y up."""
-        row, column = divmod(place, self.columns)
-        width = self.columns * self.card_mm + (self.columns - 1) * GAP_MM
-        left = (self.page_mm[0] - width) / 2
-        top = self.page_mm[1] - MARGIN_MM
-        tall = self.card_mm + STRIP_MM
-        return left + column * (self.card_mm + GAP_MM), top - tall - row * (tall + GAP_MM)
-
-
-def parse_ids(text: str, dictionary: str) -> list[int]:
-    """Ids of `0-15,20`, each once, in the order given.
-
-    Raises:
-        InputError: that is no list of ids, or one is not in the dictionary.
-    """
-    last = dictionary_size(dictionary) - 1
-    ids: dict[int, None] = {}
-    for part in text.split(","):
-        match = re.fullmatch(r"\s*(\d+)\s*(?:-\s*(\d+)\s*)?", part)
-        if match is None:
-            raise InputError("--ids", f"{part.strip()!r} in {text!r}", "ids and ranges such as 0-15,20")
-        first, end = int(match[1]), int(match[2] or match[1])
-        if end < first:
-            raise InputError("--ids", f"{part.strip()!r} runs backwards", f"write {end}-{first}")
-        if end > last:
-            raise InputError(
-                "--ids", f"{end} is not in {dictionary}", f"0 to {last}, or a larger --dictionary"
-            )
-        ids.update(dict.fromkeys(range(first, end + 1)))
-    return list(ids)
-
-
-def parse_length_mm(text: str, where: str) -> float:
-    """Millimetres of a length with its unit: `0.12m`, `12 cm`, `120mm`.
-
-    Raises:
-        InputError: it has no unit, or is not a positive length.
-    """
-    match = re.fullmatch(r"\s*([0-9]*\.?[0-9]+)\s*(mm|cm|m)\s*", text)
-    length = float(match[1]) * UNITS_MM[match[2]] if match else 0.0
-    if not length > 0:
-        raise InputError(where, f"{text!r} is no length", "a positive number and mm, cm or m, such as 0.12m")
-    return length
-
-
-def _room_mm(page_mm: tuple[float, float]) -> tuple[float, float]:
-    """Width and height of a page that cards and strips may take."""
-    return page_mm[0] - 2 * MARGIN_MM, page_mm[1] - 2 * MARGIN_MM - RULER_MM
-
-
-def _count(room: float, size: float) -> int:
-    return int((room + GAP_MM + 1e-9) // (size + GAP_MM))
-
-
-def largest_side_mm(paper: str, dictionary: str) -> float:
-    """Largest side, in whole millimetres, of which one marker fits the paper."""
-    width, height = PAPERS_MM[paper]
-    rooms = [_room_mm(page) for page in ((width, height), (height, width))]
-    return math.floor(max(min(wide, tall - STRIP_MM) for wide, tall in rooms) / card_side(dictionary) + 1e-9)
-
-
-def lay_out(paper: str, side_mm: float, dictionary: str) -> Layout:
-    """The layout with most markers a page, the paper upright or turned.
-
-    Raises:
-        InputError: there is no such paper, or not one marker fits it.
-    """
-    if paper not in PAPERS_MM:
-        raise InputError("--paper", f"no paper {paper!r}", f"one of {', '.join(PAPERS_MM)}")
-    card_mm = side_mm * card_side(dictionary)
-    width, height = PAPERS_MM[paper]
-    layouts = []
-    for page in ((width, height), (height, width)):
-        wide, tall = _room_mm(page)
-        layouts.append(
-            Layout(page, _count(wide, card_mm), _count(tall, card_mm + STRIP_MM), side_mm, card_mm)
-        )
-    best = max(layouts, key=lambda layout: layout.per_page)
-    if not best.per_page:
-        sides = {name: largest_side_mm(name, dictionary) for name in PAPERS_MM}
-        larger = [name for name, side in sides.items() if side >= side_mm]
-        raise InputError(
-            "--side",
-            f"{side_mm:g} mm and its white margin do not fit {paper}",
-            f"at most {sides[paper]:g} mm do" + (f"; {larger[0]} holds {side_mm:g} mm" if larger else ""),
-        )
-    return best
+"""Size of small text, points. *Chosen*: legible at arm's length."""
 
 
 def draw_pages(ids: Sequence[int], layout: Layout, dictionary: str) -> Iterator[Figure]:
-    """The pages as figures of the paper's size."""
+    """Draw the pages with markers `ids`, one after the other, as figures of the paper's size."""
     pages = [ids[k : k + layout.per_page] for k in range(0, len(ids), layout.per_page)]
     for number, page in enumerate(pages, start=1):
         width, height = layout.page_mm
@@ -259,7 +118,7 @@ def _draw_ruler(axes: Axes, layout: Layout, text: str) -> None:
 
 
 def write_sheets(path: Path, ids: Sequence[int], side_mm: float, dictionary: str, paper: str) -> Layout:
-    """Write a PDF of the markers, whole or not at all; returns how they lie.
+    """Write a PDF with the markers `ids`, whole or not at all; returns the layout of its pages.
 
     Raises:
         InputError: a marker does not fit the paper.

@@ -33,9 +33,7 @@ from skyherd.control import (
     Wheels,
     newest_roles,
 )
-from skyherd.datasets import Mission, Scenario
-from skyherd.datasets.configuration.models import SelectionModel
-from skyherd.datasets.configuration.unit_models import FlightModel
+from skyherd.datasets import FlightModel, Mission, Scenario, SelectionModel
 from skyherd.geometry import ComplexArray, IntArray
 from skyherd.messages import Detections, UnitReport
 from skyherd.sim.baseline_laws import Law, bearing_only_law, complex_laplacian_law

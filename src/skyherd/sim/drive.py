@@ -4,7 +4,7 @@ from collections import deque
 
 import numpy as np
 
-from skyherd.datasets.configuration.models import DriveModel, RobotsModel
+from skyherd.datasets import DriveModel, RobotsModel
 from skyherd.geometry import Array
 from skyherd.messages import VelocityCommand
 from skyherd.random_streams import RunStream, generator

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from skyherd.control import Delivery
-from skyherd.datasets.configuration.models import NetworkModel
+from skyherd.datasets import NetworkModel
 from skyherd.geometry import BoolArray
 from skyherd.messages import MotionGoals, Proximity, UnitReport
 

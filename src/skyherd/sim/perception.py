@@ -10,13 +10,10 @@ import numpy.typing as npt
 from skyherd.datasets import Mission
 from skyherd.errors import InputError
 from skyherd.geometry import Array, BoolArray, IntArray, to_complex
-from skyherd.markers.blur_model import total_sigma_px
 from skyherd.markers.dictionary import card_side
 from skyherd.messages import Detections
 from skyherd.render import (
-    Clutter,
     FrameTruth,
-    Ground,
     Motion,
     Renderer,
     Shutter,
@@ -88,26 +85,14 @@ def make_perception(mission: Mission, rng: np.random.Generator) -> Perception:
 def make_renderer(mission: Mission, rng: np.random.Generator) -> Renderer:
     """The renderer a scenario asks for."""
     scenario = mission.scenario
-    sensor, ground = scenario.sensor, scenario.ground
-    clutter = None
-    if ground.clutter_per_m2:
-        clutter = Clutter(scenario.seed, ground.clutter_per_m2, ground.clutter_side_m, ground.clutter_levels)
+    sensor = scenario.sensor
     return Renderer(
         scenario.marker.dictionary,
         scenario.marker.side_m,
-        Ground(
-            scenario.seed,
-            kind=ground.kind,
-            mean=ground.mean,
-            contrast=ground.contrast,
-            tile_m=ground.period_m,
-            sigma_px=total_sigma_px(sensor.psf_px),
-            image=mission.ground_image,
-            clutter=clutter,
-        ),
+        scenario.ground.make(scenario.seed, psf_px=sensor.psf_px, image=mission.ground_image),
         sensor.make(rng),
         psf_px=sensor.psf_px,
-        shutter=sensor.shutter(),
+        shutter=sensor.make_shutter(),
     )
 
 

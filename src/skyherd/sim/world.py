@@ -5,14 +5,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from skyherd.datasets import Mission, Scenario
-from skyherd.datasets.configuration.models import AutopilotModel
-from skyherd.datasets.configuration.scene_models import CameraModel
-from skyherd.datasets.configuration.unit_models import UnitModel
+from skyherd.datasets import AutopilotModel, Mission, Scenario, UnitModel
 from skyherd.geometry import Array, IntArray, to_complex, to_points, wrap_angle
 from skyherd.messages import FlightCommand, VelocityCommand
 from skyherd.random_streams import RunStream, generator
-from skyherd.render import Camera, CameraPose, Motion
+from skyherd.render import CameraPose, Motion
 from skyherd.sim.drive import Drive, limit
 from skyherd.sim.sway import Sway
 
@@ -78,11 +75,6 @@ class Fleet:
         )
 
 
-def make_camera(model: CameraModel) -> Camera:
-    """The camera a scenario describes."""
-    return model.make()
-
-
 def _fly(fleet: Fleet, commands: Sequence[FlightCommand], limits: AutopilotModel, step_s: float) -> Fleet:
     """Single integrators with limited speeds, each in its camera's axes, kept between two heights."""
     lateral = np.array([command.lateral_mps for command in commands])
@@ -118,7 +110,7 @@ class World:
         self.ids = mission.ids
         self.positions_m, self.headings_rad = mission.positions_m.copy(), mission.headings_rad.copy()
         units: list[UnitModel] = self.scenario.units
-        self.cameras = [make_camera(unit.camera) for unit in units]
+        self.cameras = [unit.camera.make() for unit in units]
         self._time_s = 0.0
         self._tilts_rad = np.radians([unit.tilt_deg for unit in units])
         self._sways = [self._draw_sway(number, unit) for number, unit in enumerate(units)]

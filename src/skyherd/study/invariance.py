@@ -23,8 +23,7 @@ from skyherd.datasets import Mission
 from skyherd.errors import DegenerateSetError, InputError
 from skyherd.geometry import Array, IntArray, apply_homography, inverse, to_complex, to_points
 from skyherd.messages import VelocityCommand
-from skyherd.render import homography_image_ground, project
-from skyherd.render.camera.camera import undistort
+from skyherd.render import homography_image_ground, project, undistort
 from skyherd.sim.truth_metrics import fit_shape
 from skyherd.sim.world import World
 from skyherd.study.plan import Plan, Run

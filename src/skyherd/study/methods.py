@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from skyherd.datasets.configuration.models import ScatterModel
+from skyherd.datasets import ScatterModel
 from skyherd.geometry import Array, BoolArray
 from skyherd.study.spec import METHODS_START, Study
 from skyherd.study.store import ERROR

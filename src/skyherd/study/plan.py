@@ -10,10 +10,16 @@ from typing import Any
 
 import numpy as np
 
-from skyherd.datasets import Mission, make_mission
-from skyherd.datasets.configuration.mission import ScenarioSource, read_scenario
-from skyherd.datasets.configuration.toml_files import get_value, put_value
-from skyherd.datasets.labelled.ranges import draw, draw_whole
+from skyherd.datasets import (
+    Mission,
+    ScenarioSource,
+    draw_integer,
+    draw_number,
+    get_value,
+    make_mission,
+    put_value,
+    read_scenario,
+)
 from skyherd.errors import InputError
 from skyherd.study.spec import DrawModel, RandomModel, Study, SweepModel
 from skyherd.version import __version__
@@ -117,14 +123,14 @@ def draw_settings(random: RandomModel, number: int) -> Settings:
 def draw_value(model: DrawModel, rng: np.random.Generator) -> Any:
     """One value."""
     if model.choice is not None:
-        return model.choice[draw_whole(rng, (0, len(model.choice) - 1))]
+        return model.choice[draw_integer(rng, (0, len(model.choice) - 1))]
     if model.whole is not None:
-        return draw_whole(rng, model.whole)
+        return draw_integer(rng, model.whole)
     if model.log is not None:
-        return float(np.exp(draw(rng, (np.log(model.log[0]), np.log(model.log[1])))))
+        return float(np.exp(draw_number(rng, (np.log(model.log[0]), np.log(model.log[1])))))
     if model.uniform is None:
         raise ValueError("a draw has exactly one kind")
-    return draw(rng, model.uniform)
+    return draw_number(rng, model.uniform)
 
 
 def _source(study: Study) -> ScenarioSource:

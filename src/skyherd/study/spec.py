@@ -7,14 +7,7 @@ from pydantic import BeforeValidator, Field, FiniteFloat, ValidationError, field
 
 from skyherd.analysis.history import CURVES
 from skyherd.analysis.summary_fields import GROUPS
-from skyherd.datasets.configuration.fields import Model
-from skyherd.datasets.configuration.toml_files import (
-    built_in_names,
-    built_in_text,
-    first_error,
-    parse,
-    read_text,
-)
+from skyherd.datasets import Model, built_in_names, built_in_text, first_error, parse_toml, read_text
 from skyherd.errors import InputError
 
 BUILT_IN = "skyherd.study.specs"
@@ -274,7 +267,7 @@ def load_study(name_or_file: str, *, quick: bool = False) -> Study:
     is_file = path.suffix == ".toml" or path.is_file()
     where = str(path) if is_file else f"study {name_or_file}"
     text = read_text(path, "study") if is_file else study_text(name_or_file)
-    tree = parse(text, where, f"skyherd study {study_names()[0]} --show")
+    tree = parse_toml(text, where, f"skyherd study {study_names()[0]} --show")
     if quick:
         if not isinstance(tree.get("quick"), dict):
             raise InputError(f"{where}: quick", "missing", "a table of the keys that --quick changes")

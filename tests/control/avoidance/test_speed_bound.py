@@ -10,7 +10,7 @@ from skyherd.control.avoidance.detour import circle, slide
 from skyherd.control.avoidance.proximity import proximity
 from skyherd.control.avoidance.speed_bound import avoiding_law, closing_bounds, slowed
 from skyherd.control.robots.unicycle import wheel_law
-from skyherd.datasets.configuration.models import DriveModel
+from skyherd.datasets.configuration.robot_models import DriveModel
 from skyherd.geometry import to_complex, to_points, wrap_angle
 from skyherd.messages import VelocityCommand
 from skyherd.sim.drive import Drive

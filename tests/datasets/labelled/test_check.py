@@ -78,6 +78,11 @@ def _no_yaml(folder):
     (folder / "data.yaml").unlink()
 
 
+def _wrong_yaml(folder):
+    file = folder / "data.yaml"
+    file.write_text(file.read_text().replace("train: ", "path: ", 1))
+
+
 def _change_coco(folder, change):
     file = folder / "annotations/train.json"
     document = json.loads(file.read_text())
@@ -98,6 +103,11 @@ def _short_coco(folder):
 
 def _garbled_coco(folder):
     _change_coco(folder, lambda document: document.update(images=[7], annotations="?"))
+
+
+def _other_text_coco(folder):
+    file = folder / "annotations/train.json"
+    file.write_text(json.dumps(json.loads(file.read_text()), indent=1))
 
 
 def _cut_coco(folder):
@@ -134,14 +144,16 @@ DAMAGES = {
     _truncated: (IMAGE, "damaged or cut short"),
     _wrong_size: (IMAGE, "319x240 px, its spec says 320x240"),
     _another_image: (IMAGE, "not those of its seed"),
-    _moved_yolo: ("000000.txt", "line 1 is off by 0.01"),
+    _moved_yolo: ("000000.txt", "line 1, value 2 is 0."),
     _missing_yolo: ("000000.txt", "No such file"),
-    _short_yolo: ("000000.txt", "by the truth table"),
-    _garbled_yolo: ("000000.txt", "not all of it is numbers"),
-    _no_yaml: ("data.yaml", "not there"),
-    _moved_coco: ("train.json", "keypoints of id 2"),
-    _short_coco: ("train.json", "annotations, of"),
-    _garbled_coco: ("train.json", "no images"),
+    _short_yolo: ("000000.txt", "lines instead of"),
+    _garbled_yolo: ("000000.txt", "line 1, value 2 is a instead of 0."),
+    _no_yaml: ("data.yaml", "No such file"),
+    _wrong_yaml: ("data.yaml", "differs from its spec: line 3, value 1 is path: instead of train:"),
+    _moved_coco: ("train.json", "annotations.1.keypoints.0 is"),
+    _short_coco: ("train.json", "annotations has"),
+    _garbled_coco: ("train.json", "images has 1 entries instead of 7"),
+    _other_text_coco: ("train.json", "the right content, but not the text"),
     _cut_coco: ("train.json", "cut short"),
     _moved_truth: ("truth.csv", "not as its seed puts them"),
     _short_truth: ("truth.csv", "by its seed"),

@@ -17,10 +17,11 @@ from skyherd.datasets.labelled.folder import open_folder
 from skyherd.datasets.labelled.labels import COVERED, OUTSIDE, SEEN, make_labels
 from skyherd.datasets.labelled.make import make_dataset
 from skyherd.datasets.labelled.outlines import area, bounding_box, visible_outline
-from skyherd.datasets.labelled.ranges import draw, draw_whole
+from skyherd.datasets.labelled.ranges import draw_integer, draw_number
 from skyherd.datasets.labelled.sampling import make_scene
 from skyherd.datasets.labelled.spec import load_spec, spec_names
 from skyherd.errors import InputError
+from skyherd.markers.cramer_rao import pose_covariances
 from skyherd.markers.dictionary import card_side
 from skyherd.vision import create_detector
 
@@ -252,10 +253,10 @@ def test_outline_cut_to_the_image():
 
 def test_ranges_are_filled_and_not_left():
     rng = np.random.default_rng(0)
-    values = np.array([draw(rng, (2.0, 3.0)) for _ in range(2000)])
+    values = np.array([draw_number(rng, (2.0, 3.0)) for _ in range(2000)])
     assert 2 <= values.min() < 2.01 and 2.99 < values.max() <= 3
     # Of three numbers, 2000 / 3 each with a standard deviation of 21.
-    counts = np.bincount([draw_whole(rng, (1, 3)) for _ in range(2000)])
+    counts = np.bincount([draw_integer(rng, (1, 3)) for _ in range(2000)])
     assert counts[0] == 0 and (np.abs(counts[1:] - 2000 / 3) < 100).all()
 
 
@@ -293,3 +294,21 @@ def test_annotation_ids_are_unique_and_start_at_one(made):
 
 def test_read_dataset_takes_a_name(made):
     assert read_dataset(str(made.path)).markers == made.markers > 20
+
+
+def test_the_bound_is_that_of_the_sensors_gain_and_noise():
+    """Noise, shot noise at mid-grey and the rounding's 1/12, against grey levels times the gain."""
+    sensor = {"noise": 3.0, "shot": 0.1, "gain": 2.0}
+    scene = make_scene(spec_of(sensor=sensor, ground={"kinds": ["plain"]}).spec, 0)
+    expected = pose_covariances(
+        scene.dictionary,
+        scene.ids,
+        scene.truth.images_marker,
+        psf_px=scene.sensor.psf_px,
+        noise=np.sqrt(9 + 0.1 * 2 * (scene.black + scene.white) / 2 + 1 / 12),
+        black=2 * scene.black,
+        white=2 * scene.white,
+        ground=2 * scene.station.ground.mean,
+    )
+    assert len(scene.ids) >= 2
+    np.testing.assert_allclose(scene.bounds(), expected, rtol=1e-5)

@@ -6,8 +6,8 @@ import pytest
 from reference import reference_light
 
 from skyherd.datasets import load_mission, make_mission
+from skyherd.datasets.configuration.camera_models import CameraModel
 from skyherd.datasets.configuration.cameras import CAMERAS
-from skyherd.datasets.configuration.scene_models import CameraModel
 from skyherd.datasets.configuration.unit_models import UnitModel
 from skyherd.errors import InputError
 from skyherd.geometry import inverse
@@ -22,7 +22,7 @@ from skyherd.render import (
     project,
     project_markers,
 )
-from skyherd.render.camera.camera import lens_field, lens_slopes, undistort
+from skyherd.render.camera.camera import lens_field, lens_jacobians, undistort
 from skyherd.sim.perception import make_perception
 from skyherd.sim.world import World
 
@@ -112,7 +112,7 @@ def test_what_a_lens_does_is_known_at_every_pixel():
         v, u = np.mgrid[:height, :width].astype(float)
         pixels = np.stack([u, v], axis=-1).reshape(-1, 2)
         straight = undistort(camera, 1.0, pixels)
-        slopes = lens_slopes(camera, 1.0, straight)
+        slopes = lens_jacobians(camera, 1.0, straight)
         off = np.stack([field.shift_u, field.shift_v], axis=-1) - (straight - pixels)
         assert np.abs(np.einsum("nij,nj->ni", slopes, off)).max() < most
         product = np.stack(field.slopes, axis=-1).reshape(-1, 2, 2) @ slopes

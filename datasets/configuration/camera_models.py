@@ -1,0 +1,129 @@
+"""Scenario keys of a camera: intrinsics and lens."""
+
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+from pydantic import Field, FiniteFloat, model_validator
+
+from skyherd.datasets.configuration.cameras import CAMERAS
+from skyherd.datasets.configuration.fields import Model, Point, Positive
+from skyherd.errors import InputError
+from skyherd.render import Camera, Distortion, Equidistant
+
+Coefficient = Annotated[FiniteFloat, Field(ge=-10, le=10)]
+"""A coefficient of a lens. The range is *chosen*: real lenses stay below 1."""
+
+
+class DistortionModel(Model):
+    """Distortion of a perspective lens after Brown and Conrady, named as in OpenCV; none by default."""
+
+    k1: Coefficient = Field(
+        0.0, description="radial coefficient of r², r being the distance from the axis in focal lengths"
+    )
+    k2: Coefficient = Field(0.0, description="radial coefficient of r⁴")
+    k3: Coefficient = Field(0.0, description="radial coefficient of r⁶")
+    p1: Coefficient = Field(0.0, description="tangential coefficient, along v")
+    p2: Coefficient = Field(0.0, description="tangential coefficient, along u")
+
+
+class CameraModel(Model):
+    """A camera: size of its image, intrinsics and lens. The controller gets the image's size alone."""
+
+    preset: str | None = Field(
+        None, description=f"camera to begin with, which the other keys change: {', '.join(CAMERAS)}"
+    )
+    size_px: tuple[Annotated[int, Field(ge=32, le=8192)], Annotated[int, Field(ge=32, le=8192)]] = Field(
+        (800, 800), description="px; width and height of the image"
+    )
+    focal_px: Positive | None = Field(
+        None, description="px; focal length along u; give this or half_angle_deg"
+    )
+    half_angle_deg: Annotated[FiniteFloat, Field(gt=0, lt=85)] | None = Field(
+        None, description="deg; half the field of view across the image's shorter side"
+    )
+    principal_point_px: Point | None = Field(
+        None, description="px; where the optical axis meets the image; the image's centre if left out"
+    )
+    aspect: Positive = Field(1.0, description="focal length along v over that along u; 1 for square pixels")
+    skew: FiniteFloat = Field(
+        0.0,
+        description="change of u with v along the sensor, as a share of the focal length; 0 for right angles",
+    )
+    mirrored: bool = Field(
+        False, description="whether the stream is flipped left to right, as behind a mirror"
+    )
+    lens: Literal["perspective", "equidistant"] = Field(
+        "perspective",
+        description="perspective, or equidistant: a fisheye that sees a ray at its angle (rad) times "
+        "focal_px",
+    )
+    distortion: DistortionModel = Field(DistortionModel(), description="coefficients of a perspective lens")
+    zoom_k1: Coefficient = Field(
+        0.0,
+        description="what each doubling of the zoom adds to distortion.k1; 0 for a lens that never changes",
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _begin_with_preset(cls, given: Any) -> Any:
+        if not isinstance(given, dict) or given.get("preset") is None:
+            return given
+        if given["preset"] not in CAMERAS:
+            raise ValueError(f"no preset {given['preset']!r}; one of {', '.join(CAMERAS)}")
+        preset = dict(CAMERAS[given["preset"]])
+        if given.get("focal_px") is not None or given.get("half_angle_deg") is not None:
+            preset.pop("half_angle_deg")
+        return preset | given
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if (self.focal_px is None) == (self.half_angle_deg is None):
+            raise ValueError("give exactly one of focal_px and half_angle_deg")
+        if self.lens == "equidistant" and (self.zoom_k1 or self.distortion != DistortionModel()):
+            raise ValueError(
+                "distortion and zoom_k1 are of perspective lenses: leave them out, or lens = 'equidistant'"
+            )
+        return self
+
+    @property
+    def ideal(self) -> bool:
+        """Whether Property 1 can hold for it: square pixels, and a lens that does not bend straight lines."""
+        return (self.aspect, self.skew) == (1.0, 0.0) and not self.make().distortion
+
+    @property
+    def focal_length_px(self) -> float:
+        """Focal length along u, px, from whichever of `focal_px` and `half_angle_deg` is given."""
+        if self.focal_px is not None:
+            return self.focal_px
+        half_angle = float(np.radians(self.half_angle_deg or 0.0))
+        return min(self.size_px) / 2 / (half_angle if self.lens == "equidistant" else np.tan(half_angle))
+
+    def make(self, zoom: float = 1.0) -> Camera:
+        """Make the camera described, its focal length multiplied by a zoom.
+
+        Raises:
+            InputError: the lens makes no image of this size.
+        """
+        return Camera(
+            size_px=self.size_px,
+            focal_px=self.focal_length_px * zoom,
+            principal_point_px=self.principal_point_px,
+            aspect=self.aspect,
+            skew=self.skew,
+            mirrored=self.mirrored,
+            distortion=self._make_lens().at(zoom) if zoom != 1 else self._make_lens(),
+        )
+
+    def _make_lens(self) -> Distortion | Equidistant:
+        if self.lens == "equidistant":
+            return Equidistant()
+        return Distortion(**self.distortion.model_dump(), zoom_k1=self.zoom_k1)
+
+    def lens_complaint(self, zoom: float) -> str | None:
+        """Why the lens makes no image at a zoom, in one line that names the key; None if it makes one."""
+        try:
+            self.make(zoom)
+        except InputError as error:
+            key = "distortion" if self.lens == "perspective" else "lens"
+            return f"camera.{key}: {error.what}; {error.allowed}"
+        return None

@@ -1,0 +1,99 @@
+"""Scenario keys of what moves and stands on the ground: robots, their wheels and markers, obstacles."""
+
+from typing import Annotated
+
+from pydantic import Field, FiniteFloat
+
+from skyherd.datasets.configuration.fields import Coordinate, Fraction, Model, NotNegative, Point, Positive
+
+MarkerId = Annotated[int, Field(ge=0, lt=2**31)]
+"""Number of a marker in its dictionary, whose size is checked when the scenario is complete."""
+
+
+class ScatterModel(Model):
+    """Random start: the template's points at `scale_m` metres a unit, each moved by up to `jitter_m`."""
+
+    scale_m: Positive = Field(description="m; length on the ground of one unit of the template")
+    jitter_m: NotNegative = Field(description="m; largest random displacement along x and along y")
+    rotation_deg: FiniteFloat = Field(0.0, description="deg; turn of the shape, counter-clockwise")
+    spacing_m: NotNegative = Field(0.0, description="m; least distance between two robots")
+    center_m: Point = Field(
+        (0.0, 0.0), description="m; point on the ground where the shape's centroid is put"
+    )
+
+
+class DriveModel(Model):
+    """What the robots' wheels make of a command; each part is off at 0, limits if left out."""
+
+    max_accel_mps2: Positive | None = Field(
+        None, description="m/s²; limit on the change of the speed v; none if left out"
+    )
+    max_turn_accel_radps2: Positive | None = Field(
+        None, description="rad/s²; limit on the change of the turn rate omega; none if left out"
+    )
+    wheel_step_mps: NotNegative = Field(
+        0.0, description="m/s; wheel speeds are multiples of this; 0: any speed"
+    )
+    dead_zone_mps: NotNegative = Field(0.0, description="m/s; smaller wheel speeds are 0")
+    gain_error: Fraction = Field(
+        0.0, description="largest share by which a wheel is faster or slower, drawn once for each wheel"
+    )
+    track_m: Positive = Field(
+        0.2, description="m; distance between the wheels, for the three keys about wheels"
+    )
+    slip: Fraction = Field(
+        0.0, description="standard deviation of the share of v and omega that the ground adds or takes"
+    )
+    delay_s: Annotated[FiniteFloat, Field(ge=0, le=60)] = Field(
+        0.0, description="s; time from a command to its effect, rounded up to whole time steps"
+    )
+    axis_offset_m: Coordinate = Field(
+        0.0, description="m; how far ahead of the wheel axis the body's middle and the marker lie"
+    )
+
+    @property
+    def has_wheels(self) -> bool:
+        """Whether any part acts on single wheels: steps, dead zone or gains."""
+        return bool(self.wheel_step_mps or self.dead_zone_mps or self.gain_error)
+
+
+class RobotsModel(Model):
+    """The ground robots: where they start, and what they can do."""
+
+    positions_m: list[Point] | None = Field(
+        None, description="m; start positions (x, y) on the ground, one for each robot"
+    )
+    headings_deg: list[FiniteFloat] | None = Field(
+        None, description="deg; start headings, counter-clockwise from +x; random if left out"
+    )
+    scatter: ScatterModel | None = Field(None, description="a random start, in place of positions_m")
+    count: Annotated[int, Field(ge=2, le=10_000)] | None = Field(
+        None, description="number of robots, where it does not follow from positions, ids or points"
+    )
+    ids: list[MarkerId] | None = Field(None, description="marker of each robot; 0, 1, … if left out")
+    max_speed_mps: Positive = Field(1.0, description="m/s; limit on the speed |v|")
+    max_turn_radps: Positive = Field(3.0, description="rad/s; limit on the turn rate |omega|")
+    timeout_s: Positive = Field(
+        0.5,
+        description="s; a robot forgets its goal after this; keep it above the time between two images",
+    )
+    body_radius_sides: NotNegative = Field(
+        0.0, description="marker sides; radius of the round body about the marker; 0: robots are points"
+    )
+    drive: DriveModel = Field(DriveModel(), description="what the wheels make of a command")
+
+
+class MarkerModel(Model):
+    """The markers on robots and obstacles."""
+
+    dictionary: str = Field("4X4_50", description="marker dictionary, named as in `skyherd markers --help`")
+    side_m: Positive = Field(description="m; side of the black square")
+
+
+class ObstacleModel(Model):
+    """Something round that stands still, with a marker like a robot's at its middle."""
+
+    id: MarkerId = Field(description="its marker, which no robot has")
+    position_m: Point = Field(description="m; its place (x, y) on the ground")
+    heading_deg: FiniteFloat = Field(0.0, description="deg; heading of its marker, counter-clockwise from +x")
+    radius_sides: Positive = Field(1.0, description="marker sides; radius of its body")

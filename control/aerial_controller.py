@@ -10,7 +10,7 @@ from skyherd.control.flight.laws import Duty, Flight
 from skyherd.control.formation.registration import register_views
 from skyherd.control.formation.roles import RoleRule, Roles
 from skyherd.control.formation.schedule import Schedule
-from skyherd.control.formation.size import SizeRule, Yardstick
+from skyherd.control.formation.size import SideConsensus, SizeRule
 from skyherd.control.formation.template import Template
 from skyherd.control.goals import motion_goals
 from skyherd.control.hybrid_selection import HybridRule, HybridSelection, cost_share
@@ -68,14 +68,14 @@ class AerialController:
         self.report_lifetime_s = report_lifetime_s
         self.control_set = _begin(selection, self.template)
         self.roles, self.bodies = Roles(roles, self.template), bodies
-        self.size, self.yardstick = size or SizeRule(), Yardstick()
+        self.size, self.side_consensus = size or SizeRule(), SideConsensus()
 
     def step(self, detections: Detections, reports: Sequence[UnitReport] = ()) -> Decision:
         """Decide on one image, given the last report heard from each other unit."""
         seen = detections.select(self.template.members)
         reports = [r for r in reports if r.time_s >= detections.time_s - self.report_lifetime_s]
         self._choose_roles(seen, reports)
-        side_px = 0.0 if self.size.is_free else self.yardstick.update(seen, reports)
+        side_px = 0.0 if self.size.is_free else self.side_consensus.update(seen, reports)
         controlled = self.control_set.update(seen, reports)
         goals = self._goals(seen, controlled, reports, side_px) if self.control_set.ready else None
         report = UnitReport(
@@ -89,15 +89,15 @@ class AerialController:
             tree=self.control_set.word(seen.time_s),
             cost_sides2=cost_share(goals),
             side_px=side_px,
-            roles=self.roles.word,
+            roles=self.roles.reported,
         )
         self.control_set.note(seen.time_s, report, reports)
         near = proximity(detections, self.template.ids, self.bodies) if self.bodies else None
         return Decision(goals, report, self._fly(seen, controlled, reports), near)
 
     def _choose_roles(self, seen: Detections, reports: Sequence[UnitReport]) -> None:
-        self.roles.take_up(self.program.at(seen.time_s))
-        self.roles.hear(reports)
+        self.roles.use_template(self.program.at(seen.time_s))
+        self.roles.receive(reports)
         if self.roles.may_exchange(seen.unit_id, seen.time_s, reports):
             self.roles.exchange(seen.unit_id, register_views(self.template.ids, seen, reports))
         self.control_set.reshape(self.roles.shape)

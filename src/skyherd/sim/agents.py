@@ -169,7 +169,7 @@ class Agents:
     @property
     def roles(self) -> IntArray:
         """(N,) row of the template's point that each robot goes to, by the newest map."""
-        words = [mind.controller.roles.word for mind in self.minds]
+        words = [mind.controller.roles.reported for mind in self.minds]
         return newest_roles(words, self._mission.ids.size)
 
 

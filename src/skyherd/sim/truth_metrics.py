@@ -93,8 +93,8 @@ class TruthObserver:
         return TruthMetrics(
             V=float(costs[partial.exist].sum()),
             V_units=np.where(partial.exist, costs, np.nan),
-            scales=np.where(partial.exist, np.abs(partial.turns), np.nan),
-            rotations_rad=np.where(partial.exist, np.angle(partial.turns), np.nan),
+            scales=np.where(partial.exist, np.abs(partial.factors), np.nan),
+            rotations_rad=np.where(partial.exist, np.angle(partial.factors), np.nan),
             conditions=self._judged(np.delete(controlled, list(dead), axis=0)),
             shape=fit_shape(template, positions),
             min_separation_m=_least_separation(positions_m),

@@ -7,7 +7,7 @@ import numpy as np
 from skyherd.control.avoidance.neighbor_memory import NeighborMemory
 from skyherd.control.avoidance.speed_bound import AvoidanceRule, avoiding_law
 from skyherd.control.robots.goal_fusion import GoalInboxes
-from skyherd.control.robots.unicycle import Gains, Wheels, robot_commands
+from skyherd.control.robots.unicycle import RobotLaw, Wheels, robot_commands
 from skyherd.geometry import BoolArray, IntArray
 from skyherd.messages import MotionGoals, Proximity, VelocityCommand
 
@@ -25,7 +25,7 @@ class Team:
     """
 
     inboxes: GoalInboxes
-    gains: Gains
+    gains: RobotLaw
     wheels: Wheels
     around: NeighborMemory | None = None
     rule: AvoidanceRule | None = None
@@ -40,10 +40,10 @@ class Team:
     def command(self, time_s: float) -> VelocityCommand:
         """What all robots do from now on until the next command."""
         if self.around is None or self.rule is None:
-            return robot_commands(self.inboxes, self.gains, time_s, self.wheels)
+            return robot_commands(self.inboxes, self.gains, time_s, wheels=self.wheels)
         rho = self.gains.follow(self.inboxes, time_s)
-        v_mps, omega_radps = avoiding_law(rho, self.gains, self.around, self.rule, time_s)
-        self.around.turn(omega_radps, time_s, self.rule.step_s)
+        v_mps, omega_radps = avoiding_law(rho, self.gains, memory=self.around, rule=self.rule, time_s=time_s)
+        self.around.record_rotation(omega_radps, time_s, self.rule.step_s)
         return VelocityCommand(self.inboxes.ids, v_mps, omega_radps)
 
     def commanded_ids(self, time_s: float) -> IntArray:

@@ -32,7 +32,7 @@ from skyherd.control import (
     newest_roles,
 )
 from skyherd.control.flight.laws import Flight
-from skyherd.control.robots.unicycle import Gains
+from skyherd.control.robots.unicycle import RobotLaw
 from skyherd.control.topology.safety_radius import NO_ROBOTS
 from skyherd.datasets import Mission, Scenario
 from skyherd.datasets.configuration.models import SelectionModel
@@ -80,7 +80,7 @@ def make_flight(model: FlightModel, template: Template) -> Flight:
     return Follow(model.desired_radius, model.lateral_gain_mps, model.climb_gain_mps, model.dead_band)
 
 
-def make_gains(scenario: Scenario) -> Gains:
+def make_gains(scenario: Scenario) -> RobotLaw:
     """The robots' gains a scenario asks for."""
     control = scenario.control
     if control.gains == "pixel":
@@ -237,8 +237,8 @@ def make_avoidance(scenario: Scenario) -> AvoidanceRule:
     return AvoidanceRule(
         side_m=scenario.marker.side_m,
         wheels=make_wheels(scenario),
-        prompt_s=max(news_s),
-        next_s=min(unit.latency_s for unit in scenario.units) + apart_s,
+        nominal_age_s=max(news_s),
+        superseded_age_s=min(unit.latency_s for unit in scenario.units) + apart_s,
         step_s=step_s,
         lag_s=np.ceil(drive.delay_s / step_s - 1e-9) * step_s + brakes_s,
         overshoot=share,

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from skyherd.control.robots.unicycle import Gains, Wheels, wheel_law
+from skyherd.control.robots.unicycle import RobotLaw, Wheels, wheel_law
 from skyherd.geometry import BoolArray, IntArray, to_complex
 from skyherd.messages import MotionGoals, Proximity, VelocityCommand
 from skyherd.sim.baseline_laws import Law
@@ -19,7 +19,7 @@ class OracleTeam:
         wheels: what the robots can do.
     """
 
-    def __init__(self, world: World, law: Law, gains: Gains, wheels: Wheels) -> None:
+    def __init__(self, world: World, law: Law, gains: RobotLaw, wheels: Wheels) -> None:
         self._world, self._law, self._gains, self._wheels = world, law, gains, wheels
 
     def receive(self, message: MotionGoals | Proximity, time_s: float, heard: BoolArray) -> None:

@@ -25,7 +25,7 @@ def correlation(robots: ComplexArray, points: ComplexArray) -> complex:
     return complex(np.vdot(points - points.mean(), robots - robots.mean()))
 
 
-def assign(robots: ComplexArray, points: ComplexArray, rotation: complex, classes: IntArray) -> IntArray:
+def assign(robots: ComplexArray, points: ComplexArray, rotation: complex, *, classes: IntArray) -> IntArray:
     """The map c (M,) that maximises Re(conj(rotation) Σ conj(p_c(i)) x_i) within the classes.
 
     Args:
@@ -62,14 +62,14 @@ def best_assignment(
     best_z = np.vdot(p, x)
     rotations = [best_z, *np.exp(2j * np.pi * np.arange(starts) / max(starts, 1))]
     for rotation in rotations:
-        order, z = ascend(x, p, rotation, classes)
+        order, z = ascend(x, p, rotation, classes=classes)
         if abs(z) > abs(best_z):
             best, best_z = order, z
     return best
 
 
 def ascend(
-    x: ComplexArray, p: ComplexArray, rotation: complex, classes: IntArray
+    x: ComplexArray, p: ComplexArray, rotation: complex, *, classes: IntArray
 ) -> tuple[IntArray, complex]:
     """The map (M,) at which assigning and rotating in turn end, and its Z.
 
@@ -82,7 +82,7 @@ def ascend(
     order, z = np.arange(x.size), rotation
     for _ in range(MAX_ITERATIONS):
         rotation = z / abs(z) if z else 1.0
-        before, order = order, assign(x, p, rotation, classes)
+        before, order = order, assign(x, p, rotation, classes=classes)
         z = complex(np.vdot(p[order], x))
         if np.array_equal(order, before):
             break

@@ -114,7 +114,7 @@ class Similarities:
 
 
 def fit_similarities(
-    template: ComplexArray, current: ComplexArray, group: IntArray, groups: int
+    template: ComplexArray, current: ComplexArray, *, group: IntArray, groups: int
 ) -> Similarities:
     """The similarities of many groups of points at once, each as `fit_similarity` has it.
 

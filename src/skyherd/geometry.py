@@ -11,9 +11,16 @@ import numpy as np
 import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
+"""An array of 64-bit floats; docstrings name its shape."""
+
 ComplexArray = npt.NDArray[np.complex128]
+"""An array of complex numbers of twice 64 bits, mostly points of a plane."""
+
 IntArray = npt.NDArray[np.int64]
+"""An array of 64-bit integers: ids, rows, counts."""
+
 BoolArray = npt.NDArray[np.bool_]
+"""An array of truth values, mostly a mask."""
 
 UNIFORM_VARIANCE = 1.0 / 12.0
 """Variance of a value spread evenly over an interval of length 1: of the error of rounding to whole numbers

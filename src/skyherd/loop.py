@@ -12,10 +12,10 @@ from skyherd.datasets import Mission, Scenario
 from skyherd.geometry import IntArray
 from skyherd.messages import FlightCommand, VelocityCommand
 from skyherd.sim.agents import Agents, make_team
-from skyherd.sim.network import Network
 from skyherd.sim.perception import Perception, Sight, make_perception
+from skyherd.sim.physics import make_network, make_world
 from skyherd.sim.truth_metrics import TruthMetrics, TruthObserver
-from skyherd.sim.world import Fleet, World
+from skyherd.sim.world import Fleet
 
 
 @dataclass(frozen=True)
@@ -62,9 +62,9 @@ def run_steps(mission: Mission, perception: Perception | None = None) -> Iterato
     """
     scenario = mission.scenario
     sight_rng, network_rng, frame_rng = (np.random.default_rng([scenario.seed, part]) for part in (1, 2, 3))
-    world, observer = World(mission), TruthObserver(mission.template, mission.ids)
+    world, observer = make_world(mission), TruthObserver(mission.template, mission.ids)
     perception = perception or make_perception(mission, sight_rng)
-    network = Network(scenario.network, network_rng, len(scenario.units))
+    network = make_network(scenario, network_rng)
     agents, team, lost = Agents(mission), make_team(mission, world), scenario.network.frame_loss
     for tick in range(round(scenario.duration_s / scenario.step_s) + 1):
         time_s = tick * scenario.step_s

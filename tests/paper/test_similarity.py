@@ -159,7 +159,7 @@ def test_many_fits_at_once_are_the_fits_one_by_one() -> None:
     current[group == 6] = 3.0 + 1j
     square = np.array([1, 1j, -1, -1j])
     template[group == 7], current[group == 7] = square, square.conj()  # mirrored: explains nothing
-    fits = fit_similarities(template, current, group, len(sizes))
+    fits = fit_similarities(template, current, group=group, groups=len(sizes))
     assert fits.exist.tolist() == [True, False, False, True, True, False, False, False]
     for row in np.flatnonzero(fits.exist).tolist():
         alone = fit_similarity(template[group == row], current[group == row])

@@ -14,7 +14,6 @@ from skyherd.datasets import Mission
 from skyherd.datasets.configuration.body_models import SizeModel
 from skyherd.geometry import Array, BoolArray, IntArray, to_complex
 from skyherd.loop import Step, dead_units
-from skyherd.sim.world import make_camera
 
 
 @dataclass(frozen=True)
@@ -167,7 +166,7 @@ def _trees(mission: Mission, steps: list[Step]) -> list[TreeSnapshot | None]:
 
 
 def _goal_errors(mission: Mission, steps: list[Step]) -> Array:
-    cameras = [make_camera(unit.camera) for unit in mission.scenario.units]
+    cameras = [unit.camera.make() for unit in mission.scenario.units]
     errors = np.full((len(steps), len(cameras)), np.nan)
     if mission.scenario.size != SizeModel():
         return errors

@@ -13,7 +13,6 @@ from skyherd.drawing.palette import INK, MUTED, PAPER, TEMPLATE_COLOR, unit_colo
 from skyherd.geometry import Array, ComplexArray, IntArray, to_complex, to_points
 from skyherd.plots.style import frame_square, legend_above, new_figure, unit_handles
 from skyherd.render import CameraPose, footprint_m
-from skyherd.sim.world import make_camera
 
 LEAST_GAP = 0.3
 """Points nearer than this to the same direction, in shares of the mean gap, make no outline by angle."""
@@ -223,7 +222,7 @@ def _footprint_m(history: History, unit: int) -> Array:
         tilt_rad=(tilt_u_rad, tilt_v_rad),
         zoom=float(history.zooms[-1, unit]),
     )
-    return footprint_m(make_camera(model.camera), pose)
+    return footprint_m(model.camera.make(), pose)
 
 
 def _frame_ground(axes: Axes, history: History, footprints: list[Array]) -> None:

@@ -24,7 +24,6 @@ from skyherd.errors import DegenerateSetError
 from skyherd.geometry import Array, to_complex, to_points
 from skyherd.loop import Step
 from skyherd.render import footprint_m
-from skyherd.sim.world import make_camera
 from skyherd.video.axis_ticks import tick_values
 from skyherd.video.body_overlay import CLEAR, BodySizes, draw_bodies, draw_obstacle
 from skyherd.video.tree_overlay import TreeOverlay, draw_dead, draw_pair_marks
@@ -67,7 +66,7 @@ class GroundPanel:
 
     def __init__(self, mission: Mission, panel: Image) -> None:
         self.mission, self._panel = mission, panel
-        self._cameras = [make_camera(unit.camera) for unit in mission.scenario.units]
+        self._cameras = [unit.camera.make() for unit in mission.scenario.units]
         box = Box(LEFT_PX, TITLE_PX, panel.shape[1] - LEFT_PX, panel.shape[0] - TITLE_PX - BOTTOM_PX)
         self._field = box.of(panel)
         self._paper = np.empty_like(self._field)

@@ -10,10 +10,10 @@ from skyherd.control.avoidance.detour import around, gyroscopic
 from skyherd.control.avoidance.proximity import proximity
 from skyherd.control.avoidance.speed_bound import avoiding_law, closing_bounds, slowed
 from skyherd.control.robots.unicycle import wheel_law
-from skyherd.datasets.configuration.models import DriveModel
 from skyherd.geometry import to_complex, to_points, wrap_angle
 from skyherd.messages import VelocityCommand
-from skyherd.sim.drive import Drive
+from skyherd.sim.drive import Drive, DriveParameters
+from skyherd.sim.physics import GAIN_STREAM, SLIP_STREAM
 from skyherd.sim.world import move_bodies
 
 SIDE_M, STEP_S = 0.2, 0.1
@@ -33,7 +33,7 @@ class Crowd:
     rng: np.random.Generator
     rule: AvoidanceRule
     make_detections: object
-    drive: DriveModel
+    drive: DriveParameters
     count: int = 6
     latency: int = 0
     loss: float = 0.0
@@ -42,7 +42,9 @@ class Crowd:
         ids = np.arange(self.count)
         self.positions_m, self.headings = self._start(), self.rng.uniform(-np.pi, np.pi, self.count)
         self.memory = NeighborMemory(ids, ids, self.rule.lifetime_s)
-        self.wheels = Drive(self.drive, self.count, STEP_S, int(self.rng.integers(1000)))
+        seed = int(self.rng.integers(1000))
+        gain_rng, slip_rng = (np.random.default_rng([seed, stream]) for stream in (GAIN_STREAM, SLIP_STREAM))
+        self.wheels = Drive(self.drive, self.count, step_s=STEP_S, gain_rng=gain_rng, slip_rng=slip_rng)
         self.waiting: list = []
         self.least_m = np.inf
 
@@ -85,13 +87,12 @@ class Crowd:
         self.memory.record_rotation(omega, tick * STEP_S, STEP_S)
         v, omega = self.wheels.step(VelocityCommand(np.arange(self.count), v, omega))
         offset = self.rule.wheels.axis_offset_m
+        before = self.positions_m, self.headings
         for part in np.linspace(0.1, 1.0, 10):
-            there, _ = move_bodies(self.positions_m, self.headings, v, omega, part * STEP_S, offset)
+            there, _ = move_bodies(*before, v, omega, step_s=part * STEP_S, axis_offset_m=offset)
             apart = np.abs(to_complex(there)[:, None] - to_complex(there))[np.triu_indices(self.count, 1)]
             self.least_m = min(self.least_m, float(apart.min()))
-        self.positions_m, self.headings = move_bodies(
-            self.positions_m, self.headings, v, omega, STEP_S, offset
-        )
+        self.positions_m, self.headings = move_bodies(*before, v, omega, step_s=STEP_S, axis_offset_m=offset)
 
 
 def least_gap_m(crowd: Crowd, ticks: int = 150) -> float:
@@ -101,15 +102,15 @@ def least_gap_m(crowd: Crowd, ticks: int = 150) -> float:
 
 
 ROBOTS_AS_THEY_ARE = {
-    "exact": (DriveModel(), {}),
-    "brakes": (DriveModel(max_accel_mps2=0.25), {"lag_s": 2.0}),
-    "late": (DriveModel(delay_s=0.2), {"lag_s": 0.2}),
+    "exact": (DriveParameters(), {}),
+    "brakes": (DriveParameters(max_accel_mps2=0.25), {"lag_s": 2.0}),
+    "late": (DriveParameters(delay_s=0.2), {"lag_s": 0.2}),
     "fast": (
-        DriveModel(gain_error=0.2, track_m=0.3),
+        DriveParameters(gain_error=0.2, track_m=0.3),
         {"overshoot": 0.2, "turn_error_radps": 2 * 0.2 * 0.5 / 0.3 + 0.2 * 2.0},
     ),
     "offset": (
-        DriveModel(axis_offset_m=0.05),
+        DriveParameters(axis_offset_m=0.05),
         {"wheels": Wheels(0.5, 2.0, axis_offset_m=0.05)},
     ),
 }
@@ -158,7 +159,7 @@ def test_robots_that_do_not_know_their_wheels_touch(make_detections, kind, forgo
 def test_what_a_unit_reports_is_true(make_detections) -> None:
     """Against the ground: distances in marker sides, bearings in each robot's frame, counter-clockwise."""
     rng = np.random.default_rng(8)
-    crowd = Crowd(rng, rule(), make_detections, DriveModel())
+    crowd = Crowd(rng, rule(), make_detections, DriveParameters())
     crowd.look(0)
     message = crowd.waiting[0][1]
     here = to_complex(crowd.positions_m)

@@ -108,8 +108,8 @@ class Bounds:
 def closing_bounds(memory: NeighborMemory, rule: AvoidanceRule, time_s: float) -> Bounds:
     """The bounds that hold at `time_s`.
 
-    Two robots that received messages on the same image have the same line between them in mind. One that
-    missed an image has an older line, which may have turned since by the angle that `2 v_max age` subtends
+    Two robots that received messages on the same image use the same line between them. One that
+    missed an image uses an older line, which may have turned since by the angle that `2 v_max age` subtends
     at their distance; that angle is part of `slack_rad`. A body that no message named was beyond the horizon
     when the robot was last seen.
     """

@@ -6,7 +6,7 @@ zero. To free the group g beside the unknowns a that are free already lowers the
 
     b̃ᵀ S⁻¹ b̃,   S = Λ_gg - Λ_ga Λ_aa⁻¹ Λ_ag,   b̃ = b_g - Λ_ga Λ_aa⁻¹ b_a,
 
-where S is the Schur complement (Kay 1993).
+where S is the Schur complement of Λ_aa.
 """
 
 from collections.abc import Mapping, Sequence

@@ -9,6 +9,7 @@ from skyherd.datasets.configuration.mission import make_mission
 from skyherd.datasets.generated.random_missions import Crowd, random_mission
 from skyherd.loop import run_steps
 from skyherd.sim.network import Network, NetworkParameters
+from skyherd.sim.physics import make_network
 
 
 @pytest.fixture
@@ -83,3 +84,11 @@ def test_units_out_of_range_do_not_hear_one_another() -> None:
             words = [frame.decision.report.tree for frame in step.frames.values()]
         trees[range_m] = [word.tree_id for word in words]
     assert trees == {3.0: [0, 1], 30.0: [0, 0]}
+
+
+def test_every_key_of_a_scenario_reaches_the_network(scenario_tree) -> None:
+    faults = {"message_loss": 0.1, "delay_s": 0.2, "repeats": 0.3}
+    scenario = make_mission(scenario_tree("star") | {"network": faults}).scenario
+    network = make_network(scenario, np.random.default_rng(0))
+    assert network.parameters == NetworkParameters(**faults)
+    assert network.units == len(network.reports) == len(scenario.units)

@@ -14,7 +14,7 @@ from skyherd.control import Delivery
 from skyherd.datasets import crowded_mission, make_mission
 from skyherd.sim.agents import make_controller, make_team
 from skyherd.sim.perception import make_perception
-from skyherd.sim.world import World
+from skyherd.sim.physics import make_world
 
 ROBOTS, IMAGES, ROUNDS = 50, 40, 7
 
@@ -39,7 +39,7 @@ def tree(parts: bool) -> dict:
 def times_ms(parts: bool) -> tuple[float, float]:
     """Median times of a unit's step and of the team's command."""
     mission = make_mission(tree(parts))
-    controller, world = make_controller(mission, 0), World(mission)
+    controller, world = make_controller(mission, 0), make_world(mission)
     team = make_team(mission, world)
     perception = make_perception(mission, np.random.default_rng(0))
     steps, commands = [], []

@@ -22,8 +22,8 @@ from skyherd.control import laplacian, slowest_rate
 from skyherd.datasets import Mission, make_mission, star_mission
 from skyherd.geometry import Array, BoolArray, ComplexArray, IntArray, to_complex
 from skyherd.render import project
+from skyherd.sim.physics import make_world
 from skyherd.sim.truth_metrics import fit_shape
-from skyherd.sim.world import World
 
 GAIN, GOAL, LONGEST_S = 0.5, 0.01, 1e5
 Pair = tuple[int, int]
@@ -31,7 +31,7 @@ Pair = tuple[int, int]
 
 def seen_by(mission: Mission) -> BoolArray:
     """(units, robots) which robots lie in whose image at the start."""
-    world = World(mission)
+    world = make_world(mission)
     looks = []
     for unit, camera in enumerate(world.cameras):
         points_px = project(camera, world.fleet.pose(unit), mission.positions_m)

@@ -37,7 +37,7 @@ from skyherd.markers.dictionary import card_side
 from skyherd.messages import Detections
 from skyherd.render import Camera, CameraPose, homography_image_ground, project_markers, undistort
 from skyherd.sim.perception import ProjectedPerception, RenderedPerception
-from skyherd.sim.world import World
+from skyherd.sim.physics import make_world
 from skyherd.study.plan import mission_key
 
 SIZE_PX = 800
@@ -131,7 +131,7 @@ def draw_mission(robots: int, seed: int, *, ideal: bool, rectify: bool, duration
         except InputError:
             continue
         marker = mission.scenario.marker
-        seen = ProjectedPerception(marker.side_m, marker.dictionary).look(World(mission), [0], 0.0)[0]
+        seen = ProjectedPerception(marker.side_m, marker.dictionary).look(make_world(mission), [0], 0.0)[0]
         if seen.whole_ids.size == robots:
             return mission
 
@@ -179,7 +179,7 @@ def camera_mission(
 def fly(mission: Mission, average_s: float) -> Outcome:
     """Fly one mission on rendered images."""
     cv2.setNumThreads(1)
-    camera, duration_s = World(mission).cameras[0], mission.scenario.duration_s
+    camera, duration_s = make_world(mission).cameras[0], mission.scenario.duration_s
     errors, told = [], []
     for step in run_steps(mission):
         if step.time_s > duration_s - average_s:

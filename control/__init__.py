@@ -33,7 +33,14 @@ from skyherd.control.rectification.ground_map import GroundMap
 from skyherd.control.rectification.rectifier import Rectifier, rectified
 from skyherd.control.robot_team import GoalFollowers
 from skyherd.control.robots.goal_fusion import GoalInboxes
-from skyherd.control.robots.unicycle import Gains, MarkerGains, PixelGains, Wheels, robot_commands, wheel_law
+from skyherd.control.robots.unicycle import (
+    MarkerGains,
+    PixelGains,
+    RobotLaw,
+    Wheels,
+    robot_commands,
+    wheel_law,
+)
 from skyherd.control.topology.conditions import (
     Conditions,
     ControlSets,
@@ -59,7 +66,6 @@ __all__ = [
     "FlightLaw",
     "FlightTask",
     "Follow",
-    "Gains",
     "GoalFollowers",
     "GoalInboxes",
     "GroundMap",
@@ -71,6 +77,7 @@ __all__ = [
     "Perimeter",
     "PixelGains",
     "Rectifier",
+    "RobotLaw",
     "RobotTeam",
     "RoleRule",
     "SafetyRadius",

@@ -7,7 +7,7 @@ from skyherd.control.avoidance.proximity import BodyRule, proximity
 from skyherd.control.formation.registration import register_views
 from skyherd.control.formation.roles import RoleRule, Roles
 from skyherd.control.formation.schedule import Schedule
-from skyherd.control.formation.size import SizeRule, Yardstick
+from skyherd.control.formation.size import SideConsensus, SizeRule
 from skyherd.control.formation.template import Template
 from skyherd.control.goals import cost_share, motion_goals
 from skyherd.control.policy import FlightLaw, FlightTask, Selection, SelectionPolicy
@@ -76,7 +76,7 @@ class AerialController:
         self.template, self.selection, self.flight = self.schedule.first, selection, flight
         self.rectifier, self.nearest, self.report_lifetime_s = rectifier, nearest, report_lifetime_s
         self.roles, self.bodies = Roles(roles, self.template), bodies
-        self.size, self.yardstick = size or SizeRule(), Yardstick()
+        self.size, self.side_consensus = size or SizeRule(), SideConsensus()
         self._last_report: UnitReport | None = None
 
     def step(self, detections: Detections, reports: Sequence[UnitReport] = ()) -> Decision:
@@ -91,7 +91,7 @@ class AerialController:
         seen = detections.select(self.template.members)
         reports = [r for r in reports if r.time_s >= detections.time_s - self.report_lifetime_s]
         self._choose_roles(seen, reports)
-        side_px = 0.0 if self.size.is_free else self.yardstick.update(seen, reports)
+        side_px = 0.0 if self.size.is_free else self.side_consensus.update(seen, reports)
         selection = self.selection.choose(seen, reports, self.roles.shape, self._last_report)
         goals = self._goals(seen, selection, reports, side_px) if selection.may_move else None
         self._last_report = UnitReport(
@@ -105,7 +105,7 @@ class AerialController:
             tree=selection.tree_status,
             cost_sides2=cost_share(goals),
             side_px=side_px,
-            roles=self.roles.word,
+            roles=self.roles.reported,
         )
         return Decision(
             detections=detections,
@@ -118,8 +118,8 @@ class AerialController:
 
     def _choose_roles(self, seen: Detections, reports: Sequence[UnitReport]) -> None:
         """Take up the shape of this time and the newest roles; exchange roles in the unit's own slot."""
-        self.roles.take_up(self.schedule.at(seen.time_s))
-        self.roles.hear(reports)
+        self.roles.use_template(self.schedule.at(seen.time_s))
+        self.roles.receive(reports)
         if self.roles.may_exchange(seen.unit_id, seen.time_s, reports):
             self.roles.exchange(seen.unit_id, register_views(self.template.ids, seen, reports))
 

@@ -9,7 +9,7 @@ from skyherd.control.avoidance.neighbor_memory import NeighborMemory
 from skyherd.control.avoidance.speed_bound import AvoidanceRule, avoiding_law
 from skyherd.control.policy import Delivery, RobotTeam, TeamOrders
 from skyherd.control.robots.goal_fusion import GoalInboxes
-from skyherd.control.robots.unicycle import Gains, Wheels, robot_commands
+from skyherd.control.robots.unicycle import RobotLaw, Wheels, robot_commands
 from skyherd.messages import MotionGoals, VelocityCommand
 
 
@@ -26,7 +26,7 @@ class GoalFollowers(RobotTeam):
     """
 
     inboxes: GoalInboxes
-    gains: Gains
+    gains: RobotLaw
     wheels: Wheels
     neighbors: NeighborMemory | None = None
     avoidance: AvoidanceRule | None = None
@@ -43,8 +43,10 @@ class GoalFollowers(RobotTeam):
 
     def _command(self, time_s: float) -> VelocityCommand:
         if self.neighbors is None or self.avoidance is None:
-            return robot_commands(self.inboxes, self.gains, time_s, self.wheels)
+            return robot_commands(self.inboxes, self.gains, time_s, wheels=self.wheels)
         rho = self.gains.follow(self.inboxes, time_s)
-        v_mps, omega_radps = avoiding_law(rho, self.gains, self.neighbors, self.avoidance, time_s)
-        self.neighbors.turn(omega_radps, time_s, self.avoidance.step_s)
+        v_mps, omega_radps = avoiding_law(
+            rho, self.gains, memory=self.neighbors, rule=self.avoidance, time_s=time_s
+        )
+        self.neighbors.record_rotation(omega_radps, time_s, self.avoidance.step_s)
         return VelocityCommand(self.inboxes.ids, v_mps, omega_radps)

@@ -1,1 +1,1 @@
-"""How robots with bodies keep apart."""
+"""Collision avoidance of robots with bodies: reports of nearby bodies, bounds on approach speeds, detours."""

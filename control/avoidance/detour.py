@@ -1,75 +1,109 @@
-"""Ways around: where a robot goes that is barred from the velocity that it wants."""
+"""Detours: the velocity of a robot whose preferred velocity is blocked by bodies nearby.
 
-from collections.abc import Callable, Mapping
-from typing import Literal
+A detour only has to be useful. Safety is the bound on the approach speed, which is applied afterwards
+(`skyherd.control.avoidance.speed_bound`), so that a detour rule may choose anything.
+"""
+
+from collections.abc import Mapping
+from typing import Literal, Protocol
 
 import numpy as np
 
 from skyherd.geometry import Array, ComplexArray, IntArray, wrap_angle
 
 DIRECTIONS = 36
+"""Directions that `around` compares, evenly spread: one in 10 degrees. Chosen: the cost is in proportion."""
+
 SIDEWAYS = 0.2
-"""What moving is worth in itself, beside getting on: a robot that faces another slides past it."""
+"""Score of moving in itself, beside the cosine that scores progress. Chosen: above 0, a robot that faces an
+obstacle still gains by sliding past it at 90 degrees; the larger, the longer the detours it accepts."""
+
 RIGHT_HAND = 0.05
-"""By so much is a way to the left worth less: two that meet head on both keep to the right."""
+"""Penalty, as a share of the score, of directions to the left. Chosen: it breaks the tie between passing left
+and passing right, so that two robots that meet head-on both keep to the right."""
+
+HEAD_ON_RAD = 0.05
+"""Angle up to which `gyroscopic` takes an encounter as head-on and passes to the right, rad (3 degrees)."""
+
+LEAST_COSINE = 1e-9
+"""A direction whose cosine to a body is below this does not approach it. Chosen: above the rounding of a
+cosine (1e-16); an approach at 1e-9 of a robot's speed is harmless, and bounded afterwards in any case."""
 
 
-def slide(
-    wanted: ComplexArray, rows: IntArray, bearings_rad: Array, speeds_mps: Array
+class DetourRule(Protocol):
+    """A rule that finds other velocities for robots whose preferred velocities are blocked."""
+
+    def __call__(
+        self, preferred: ComplexArray, *, rows: IntArray, bearings_rad: Array, speeds_mps: Array
+    ) -> tuple[IntArray, ComplexArray]:
+        """Rows (R,) of the robots that are blocked, ascending, and the velocities (R,) to take instead.
+
+        A robot is blocked if its preferred velocity approaches some body faster than the bound allows.
+        Robots that are not blocked must not be among the rows: they keep the paper's law to the bit.
+
+        Args:
+            preferred: (N,) preferred velocities in the robots' frames, `forward + i left`, m/s.
+            rows: (P,) row of the robot that each bound is for.
+            bearings_rad: (P,) direction to the other body in the robot's frame, positive to the left.
+            speeds_mps: (P,) greatest speed of approach.
+        """
+        ...
+
+
+def around(
+    preferred: ComplexArray, *, rows: IntArray, bearings_rad: Array, speeds_mps: Array
 ) -> tuple[IntArray, ComplexArray]:
-    """Which robots (R,) are barred from the velocity that they want, and the velocity to take instead.
+    """The best of 36 directions, as a `DetourRule`.
 
-    Of directions at an angle θ to the wanted one, with the speed s(θ) that all bounds allow there, at most
-    the wanted one's, the robot takes the one with the largest `s (cos θ + SIDEWAYS)`, a little less if it
-    leads to the left.
+    For a direction at an angle θ to the preferred one let s(θ) be the greatest speed that all bounds allow,
+    at most the preferred speed. The robot takes the direction with the largest score
 
-    Args:
-        wanted: (N,) velocities in the robots' frames, forward + i left, m/s.
-        rows: (P,) which robot a bound is of.
-        bearings_rad: (P,) where the other is.
-        speeds_mps: (P,) how fast it may be approached.
+        s(θ) (cos θ + SIDEWAYS), times 1 - RIGHT_HAND to the left,
+
+    at the speed s(θ).
     """
-    barred = np.unique(rows[_closing(wanted, rows, bearings_rad) > speeds_mps])
-    if not barred.size:
-        return barred, np.zeros(0, dtype=np.complex128)
+    blocked = np.unique(rows[_approach_speeds(preferred, rows, bearings_rad) > speeds_mps])
+    if not blocked.size:
+        return blocked, np.zeros(0, dtype=np.complex128)
     theta = np.linspace(-np.pi, np.pi, DIRECTIONS, endpoint=False)
-    ways = np.exp(1j * theta) * (wanted[barred] / np.abs(wanted[barred]))[:, None]
-    mine = np.isin(rows, barred)
-    at = np.searchsorted(barred, rows[mine])
-    toward = (np.exp(-1j * bearings_rad[mine])[:, None] * ways[at]).real
-    allowed = np.where(toward > 1e-9, speeds_mps[mine][:, None] / np.maximum(toward, 1e-9), np.inf)
-    speed = np.repeat(np.abs(wanted[barred])[:, None], DIRECTIONS, axis=1)
-    np.minimum.at(speed, at, allowed)
-    worth = speed * (np.cos(theta) + SIDEWAYS) * np.where(theta > 0, 1 - RIGHT_HAND, 1.0)
-    best = np.argmax(worth, axis=1)
-    chosen = np.arange(barred.size), best
-    return barred, ways[chosen] * speed[chosen]
+    directions = np.exp(1j * theta) * (preferred[blocked] / np.abs(preferred[blocked]))[:, None]
+    concerned = np.isin(rows, blocked)
+    row = np.searchsorted(blocked, rows[concerned])
+    cosines = (np.exp(-1j * bearings_rad[concerned])[:, None] * directions[row]).real
+    limits = speeds_mps[concerned][:, None] / np.maximum(cosines, LEAST_COSINE)
+    allowed = np.where(cosines > LEAST_COSINE, limits, np.inf)
+    speed = np.repeat(np.abs(preferred[blocked])[:, None], DIRECTIONS, axis=1)
+    np.minimum.at(speed, row, allowed)
+    score = speed * (np.cos(theta) + SIDEWAYS) * np.where(theta > 0, 1 - RIGHT_HAND, 1.0)
+    best = np.arange(blocked.size), np.argmax(score, axis=1)
+    return blocked, directions[best] * speed[best]
 
 
-def circle(
-    wanted: ComplexArray, rows: IntArray, bearings_rad: Array, speeds_mps: Array
+def gyroscopic(
+    preferred: ComplexArray, *, rows: IntArray, bearings_rad: Array, speeds_mps: Array
 ) -> tuple[IntArray, ComplexArray]:
-    """Which robots are barred, and the velocity to take instead, by a force that turns and does not brake.
+    """A force that turns a robot and does not brake it, as a `DetourRule`; to compare with `around`.
 
     Gyroscopic forces (Chang, Shadden, Marsden and Olfati-Saber, CDC 2003) turn a robot away from what is
-    nearest, at its speed, until it passes: here at once to the tangent of what bars it most, on the side
-    that the wanted direction is nearer to, to the right if head on. Arguments as those of `slide`.
+    nearest, at its speed, until it passes: here at once to the tangent of the body whose bound is exceeded
+    most, on the side that the preferred direction is nearer to, and to the right if head-on.
     """
-    excess = _closing(wanted, rows, bearings_rad) - speeds_mps
-    barred = np.unique(rows[excess > 0])
+    excess = _approach_speeds(preferred, rows, bearings_rad) - speeds_mps
+    blocked = np.unique(rows[excess > 0])
     order = np.lexsort((-excess, rows))
-    first = order[np.searchsorted(rows[order], barred)]
-    off = wrap_angle(np.angle(wanted[barred]) - bearings_rad[first])
-    turned = np.where(off > RIGHT_HAND, 1j, -1j)
-    return barred, np.abs(wanted[barred]) * turned * np.exp(1j * bearings_rad[first])
+    first = order[np.searchsorted(rows[order], blocked)]
+    off = wrap_angle(np.angle(preferred[blocked]) - bearings_rad[first])
+    quarter = np.where(off > HEAD_ON_RAD, 1j, -1j)
+    return blocked, np.abs(preferred[blocked]) * quarter * np.exp(1j * bearings_rad[first])
 
 
-def _closing(wanted: ComplexArray, rows: IntArray, bearings_rad: Array) -> Array:
-    """Speeds (P,) at which robots would come nearer to others."""
-    return np.asarray((np.conj(np.exp(1j * bearings_rad)) * wanted[rows]).real)
+def _approach_speeds(velocities: ComplexArray, rows: IntArray, bearings_rad: Array) -> Array:
+    """Speeds (P,), m/s, at which robots at velocities (N,) approach the other body of each pair."""
+    return np.asarray((np.conj(np.exp(1j * bearings_rad)) * velocities[rows]).real)
 
 
-Way = Callable[[ComplexArray, IntArray, Array, Array], tuple[IntArray, ComplexArray]]
 Detour = Literal["around", "gyroscopic", "none"]
-WAYS: Mapping[Detour, Way] = {"around": slide, "gyroscopic": circle}
-"""By the name that a scenario has for it; with `none` robots only stop."""
+"""Names of the detour rules in scenario files; with `none` robots only slow down."""
+
+DETOUR_RULES: Mapping[Detour, DetourRule] = {"around": around, "gyroscopic": gyroscopic}
+"""The detour rules by their names in scenario files."""

@@ -1,4 +1,8 @@
-"""Which bodies come near one another, as one unit sees them, and what it tells the robots of that."""
+"""Which bodies are near one another in a unit's image, for the message that the unit sends to the robots.
+
+Lengths are in marker sides, the only length that images and robots have in common. Obstacles carry markers
+like robots, but are not in the template; that is how they are told apart.
+"""
 
 from dataclasses import dataclass, field
 
@@ -13,10 +17,10 @@ class BodyRule:
     """What units know of bodies, in marker sides.
 
     Attributes:
-        radius_sides: of a robot's round body about its marker's centre.
-        margin_sides: bodies are kept apart by this.
-        horizon_sides: robots hear of gaps up to this.
-        obstacles: radius of each obstacle, by marker id.
+        radius_sides: radius of a robot's round body about the centre of its marker.
+        margin_sides: gap that is kept free between bodies.
+        horizon_sides: widest gap that is reported to robots.
+        obstacles: radius of each obstacle, by the id of its marker.
     """
 
     radius_sides: float
@@ -26,10 +30,16 @@ class BodyRule:
 
 
 def proximity(detections: Detections, team_ids: IntArray, rule: BodyRule) -> Proximity:
-    """All pairs of a robot and another body within the horizon, in each robot's own frame.
+    """All pairs of a robot and another body within the horizon, each in the robot's own frame.
 
-    A length in the image is a number of marker sides by the mean side of the two markers, which holds
-    under a tilt as well. The bearing is `heading - arg(offset)`: image angles run clockwise seen from above.
+    A length in the image is divided by the mean side of the two markers, which is right under a tilt of the
+    camera as well. The bearing is `heading - arg(offset)`, since angles in the image run clockwise seen from
+    above, and those of the robot counter-clockwise.
+
+    Args:
+        detections: all markers in the image.
+        team_ids: (N,) the robots.
+        rule: radii, margin and horizon.
     """
     bodies = detections.select(np.union1d(team_ids, np.array(list(rule.obstacles), dtype=np.int64)))
     points, sides = to_complex(bodies.centers_px), bodies.sides_px

@@ -1,48 +1,58 @@
-"""Robots keep apart: each limits the speed at which it comes nearer to what it was told of.
+"""Robots keep apart: each bounds the speed at which it approaches the bodies that were reported to it.
 
-With g the gap between two bodies at the time of the image, `age` the time since then and A the time in
-which a command takes effect and lasts, a robot comes nearer at no more than
+A unicycle can always stop, so that keeping apart needs a bound on one number only. With g the gap between two
+bodies at the time of the image, `age` the time since then, and A the time in which a command takes effect
+and lasts, a robot approaches at no more than
 
-    b = share γ g e^{-γ (age + A)},    γ = 1 / (prompt + A).
+    b = share γ g e^{-γ (age + A)},    γ = 1 / (nominal age + A).
 
-If both robots keep to it, then g' >= -γ g, so that g(t) >= g(0) e^{-γ t} > 0 whatever is late or lost:
-docs/bodies.md has the proof and its assumptions. Braking distance and delay are in A; the rest of the law is
-free. Where the way is barred a robot slides along what bars it (control/avoidance/detour.py); the bound is
-kept last of all.
+If both robots of a pair keep to it, then g' >= -γ g, so that g(t) >= g(0) e^{-γ t} > 0. The bound decays with
+the age of the message, which is why no delay and no loss breaks it; docs/bodies.md has the proof and its
+assumptions. Braking distance and delay are part of A.
+
+The rest of the law is free. Where the preferred velocity is blocked a robot takes a detour
+(`skyherd.control.avoidance.detour`), and the bound is applied last of all.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from skyherd.control.avoidance.detour import WAYS, Detour
+from skyherd.control.avoidance.detour import DETOUR_RULES, Detour
 from skyherd.control.avoidance.neighbor_memory import NeighborMemory
-from skyherd.control.robots.unicycle import Gains, Wheels, wheel_law
+from skyherd.control.robots.unicycle import RobotLaw, Wheels, wheel_law
 from skyherd.geometry import Array, ComplexArray, IntArray, wrap_angle
+from skyherd.messages import TIME_TOLERANCE_S
+
+LEAST_DISTANCE_M = 1e-9
+"""Distances are divided by at least this, m. Chosen: bodies have radii far above it; it only avoids 0 / 0."""
+
+LEAST_SPEED_MPS = 1e-12
+"""Speeds are divided by at least this, m/s. Chosen: no robot moves so slowly; it only avoids 0 / 0."""
 
 
 @dataclass(frozen=True)
 class AvoidanceRule:
-    """What a robot knows of itself and of how fresh its news is.
+    """What a robot knows of itself, and of how old the messages that reach it are.
 
     Attributes:
         side_m: side of its marker.
-        wheels: what it can do.
-        prompt_s: age that news should have at most: latency and the time between two images,
-        next_s: and the age from which on there may be newer ones that others have heard.
+        wheels: limits of its speeds.
+        nominal_age_s: greatest age of a message where none is lost: latency, and time between two images.
+        superseded_age_s: age of a message from which on a newer one may exist that other robots received.
         step_s: how long a command lasts.
-        lag_s: how late the wheels may obey: command delay, and top speed over acceleration.
-        overshoot: share by which the wheels may be faster than commanded,
-        creep_mps: and by how much besides.
-        turn_error_radps: how far its rate of turn may be off.
-        lifetime_s: news older than this are forgotten.
-        steering: how it looks for a way around, if at all.
+        lag_s: how late the wheels may obey: delay of commands, and top speed over acceleration.
+        overshoot: share by which the wheels may be faster than commanded.
+        creep_mps: speed by which they may be faster in addition.
+        turn_error_radps: greatest error of its turn rate.
+        lifetime_s: age at which messages are forgotten.
+        detour: name of the rule by which it finds detours, or `none`.
     """
 
     side_m: float
     wheels: Wheels
-    prompt_s: float
-    next_s: float
+    nominal_age_s: float
+    superseded_age_s: float
     step_s: float
     lag_s: float = 0.0
     overshoot: float = 0.0
@@ -53,95 +63,119 @@ class AvoidanceRule:
 
     @property
     def gamma_ps(self) -> float:
-        """γ, 1/s: the rate that allows the fastest approach on news as old as they should be at most."""
-        return 1 / (self.prompt_s + self.held_s)
+        """The rate γ, 1/s.
+
+        Of all rates it allows the fastest approach on a message of the nominal age: `γ e^{-γ T}` is largest
+        at γ = 1 / T.
+        """
+        return 1 / (self.nominal_age_s + self.held_s)
 
     @property
     def held_s(self) -> float:
-        """A, s: until a command has passed."""
+        """The time A, s, from the command until its last effect: it lasts for a step and acts with a lag."""
         return self.step_s + self.lag_s
 
     def limit_mps(self, share_m: Array, age_s: Array) -> Array:
-        """Speeds b for the robot's shares of gaps, m, on news of an age, less what the wheels may add."""
+        """Commanded speeds (P,), m/s, at which the true approach stays within the bound b.
+
+        Args:
+            share_m: (P,) the robot's shares of the gaps, `share g`, m.
+            age_s: (P,) ages of the messages.
+        """
         allowed = self.gamma_ps * share_m * np.exp(-self.gamma_ps * (age_s + self.held_s))
         return np.maximum(allowed - self.creep_mps, 0.0) / (1 + self.overshoot)
 
 
 @dataclass(frozen=True)
 class Bounds:
-    """Limits on coming nearer, as arrays over pairs.
+    """Bounds on approach speeds, as arrays over P pairs of a robot and another body.
 
     Attributes:
-        rows: (P,) which robot.
-        bearings_rad: (P,) direction of the other in the robot's frame.
-        speeds_mps: (P,) b.
-        slack_rad: (P,) how far the direction may be off.
-        anyway_mps: (N,) limit in every direction, for what the robot has not been told of.
+        rows: (P,) row of the robot.
+        bearings_rad: (P,) direction to the other body in the robot's frame.
+        speeds_mps: (P,) bounds b on the speed of approach.
+        slack_rad: (P,) error that the bearing may have.
+        unseen_mps: (N,) bound on each robot's speed in every direction, for bodies that no message named.
     """
 
     rows: IntArray
     bearings_rad: Array
     speeds_mps: Array
     slack_rad: Array
-    anyway_mps: Array
+    unseen_mps: Array
 
 
-def closing_bounds(around: NeighborMemory, rule: AvoidanceRule, time_s: float) -> Bounds:
-    """The limits that hold now.
+def closing_bounds(memory: NeighborMemory, rule: AvoidanceRule, time_s: float) -> Bounds:
+    """The bounds that hold at `time_s`.
 
-    Two robots that heard of the same image mean the same line between them. One that missed an image means an
-    older line, which may have turned since by the angle that `2 v_max age` subtends at their distance. What a
-    robot was not told of was beyond the horizon when it was last seen.
+    Two robots that received messages on the same image use the same line between them. One that
+    missed an image uses an older line, which may have turned since by the angle that `2 v_max age` subtends
+    at their distance; that angle is part of `slack_rad`. A body that no message named was beyond the horizon
+    when the robot was last seen.
     """
-    pair = around.fresh(time_s)
-    age_s = np.maximum(time_s - around.imaged_s[pair], 0.0)
-    distances_m = around.distances_sides[pair] * rule.side_m
-    gaps_m = np.maximum(distances_m - around.reaches_sides[pair] * rule.side_m, 0.0)
-    strayed_m = np.where(age_s < rule.next_s - 1e-9, 0.0, 2 * rule.wheels.max_speed_mps * age_s)
-    turned = np.arcsin(np.minimum(strayed_m / np.maximum(distances_m, 1e-9), 1.0))
-    unseen_s = np.maximum(time_s - around.seen_s, 0.0)
+    pair = memory.fresh(time_s)
+    age_s = np.maximum(time_s - memory.imaged_s[pair], 0.0)
+    distances_m = memory.distances_sides[pair] * rule.side_m
+    gaps_m = np.maximum(distances_m - memory.reaches_sides[pair] * rule.side_m, 0.0)
+    is_newest = age_s < rule.superseded_age_s - TIME_TOLERANCE_S
+    strayed_m = np.where(is_newest, 0.0, 2 * rule.wheels.max_speed_mps * age_s)
+    turned = np.arcsin(np.minimum(strayed_m / np.maximum(distances_m, LEAST_DISTANCE_M), 1.0))
+    unseen_s = np.maximum(time_s - memory.seen_s, 0.0)
     return Bounds(
         rows=pair[0],
-        bearings_rad=around.bearings_rad(pair),
-        speeds_mps=rule.limit_mps(around.shares[pair] * gaps_m, age_s),
+        bearings_rad=memory.bearings_rad(pair),
+        speeds_mps=rule.limit_mps(memory.shares[pair] * gaps_m, age_s),
         slack_rad=np.where(strayed_m < distances_m, turned, np.pi)
         + rule.turn_error_radps * (age_s + rule.held_s),
-        anyway_mps=rule.limit_mps(around.horizon_sides * rule.side_m / 2, unseen_s),
+        unseen_mps=rule.limit_mps(memory.horizon_sides * rule.side_m / 2, unseen_s),
     )
 
 
-def slowed(v_mps: Array, omega_radps: Array, bounds: Bounds, rule: AvoidanceRule) -> tuple[Array, Array]:
-    """Speeds within the bounds: the velocity of each body's centre is shortened, and keeps its direction.
+def slowed(v_mps: Array, omega_radps: Array, *, bounds: Bounds, rule: AvoidanceRule) -> tuple[Array, Array]:
+    """Speeds v (N,), m/s, and ω (N,), rad/s, reduced until they keep to the bounds.
 
-    The centre moves at `u = v + i l omega` in the robot's frame, l ahead of the axis; with l = 0 turning
-    moves it nowhere, and only v is shortened. While a command lasts the robot turns, so that the other's
-    direction sweeps past u; the smallest angle between them counts.
+    The centre of a body moves at `u = v + i l ω` in the robot's frame, where it lies ahead of the axis by l.
+    u is shortened and keeps its direction; with l = 0 turning moves the centre nowhere, and only v is
+    shortened. While a command lasts the robot turns, and the direction to the other body sweeps past u: the
+    smallest angle between the two counts, less the slack of the bearing.
     """
-    turning = rule.wheels.axis_offset_m * omega_radps
-    u = v_mps + 1j * turning
+    u = v_mps + 1j * (rule.wheels.axis_offset_m * omega_radps)
     rows = bounds.rows
     sweep = omega_radps[rows] * rule.step_s
     angle = np.abs(wrap_angle(bounds.bearings_rad - np.angle(u[rows]) - sweep / 2))
     angle -= np.abs(sweep) / 2 + rule.wheels.max_turn_radps * rule.lag_s + bounds.slack_rad
     closing = np.abs(u)[rows] * np.cos(np.maximum(angle, 0.0))
     speed = np.abs(u)
-    share = np.minimum(1.0, bounds.anyway_mps / np.where(speed > 0, speed, 1.0))
+    share = np.minimum(1.0, bounds.unseen_mps / np.where(speed > 0, speed, 1.0))
     too_fast = closing > bounds.speeds_mps
     np.minimum.at(share, rows[too_fast], bounds.speeds_mps[too_fast] / closing[too_fast])
     return v_mps * share, omega_radps * share if rule.wheels.axis_offset_m else omega_radps
 
 
 def avoiding_law(
-    rho: ComplexArray, gains: Gains, around: NeighborMemory, rule: AvoidanceRule, time_s: float
+    rho: ComplexArray, law: RobotLaw, *, memory: NeighborMemory, rule: AvoidanceRule, time_s: float
 ) -> tuple[Array, Array]:
-    """Speeds v (N,), m/s, and omega (N,), rad/s: the paper's law where nothing bars the way."""
-    bounds = closing_bounds(around, rule, time_s)
+    """Speeds v (N,), m/s, and ω (N,), rad/s, that keep robots apart.
+
+    Where nothing blocks a robot it is `wheel_law` to the bit.
+
+    Args:
+        rho: (N,) vectors to follow in the robots' frames, in the unit of the law.
+        law: how fast a vector is followed.
+        memory: bodies near the robots.
+        rule: what the robots know of themselves.
+        time_s: now.
+    """
+    bounds = closing_bounds(memory, rule, time_s)
     if rule.detour != "none":
-        speed = gains.speed_mps(np.ones(1))[0]
-        wanted = rho * speed
-        wanted = wanted * np.minimum(1.0, rule.wheels.max_speed_mps / np.maximum(np.abs(wanted), 1e-12))
-        barred, way = WAYS[rule.detour](wanted, bounds.rows, bounds.bearings_rad, bounds.speeds_mps)
+        gain = law.speed_mps(np.ones(1))[0]
+        preferred = rho * gain
+        speed = np.maximum(np.abs(preferred), LEAST_SPEED_MPS)
+        preferred = preferred * np.minimum(1.0, rule.wheels.max_speed_mps / speed)
+        blocked, velocities = DETOUR_RULES[rule.detour](
+            preferred, rows=bounds.rows, bearings_rad=bounds.bearings_rad, speeds_mps=bounds.speeds_mps
+        )
         rho = rho.copy()
-        rho[barred] = way / speed
-    v_mps, omega_radps = wheel_law(rho, gains, rule.wheels)
-    return slowed(v_mps, omega_radps, bounds, rule)
+        rho[blocked] = velocities / gain
+    v_mps, omega_radps = wheel_law(rho, law, rule.wheels)
+    return slowed(v_mps, omega_radps, bounds=bounds, rule=rule)

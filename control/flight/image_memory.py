@@ -59,7 +59,9 @@ class ImageMemory:
         rows = self.rows(np.concatenate([report.ids for report in reports]))
         points = to_complex(np.concatenate([report.points_px for report in reports]))
         common = in_view[rows]
-        images = fit_similarities(points[common], self.points_px[rows[common]], sender[common], len(reports))
+        images = fit_similarities(
+            points[common], self.points_px[rows[common]], group=sender[common], groups=len(reports)
+        )
         hidden = ~common & images.exist[sender]
         self.points_px[rows[hidden]] = images(points[hidden], sender[hidden])
         self.known[rows[hidden]] = True

@@ -1,1 +1,1 @@
-"""The shape: template, fitted similarity, size, who takes which place, one shape after another."""
+"""The shape to form: template, fitted similarity, size, who takes which place, one shape after another."""

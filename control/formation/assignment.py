@@ -1,12 +1,14 @@
-"""Who goes where: the assignment of robots to template points that leaves least to do.
+"""The assignment of robots to template points under which the best-fitting similarity fits best.
 
-With centred robots x and points p, and c(i) the point of robot i, the least-squares similarity leaves
+Let x_i be the robots' places and p_c(i) the template point of robot i, complex and centred. The least-squares
+similarity (`skyherd.control.formation.similarity`) leaves the sum of squared distances
 
     J = Σ |x_i|² - |Z|² / Σ |p_i|²,    Z = Σ conj(p_c(i)) x_i,
 
-so that the best map is the one with the largest |Z|. For a given rotation φ the best map maximises
-Re(e^{-iφ} Z), an assignment problem in which size and place have no part; assigning and rotating in turn
-never lowers |Z|. It ends at a local maximum; starts all around the circle find the others.
+so that the best map c is the one with the largest |Z|. For a given rotation φ the best map maximises
+Re(e^{-iφ} Z), which is a linear assignment problem in which neither size nor place of the shape matters.
+Alternating the two, that is, the best map for a rotation and then the best rotation φ = arg Z for the map,
+never lowers |Z| and ends at a local maximum; starts from rotations all around the circle find the others.
 """
 
 import numpy as np
@@ -14,54 +16,73 @@ from scipy.optimize import linear_sum_assignment
 
 from skyherd.geometry import ComplexArray, IntArray
 
-TURNS = 30
-"""Assigning and rotating in turn ends after a few; this is a guard."""
+MAX_ITERATIONS = 30
+"""Limit of the alternations from one start. Chosen: each raises |Z| or ends the search, and a few suffice."""
 
 
 def correlation(robots: ComplexArray, points: ComplexArray) -> complex:
-    """Z of robots (M,) at the points (M,) that are theirs, both centred."""
+    """Z of robots (M,) and their template points (M,), both of which are centred here."""
     return complex(np.vdot(points - points.mean(), robots - robots.mean()))
 
 
-def assign(robots: ComplexArray, points: ComplexArray, turn: complex, classes: IntArray) -> IntArray:
-    """The map c (M,) that maximises Re(conj(turn) Σ conj(p_c(i)) x_i); c(i) is of robot i's class."""
+def assign(robots: ComplexArray, points: ComplexArray, rotation: complex, *, classes: IntArray) -> IntArray:
+    """The map c (M,) that maximises Re(conj(rotation) Σ conj(p_c(i)) x_i) within the classes.
+
+    Args:
+        robots: (M,) centred places of the robots.
+        points: (M,) centred template points.
+        rotation: e^{iφ}; its length does not matter.
+        classes: (M,) class of each robot and of the point in the same row; c(i) is of robot i's class.
+    """
     order = np.arange(robots.size)
-    for kind in np.unique(classes):
-        of_kind = np.flatnonzero(classes == kind)
-        worth = (np.conj(turn * points[of_kind])[None, :] * robots[of_kind][:, None]).real
-        _, columns = linear_sum_assignment(worth, maximize=True)
-        order[of_kind] = of_kind[columns]
+    for robot_class in np.unique(classes):
+        rows = np.flatnonzero(classes == robot_class)
+        benefits = (np.conj(rotation * points[rows])[None, :] * robots[rows][:, None]).real
+        _, columns = linear_sum_assignment(benefits, maximize=True)
+        order[rows] = rows[columns]
     return order
 
 
 def best_assignment(
     robots: ComplexArray, points: ComplexArray, classes: IntArray, *, starts: int = 0
 ) -> IntArray:
-    """The best map c (M,) found, `points[c]` in the robots' order; the present one is the identity.
+    """The map c (M,) with the largest |Z| that was found: robot i is to take the point `points[c[i]]`.
+
+    The search starts from the rotation that fits the present map best, and from `starts` others. The present
+    map, which is the identity, is returned where nothing better is found.
 
     Args:
-        robots: (M,) where robots are.
-        points: (M,) the points they have now, those of all classes in this order.
-        classes: (M,) robots exchange points within their class.
-        starts: rotations to begin at, evenly spread, besides the present one.
+        robots: (M,) places of the robots.
+        points: (M,) the template points that the robots have now, in the robots' order.
+        classes: (M,) class of each robot; points are exchanged within a class only.
+        starts: number of further rotations to start from, evenly spread over the circle.
     """
     x, p = robots - robots.mean(), points - points.mean()
     best = np.arange(robots.size)
     best_z = np.vdot(p, x)
-    turns = [best_z, *np.exp(2j * np.pi * np.arange(starts) / max(starts, 1))]
-    for turn in turns:
-        order, z = ascend(x, p, turn, classes)
+    rotations = [best_z, *np.exp(2j * np.pi * np.arange(starts) / max(starts, 1))]
+    for rotation in rotations:
+        order, z = ascend(x, p, rotation, classes=classes)
         if abs(z) > abs(best_z):
             best, best_z = order, z
     return best
 
 
-def ascend(x: ComplexArray, p: ComplexArray, turn: complex, classes: IntArray) -> tuple[IntArray, complex]:
-    """The map (M,) that assigning and rotating in turn end at, from a rotation on, and its Z; all centred."""
-    order, z = np.arange(x.size), turn
-    for _ in range(TURNS):
-        turn = z / abs(z) if z else 1.0
-        before, order = order, assign(x, p, turn, classes)
+def ascend(
+    x: ComplexArray, p: ComplexArray, rotation: complex, *, classes: IntArray
+) -> tuple[IntArray, complex]:
+    """The map (M,) at which assigning and rotating in turn end, and its Z.
+
+    Args:
+        x: (M,) centred places of the robots.
+        p: (M,) centred template points.
+        rotation: where to start, e^{iφ} times any positive length.
+        classes: (M,) class of each robot.
+    """
+    order, z = np.arange(x.size), rotation
+    for _ in range(MAX_ITERATIONS):
+        rotation = z / abs(z) if z else 1.0
+        before, order = order, assign(x, p, rotation, classes=classes)
         z = complex(np.vdot(p[order], x))
         if np.array_equal(order, before):
             break

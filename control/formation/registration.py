@@ -1,4 +1,9 @@
-"""Where the whole team lies in one unit's image: its own view, and those of others laid beside it."""
+"""Image registration: the image points of the whole team, from a unit's own view and those of its neighbours.
+
+Two downward-looking cameras see the ground plane through images that differ by a similarity. Two robots that
+both views contain determine it, and it carries all other points of the neighbour's view into the unit's own
+image, also beyond its borders.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,40 +13,47 @@ import numpy as np
 from skyherd.control.formation.similarity import fit_similarity
 from skyherd.errors import DegenerateSetError
 from skyherd.geometry import BoolArray, ComplexArray, IntArray, to_complex
-from skyherd.messages import Detections, UnitReport
+from skyherd.messages import Detections, UnitReport, rows_of
 
-ANCHORS = 2
-"""Robots in common that tell the similarity between two images."""
+MIN_COMMON_ROBOTS = 2
+"""Robots that two views must have in common. Derived: a similarity has four parameters, a point gives two."""
 
 
 @dataclass(frozen=True)
 class Registration:
-    """Image points (N,) of the team as `u + iv`, in the order of its ids; known (N,) tells whose they are."""
+    """Image points of the team in one unit's image.
+
+    Attributes:
+        points_px: (N,) points as `u + iv`, robots in the order of the team's ids.
+        known: (N,) mask of the robots whose points are known; the points of the others mean nothing.
+    """
 
     points_px: ComplexArray
     known: BoolArray
 
 
 def register_views(team_ids: IntArray, seen: Detections, reports: Sequence[UnitReport]) -> Registration:
-    """Lay the views of others beside one's own, each by the similarity that robots in common tell.
+    """Points of the team in a unit's image: those it sees itself, and those that other units see.
 
-    The view with the most robots in common with what is known so far comes next, so that a chain of
-    neighbours reaches to its end. Reports are some frames old; robots move a little meanwhile.
+    Each reported view is carried over by the similarity that fits the robots whose points are already known.
+    The view with the most such robots is taken next, so that a chain of overlapping views is followed to its
+    end; views with fewer than two, or whose common robots lie in one place, are left out. A report is older
+    than the image by some frames; the robots' motion in between is an error that is accepted.
 
     Args:
-        team_ids: (N,) ascending.
-        seen: robots of the team in the own image.
-        reports: what other units see.
+        team_ids: (N,) robots of the team, ascending.
+        seen: detections of robots of the team in the unit's own image.
+        reports: the newest reports of other units.
     """
     points = np.zeros(team_ids.size, dtype=np.complex128)
     known = np.zeros(team_ids.size, dtype=bool)
-    rows = np.searchsorted(team_ids, seen.ids)
+    rows = rows_of(team_ids, seen.ids)
     points[rows], known[rows] = to_complex(seen.centers_px), True
-    views = [(np.searchsorted(team_ids, report.ids), to_complex(report.points_px)) for report in reports]
+    views = [(rows_of(team_ids, report.ids), to_complex(report.points_px)) for report in reports]
     while views:
         common = [int(known[rows].sum()) for rows, _ in views]
         best = int(np.argmax(common))
-        if common[best] < ANCHORS:
+        if common[best] < MIN_COMMON_ROBOTS:
             break
         rows, theirs = views.pop(best)
         shared = known[rows]

@@ -1,13 +1,22 @@
-"""Interchangeable roles: units decide which robot takes which point, one exchange at a time.
+"""Interchangeable roles: the units decide which robot takes which point of the template.
 
-The map from robots to points is one value with a version, and every report carries it whole. A unit follows
-the newest map that it has heard of; so no unit ever gives one point to two robots, a lost message costs
-time and nothing else, and a unit that dies takes nothing with it. Only the unit whose slot of the common
-clock it is, among those that it hears, may make a newer map, and only if all of them have named the map that
-it starts from. Until a newer map is heard two units may give one point to two robots: for one message's
-delay, and with a share p of messages lost for longer than n messages with probability p^n. An exchange must
-leave less to do by a share of what there is; what is left falls by the robots' own motion as well, so that
-exchanges come to an end.
+Roles are one map. Who takes which point is a permutation with a version, and every report carries it whole.
+A unit follows the newest map that it has received. Therefore
+
+- no unit ever gives one point to two robots, since every map is a permutation;
+- a lost message costs time and nothing else, and a unit that fails takes nothing with it;
+- nothing has to be confirmed. If two units had to agree on each exchange, messages that are lost half-way
+  would leave them in disagreement, and a robot could be passed on only from neighbour to neighbour.
+
+Only one unit at a time may make a newer map: the one that has the current slot of the common clock among the
+units that it receives reports from, and only if all of these have reported the map that it starts from. It
+makes it for the whole team, whose places it knows from `skyherd.control.formation.registration`.
+
+Until a newer map has reached all units, two units may give one point to two robots: for the delay of one
+message, and with a share p of messages lost for longer than n messages with probability p^n.
+
+An exchange must lower the residual J (`skyherd.control.formation.assignment`) by a share of it. J falls by
+the robots' own motion as well, so that exchanges come to an end. docs/bodies.md has the details.
 """
 
 from collections.abc import Sequence
@@ -18,19 +27,21 @@ import numpy as np
 from skyherd.control.formation.assignment import best_assignment, correlation
 from skyherd.control.formation.registration import Registration
 from skyherd.control.formation.template import Template
+from skyherd.control.topology.slots import slot_at
 from skyherd.geometry import ComplexArray, IntArray
 from skyherd.messages import NO_ID, RoleMap, UnitReport
 
 
 @dataclass(frozen=True)
 class RoleRule:
-    """Settings.
+    """Settings of the exchange of roles.
 
     Attributes:
-        period_s: length of a slot in which one unit may exchange roles.
-        gain: an exchange must lower V by this share.
-        starts: rotations that are tried when more of the team is known than before.
-        classes: (N,) robots exchange roles within their class only; None for all alike.
+        period_s: length of the slot in which one unit may exchange roles.
+        gain: share of the residual J by which an exchange must lower it.
+        starts: rotations that the search starts from when more robots are known than at the last search.
+        classes: (N,) class of each robot of the team; roles are exchanged within a class only. None if all
+            robots are alike.
     """
 
     period_s: float = 1.0
@@ -41,13 +52,13 @@ class RoleRule:
 
 @dataclass
 class Roles:
-    """The map as one unit has it.
+    """The map from robots to template points as one unit knows it.
 
     Attributes:
-        rule: settings; None where every robot keeps the role that it was given.
-        template: the shape, with each robot's point as it was given.
-        map: the newest map heard of.
-        shape: the template under that map.
+        rule: settings; None where every robot keeps the point that the template gives it.
+        template: the shape, with each robot's own point.
+        map: the newest map received or made.
+        shape: the template with the robots' points exchanged by the map.
     """
 
     rule: RoleRule | None
@@ -55,72 +66,85 @@ class Roles:
     map: RoleMap = field(init=False)
     shape: Template = field(init=False)
     _slot: int = field(default=-1, init=False)
-    _known: int = field(default=0, init=False)
+    _known_robots: int = field(default=0, init=False)
 
     def __post_init__(self) -> None:
-        self._take(RoleMap(0, NO_ID, np.arange(self.template.ids.size)))
+        self._use(RoleMap(0, NO_ID, np.arange(self.template.ids.size)))
 
     @property
-    def word(self) -> RoleMap | None:
-        """What the unit's report says of roles."""
+    def reported(self) -> RoleMap | None:
+        """The map for the unit's report; None where roles are fixed."""
         return self.map if self.rule else None
 
-    def take_up(self, template: Template) -> None:
-        """Another shape: the map stays for now, and any rotation may be best."""
+    def use_template(self, template: Template) -> None:
+        """Change to another shape: the map stays until the next exchange, which searches all rotations."""
         if template is not self.template:
-            self.template, self._known = template, 0
-            self._take(self.map)
+            self.template, self._known_robots = template, 0
+            self._use(self.map)
 
-    def hear(self, reports: Sequence[UnitReport]) -> None:
-        """Follow the newest map that anybody follows."""
+    def receive(self, reports: Sequence[UnitReport]) -> None:
+        """Change to the newest map in the reports if it is newer than the unit's own."""
         if self.rule is None:
             return
-        heard = [report.roles for report in reports if report.roles is not None]
-        newest = max(heard, key=lambda word: word.name, default=self.map)
-        if newest.name > self.map.name:
-            self._take(newest)
+        received = [report.roles for report in reports if report.roles is not None]
+        newest = max(received, key=lambda role_map: role_map.precedence, default=self.map)
+        if newest.precedence > self.map.precedence:
+            self._use(newest)
 
     def may_exchange(self, unit_id: int, time_s: float, reports: Sequence[UnitReport]) -> bool:
-        """Whether this is the first image of the unit's own slot, and the others follow the same map."""
+        """Whether the unit may make a newer map now.
+
+        It may at its first image in its own slot, if all units that report roles follow the same map. Slot
+        number `floor(time / period)` belongs to the units with known reports in turn, in the order of their
+        ids. The call has a side effect: it remembers the slot, and must be made once an image.
+        """
         if self.rule is None:
             return False
-        slot, before = int(np.floor(time_s / self.rule.period_s + 1e-9)), self._slot
+        slot, before = slot_at(time_s, self.rule.period_s), self._slot
         self._slot = slot
         units = sorted({unit_id, *(report.unit_id for report in reports)})
         if slot == before or units[slot % len(units)] != unit_id:
             return False
-        return all(report.roles is None or report.roles.name == self.map.name for report in reports)
+        own = self.map.precedence
+        return all(report.roles is None or report.roles.precedence == own for report in reports)
 
     def exchange(self, unit_id: int, team: Registration) -> bool:
-        """Make a newer map if there is a better one, which the unit must be free to do; whether it did."""
+        """Make a newer map if one lowers the residual by more than the rule's gain; whether one was made.
+
+        To be called only if `may_exchange` allows it. Robots whose places are not known keep their points.
+
+        Args:
+            unit_id: the unit, which becomes the map's author.
+            team: places of the team's robots in the unit's image.
+        """
         if self.rule is None:
             return False
         rows = np.flatnonzero(team.known)
         if rows.size < 2:
             return False
-        is_news, self._known = rows.size > self._known, rows.size
+        more_known, self._known_robots = rows.size > self._known_robots, rows.size
         roles = self.map.roles.copy()
         robots, points = team.points_px[rows], self.template.points_px[roles[rows]]
         classes = np.array(self.rule.classes or [0] * roles.size)[rows]
-        order = best_assignment(robots, points, classes, starts=self.rule.starts if is_news else 0)
-        if not _left(robots, points[order]) < (1 - self.rule.gain) * _left(robots, points):
+        order = best_assignment(robots, points, classes, starts=self.rule.starts if more_known else 0)
+        if not _residual(robots, points[order]) < (1 - self.rule.gain) * _residual(robots, points):
             return False
         roles[rows] = roles[rows][order]
-        self._take(RoleMap(self.map.version + 1, unit_id, roles))
+        self._use(RoleMap(self.map.version + 1, unit_id, roles))
         return True
 
-    def _take(self, newer: RoleMap) -> None:
-        self.map = newer
-        self.shape = Template(self.template.ids, self.template.points_px[newer.roles])
+    def _use(self, role_map: RoleMap) -> None:
+        self.map = role_map
+        self.shape = Template(self.template.ids, self.template.points_px[role_map.roles])
 
 
-def _left(robots: ComplexArray, points: ComplexArray) -> float:
-    """J: the least sum of squared distances that a similarity leaves, px²."""
+def _residual(robots: ComplexArray, points: ComplexArray) -> float:
+    """J, px²: sum of squared distances from robots (M,) to points (M,) under the best similarity."""
     x, p = robots - robots.mean(), points - points.mean()
     return float(np.vdot(x, x).real - abs(correlation(robots, points)) ** 2 / np.vdot(p, p).real)
 
 
 def newest_roles(maps: Sequence[RoleMap | None], robots: int) -> IntArray:
-    """Roles (N,) by the newest of several maps; each robot's own where there is none."""
-    known = [word for word in maps if word is not None]
-    return max(known, key=lambda word: word.name).roles if known else np.arange(robots)
+    """Template rows (N,) of the robots by the newest of several maps; the identity if all are None."""
+    known = [role_map for role_map in maps if role_map is not None]
+    return max(known, key=lambda role_map: role_map.precedence).roles if known else np.arange(robots)

@@ -1,19 +1,25 @@
-"""Shapes one after the other: what a team forms from when on."""
+"""A schedule of shapes: which shape the team is to form at which time of the common clock."""
 
 from dataclasses import dataclass
 from itertools import pairwise
 
 from skyherd.control.formation.template import Template
 from skyherd.errors import InputError
+from skyherd.messages import TIME_TOLERANCE_S
 
 
 @dataclass(frozen=True)
 class Schedule:
-    """A first shape, and later ones by the common clock.
+    """A first shape, and later ones that each take the place of the one before.
+
+    All units have the same schedule and the same clock, so that nothing has to be agreed on at a change.
 
     Attributes:
-        first: holds from the start.
-        later: (time, s, shape), ascending; all of the same robots.
+        first: the shape from the start.
+        later: pairs (time, s, shape), times positive and ascending; all shapes have the same robots.
+
+    Raises:
+        InputError: the times do not ascend from above 0, or a later shape has other robots.
     """
 
     first: Template
@@ -27,6 +33,6 @@ class Schedule:
             raise InputError("template.then", "another team", "a point for each robot of the first shape")
 
     def at(self, time_s: float) -> Template:
-        """The shape to form at a time."""
-        begun = [shape for at_s, shape in self.later if at_s <= time_s + 1e-9]
+        """The shape to form at a time; the very object given, so that a change can be told by identity."""
+        begun = [shape for at_s, shape in self.later if at_s <= time_s + TIME_TOLERANCE_S]
         return begun[-1] if begun else self.first

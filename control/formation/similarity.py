@@ -1,4 +1,10 @@
-"""Algorithm 1 of the paper: the least-squares similarity from template to image, and desired points."""
+"""The least-squares similarity from template to image (paper, eq. 1 and Algorithm 1), and desired points.
+
+Points are complex numbers `u + iv`, so that a proper similarity is `z ↦ a (z - c) + d` with one complex
+factor `a = s e^{iφ}`: scale s, rotation φ. Bounds on the scale keep the shape above a smallest size: the fit
+stays a least-squares fit among the similarities within the bounds, so that V (paper, eq. 9) is still a cost
+whose gradient is current minus desired point, and still falls (docs/bodies.md, "Size").
+"""
 
 from dataclasses import dataclass
 
@@ -8,57 +14,68 @@ from skyherd.errors import DegenerateSetError
 from skyherd.geometry import Array, BoolArray, ComplexArray, IntArray
 
 COINCIDENT = 1e-12
-"""Points whose spread is below this fraction of their size lie on one spot."""
+"""Points whose distances from their centroid are below this share of their distance from the origin count as
+one point. Chosen: 10^4 times the rounding of a coordinate (2^-53 = 1e-16), so that what is left is digits;
+and far below any image, where a pixel is 1e-4 of the largest coordinate."""
 
 VANISHING = 1e-9
-"""A fit that explains less than this share of the points' spread is no fit (a mirrored square, for one)."""
+"""A fit counts as having scale zero if it explains less than the square of this share of the points' squared
+spread. Chosen: above the rounding of a sum of some hundred products (1e-14), so that a square fitted to its
+mirror image, which is best fitted by scale zero, is told apart from a poor fit."""
 
 
 @dataclass(frozen=True)
 class Similarity:
-    """`z ↦ turn (z - source) + target`: scale `|turn|`, rotation `arg turn` (image sense), centroids kept."""
+    """The map `z ↦ factor (z - source) + target`, which takes centroid to centroid.
 
-    turn: complex
+    Attributes:
+        factor: H_s of the paper (eq. 1) as one complex number, `s e^{iφ}`.
+        source: centroid of the points to map.
+        target: centroid of their images.
+    """
+
+    factor: complex
     source: complex
     target: complex
 
     @property
     def scale(self) -> float:
-        """s_j: image pixels per template pixel."""
-        return abs(self.turn)
+        """Scale s_j: image pixels for a template pixel."""
+        return abs(self.factor)
 
     @property
     def rotation_rad(self) -> float:
-        """phi_j, from +u to +v."""
-        return float(np.angle(self.turn))
+        """Rotation φ_j in (-pi, pi], positive from +u to +v."""
+        return float(np.angle(self.factor))
 
     def resized(self, low: float, high: float) -> "Similarity":
-        """The same with its scale kept between two bounds, about the centroids.
+        """The same similarity with its scale brought between two bounds, about the centroids.
 
-        Of all similarities within the bounds it is the nearest fit: for a given rotation the residual is
-        quadratic in the scale, and the best rotation does not depend on the scale.
+        Of all similarities within the bounds it fits best: for a given rotation the residual is quadratic in
+        the scale, and the best rotation does not depend on the scale.
         """
         if low <= self.scale <= high:
             return self
-        return Similarity(self.turn / self.scale * min(max(self.scale, low), high), self.source, self.target)
+        scale = min(max(self.scale, low), high)
+        return Similarity(self.factor / self.scale * scale, self.source, self.target)
 
     def __call__(self, points: ComplexArray) -> ComplexArray:
-        """Map template points to desired points."""
-        return np.asarray(self.turn * (points - self.source) + self.target)
+        """Images (N,) of points (N,)."""
+        return np.asarray(self.factor * (points - self.source) + self.target)
 
 
 def fit_similarity(template: ComplexArray, current: ComplexArray) -> Similarity:
-    """Similarity that takes template points (N,) nearest to current points (N,).
+    """The similarity that takes template points (N,) nearest to current points (N,).
 
-    Minimises `Σ |H p'_ic - p_ic|²` over `H = s e^{i phi}` with both sets centred (paper, eq. 1 and
-    Algorithm 1). In complex numbers the normal equation is one line,
+    It minimises `Σ |H p'_ic - p_ic|²` over `H = s e^{iφ}`, with both sets centred (paper, eq. 1 and
+    Algorithm 1; Gower 2004). In complex numbers the normal equation is
 
         H = Σ conj(p'_ic) p_ic / Σ |p'_ic|².
 
     Raises:
-        DegenerateSetError: fewer than two points, or all template points (then no similarity exists) or
-            all current points (then it has scale zero) on one spot, or a fit of size zero (the singular
-            arrangements of the paper's Remark 2).
+        DegenerateSetError: there are fewer than two points; or all template points coincide, so that no
+            similarity exists; or all current points do, so that its scale is zero; or the best scale is zero
+            (the singular arrangements of the paper's Remark 2).
     """
     if template.size != current.size or template.size < 2:
         raise DegenerateSetError(f"{current.size} points define no similarity; at least two are needed")
@@ -69,32 +86,46 @@ def fit_similarity(template: ComplexArray, current: ComplexArray) -> Similarity:
         raise DegenerateSetError("all template points coincide; at least two must differ")
     if np.abs(current_c).max() <= COINCIDENT * np.abs(current).max():
         raise DegenerateSetError("all current points coincide; at least two must differ")
-    turn = complex(np.vdot(template_c, current_c) / spread)
-    if abs(turn) ** 2 * spread <= VANISHING**2 * np.vdot(current_c, current_c).real:
+    factor = complex(np.vdot(template_c, current_c) / spread)
+    if abs(factor) ** 2 * spread <= VANISHING**2 * np.vdot(current_c, current_c).real:
         raise DegenerateSetError("the best-fitting similarity has size zero, so no rotation fits best")
-    return Similarity(turn, complex(source), complex(target))
+    return Similarity(factor, complex(source), complex(target))
 
 
 @dataclass(frozen=True)
 class Similarities:
-    """G similarities `z ↦ turn (z - source) + target`, as arrays (G,); `exist` tells which there are."""
+    """G similarities `z ↦ factor (z - source) + target` as arrays.
 
-    turns: ComplexArray
+    Attributes:
+        factors: (G,) complex factors `s e^{iφ}`; 0 where there is no similarity.
+        sources: (G,) centroids of the points to map.
+        targets: (G,) centroids of their images.
+        exist: (G,) mask of the groups that define a similarity.
+    """
+
+    factors: ComplexArray
     sources: ComplexArray
     targets: ComplexArray
     exist: BoolArray
 
     def __call__(self, points: ComplexArray, group: IntArray) -> ComplexArray:
-        """Map template points (N,), each by the similarity of its group (N,)."""
-        return np.asarray(self.turns[group] * (points - self.sources[group]) + self.targets[group])
+        """Images (N,) of points (N,), each by the similarity of its group (N,)."""
+        return np.asarray(self.factors[group] * (points - self.sources[group]) + self.targets[group])
 
 
 def fit_similarities(
-    template: ComplexArray, current: ComplexArray, group: IntArray, groups: int
+    template: ComplexArray, current: ComplexArray, *, group: IntArray, groups: int
 ) -> Similarities:
-    """`fit_similarity` of many groups of points at once: point n belongs to `group[n]`, all (N,).
+    """The similarities of many groups of points at once, each as `fit_similarity` has it.
 
-    A group that defines no similarity, for any reason that `fit_similarity` has to refuse one, gets none.
+    One fit for all units' sets, or for all reports, costs a few array operations, however many there are. A
+    group that `fit_similarity` would refuse with an error is marked in `exist`.
+
+    Args:
+        template: (N,) template points of all groups.
+        current: (N,) current points.
+        group: (N,) number of each point's group, 0 to `groups` - 1.
+        groups: G.
     """
 
     def total(values: Array) -> Array:
@@ -117,10 +148,18 @@ def fit_similarities(
     exist = (sizes >= 2) & (spread > (COINCIDENT * largest(template)) ** 2 * sizes)
     exist &= largest(current_c) > COINCIDENT * largest(current)
     exist &= explained > VANISHING**2 * spread * total(current_c.real**2 + current_c.imag**2)
-    turns = (total(product.real) + 1j * total(product.imag)) / np.where(exist, spread, 1.0)
-    return Similarities(np.where(exist, turns, 0), sources, targets, exist)
+    factors = (total(product.real) + 1j * total(product.imag)) / np.where(exist, spread, 1.0)
+    return Similarities(factors=np.where(exist, factors, 0), sources=sources, targets=targets, exist=exist)
 
 
 def desired_points(template: ComplexArray, current: ComplexArray) -> ComplexArray:
-    """p^d = H_s p'_c + c_p: where unit j wants its robots, in its own image (Algorithm 1)."""
+    """Desired image points `p^d = H_s p'_c + c_p` (N,) of the robots (paper, Algorithm 1).
+
+    Args:
+        template: (N,) template points p' of the robots that the unit controls.
+        current: (N,) their points p in the unit's image.
+
+    Raises:
+        DegenerateSetError: the points define no similarity, as for `fit_similarity`.
+    """
     return fit_similarity(template, current)(template)

@@ -1,8 +1,12 @@
-"""How large the shape may be: free above a smallest spacing, or as wished, in marker sides.
+"""The size of the shape, in marker sides: free above a smallest spacing, or given.
 
-Units must mean the same by a marker side, or each would hold the robots they share at a distance of its own.
-What each measures is averaged with what its neighbours measure, brought to its own pixels by the distances
-between robots that both see.
+In the paper any size will do. Robots with bodies need a floor, which keeps the scale of the fitted similarity
+above a bound (`Similarity.resized`). The fit stays a least-squares fit, and V a cost that falls;
+docs/bodies.md has the proof of convergence with an active floor.
+
+Units must mean the same length by a marker side: otherwise each would hold the robots that two units share at
+a distance of its own. Each unit therefore averages its own measurement with those that its neighbours report,
+converted to its own pixels by the robots that both see.
 """
 
 from collections.abc import Sequence
@@ -15,16 +19,18 @@ from skyherd.geometry import to_complex
 from skyherd.messages import Detections, UnitReport
 
 LEAK = 0.05
-"""Share of its own measurement in each step of the average, which keeps the common mean from drifting."""
+"""Weight of a unit's own measurement in each step of the average. Chosen: without it nothing holds the common
+mean, which would drift by rounding and noise; at twice the value, units that measure differently agree half
+as well, since their remaining difference is in proportion to it."""
 
 
 @dataclass(frozen=True)
 class SizeRule:
-    """Bounds on the distance between the two nearest points of the shape, in marker sides.
+    """Bounds on the size of the shape, as the distance between its two nearest points in marker sides.
 
     Attributes:
-        least_sides: the size is free above this; 0 for no bound.
-        most_sides: the size is free below this; equal to `least_sides` for a wanted size.
+        least_sides: lower bound; 0 for none.
+        most_sides: upper bound; equal to `least_sides` for a given size, infinite for none.
     """
 
     least_sides: float = 0.0
@@ -36,7 +42,12 @@ class SizeRule:
         return self.least_sides == 0 and self.most_sides == np.inf
 
     def scales(self, template: Template, side_px: float) -> tuple[float, float]:
-        """Bounds of the similarity's scale, image pixels a template pixel."""
+        """Least and greatest scale of the similarity, image pixels for a template pixel.
+
+        Args:
+            template: the shape.
+            side_px: side of a marker in the image; where it is 0, as not known, there are no bounds.
+        """
         if self.is_free or not side_px:
             return 0.0, np.inf
         side_in_spacings = side_px / template.spacing_px
@@ -44,34 +55,43 @@ class SizeRule:
 
 
 @dataclass
-class Yardstick:
-    """One unit's pixels for a marker side, as agreed with its neighbours.
+class SideConsensus:
+    """One unit's estimate of a marker's side in its image, by consensus with its neighbours.
 
-    With m the mean side of the markers in view and s_k what neighbour k reports, all as logarithms and in
-    the unit's own pixels,
+    Let m be the logarithm of the geometric mean of the sides in view and s_k the logarithm of what neighbour
+    k reports, converted to the unit's own pixels. The estimate s follows
 
         s ← m + (1 - LEAK) (mean{s, s_k} - m).
 
     Attributes:
-        excess: s - m, what the agreement adds to the unit's own measurement.
+        excess: s - m, the logarithm of the factor by which the consensus differs from the measurement.
     """
 
     excess: float = 0.0
 
     def update(self, seen: Detections, reports: Sequence[UnitReport]) -> float:
-        """A marker side in this image, px; 0 while none is seen."""
+        """The side of a marker in this image, px; 0 while no marker is seen.
+
+        Args:
+            seen: detections in the unit's own image.
+            reports: the newest reports of other units; those that report no side are left out.
+        """
         if not len(seen):
             return 0.0
         own = float(np.log(seen.sides_px).mean())
-        told = [_told(seen, report) - own for report in reports if report.side_px > 0]
-        told = [excess for excess in told if np.isfinite(excess)]
-        if told:
-            self.excess = (1 - LEAK) * float(np.mean([self.excess, *told]))
+        received = [_log_side_here(seen, report) - own for report in reports if report.side_px > 0]
+        received = [excess for excess in received if np.isfinite(excess)]
+        if received:
+            self.excess = (1 - LEAK) * float(np.mean([self.excess, *received]))
         return float(np.exp(own + self.excess))
 
 
-def _told(seen: Detections, report: UnitReport) -> float:
-    """Logarithm of a neighbour's side in the own pixels; NaN if too few robots are in both views."""
+def _log_side_here(seen: Detections, report: UnitReport) -> float:
+    """Logarithm of the side that a neighbour reports, in the unit's own pixels.
+
+    The scale from its image to the own one is the ratio of the RMS distances from the centroid of the robots
+    that both see; NaN if these are fewer than two.
+    """
     _, here, there = np.intersect1d(seen.ids, report.ids, assume_unique=True, return_indices=True)
     if here.size < 2:
         return float("nan")

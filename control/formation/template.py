@@ -10,11 +10,25 @@ from scipy.spatial.distance import pdist
 from skyherd.control.formation.similarity import COINCIDENT
 from skyherd.errors import DegenerateSetError, InputError
 from skyherd.geometry import ComplexArray, IntArray, to_complex, to_points
+from skyherd.messages import rows_of
 
 
 @dataclass(frozen=True)
 class Template:
-    """Robot ids (N,), ascending, and their points (N,) in the template image as `u + iv`, px."""
+    """The shape to form: p' of the paper, one point for each robot. Ids may be given in any order.
+
+    The template is an image as well: its points have u right and v down, so that the similarities between it
+    and a camera's image are proper, without reflection. Only the shape counts, not its place, rotation or
+    scale.
+
+    Attributes:
+        ids: (N,) ids of the robots, in ascending order.
+        points_px: (N,) their points in the template image as `u + iv`, in the order of `ids`.
+
+    Raises:
+        InputError: the numbers of ids and points differ, there are fewer than two, or an id is repeated.
+        DegenerateSetError: all points coincide.
+    """
 
     ids: IntArray
     points_px: ComplexArray
@@ -43,24 +57,28 @@ class Template:
 
     @classmethod
     def from_image_points(cls, ids: npt.ArrayLike, points_px: npt.ArrayLike) -> "Template":
-        """Template of points (N, 2) in image sense: u right, v down."""
+        """A template of the points (N, 2) of an image: u right, v down."""
         return cls(np.asarray(ids), to_complex(points_px))
 
     @classmethod
     def from_ground_points(cls, ids: npt.ArrayLike, points: npt.ArrayLike) -> "Template":
-        """Template of points (N, 2) as seen on a map, x right and y up; an image has v down."""
+        """A template of the points (N, 2) of a map: x right, y up. The sense of y is reversed."""
         return cls(np.asarray(ids), to_complex(points).conj())
 
     @cached_property
     def spacing_px(self) -> float:
-        """Distance between its two nearest points."""
+        """Distance between the two nearest points of the template, in its pixels."""
         return float(pdist(to_points(self.points_px)).min())
 
     @cached_property
     def members(self) -> frozenset[int]:
-        """The robots, as a set."""
+        """The ids of the robots as a set."""
         return frozenset(self.ids.tolist())
 
     def points_of(self, ids: IntArray) -> ComplexArray:
-        """Template points of the robots `ids`, all of which must be in the template."""
-        return self.points_px[np.searchsorted(self.ids, ids)]
+        """Points (M,) of the robots `ids` (M,).
+
+        Raises:
+            MessageError: a robot is not in the template.
+        """
+        return self.points_px[rows_of(self.ids, ids)]

@@ -1,1 +1,1 @@
-"""What a camera does to the ground, learned from the markers, and taken off the detections."""
+"""Self-rectification: what a camera's pixels, lens and tilt do to the markers is estimated and removed."""

@@ -1,9 +1,9 @@
-"""The map to the ground from one image's squares and from what was known of the camera before.
+"""The map to the ground fitted to the squares of one image, given what was learned of the camera before.
 
-Robust least squares, by Gauss and Newton: of each square its side, beside a common one that is not known,
-and the two components of its squeeze. Sides and squeezes have a noise each, told by what the fit of all
-unknowns leaves, since markers that differ in size or height spoil the sides alone. Unknowns that explain
-nothing are held at zero (`skyherd.control.rectification.information`).
+Robust least squares by Gauss-Newton steps. The data of a square are its side, relative to one common side
+that is not known, and the two components of its squeeze. Sides and squeezes have a noise each, estimated from
+the residuals of the fit of all unknowns, since markers that differ in size or height spoil the sides alone.
+Unknowns that explain nothing are held at zero (`skyherd.control.rectification.information`).
 """
 
 from collections.abc import Collection
@@ -27,7 +27,9 @@ from skyherd.control.rectification.square_shapes import Squares
 from skyherd.geometry import Array
 
 PRIOR: Array = np.array([0.1, 0.1, 0.2, 0.03, 0.03, 0.15, 0.15, 1.0, 0.2, 0.2])
-"""Standard deviations of the unknowns over all cameras there are."""
+"""Standard deviations (10,) of the unknowns over all cameras, in their order in `ground_map`. Chosen:
+wide enough for fisheyes, and for tilts of 16 degrees at the usual focal length (|λ| = tan(tilt) / f); `LIMIT`
+says how far beyond a fit is refused."""
 
 GROUPS = {
     "squeeze": SQUEEZE,
@@ -37,84 +39,110 @@ GROUPS = {
     "third lens": LENS[2:],
     "center": CENTER,
 }
+"""Unknowns that are freed together, by name."""
+
 AFTER = {"second lens": "lens", "third lens": "second lens", "center": "lens"}
-"""More coefficients, and a centre, say something of a lens only."""
+"""By name of a group, the group that must be free before: further coefficients, and a centre, mean something
+for a lens only."""
 
 SIGNIFICANT = 20.0
-"""Fall of chi-squared that a group must bring: of two unknowns, chance has it once in 20 000."""
+"""Fall of the chi-squared that a group of unknowns must bring to be freed. Derived: noise alone brings it to
+a group of two unknowns once in 20 000 fits (e^{-20 / 2} = 4.5e-5)."""
 
 OUTLIER = 3.0
-"""Squares whose residual d is more than so many deviations weigh less, in proportion to 1 / d²."""
+"""Squares whose residual d exceeds so many standard deviations weigh less, in proportion to 1 / d². Chosen:
+of squares with Gaussian residuals one in 170 000 does (chi-squared of three, over 27), so that the others
+keep their full weight."""
 
 ROUNDS, SETTLED = 5, 3e-4
-"""Fits end once no prediction moves by more than this, or after so many rounds. Of a step, about its square
-is left: 1e-7."""
+"""Gauss-Newton steps end once no prediction moves by more than `SETTLED`, or after `ROUNDS` steps. Derived:
+the error left is about the square of a step, 1e-7, which no detector measures."""
 
 DIFFERENCE = 1e-6
-"""Step of the numerical derivatives: they are right to about as much."""
+"""Step of the numerical derivatives. Chosen: the error of a forward difference is about the step itself, and
+rounding adds 1e-16 / 1e-6 = 1e-10."""
 
 STEPS: Array = np.concatenate([np.zeros((1, UNKNOWNS)), DIFFERENCE * np.eye(UNKNOWNS)])
-"""No step (10,), and one of each unknown."""
+"""(11, 10) steps for numerical derivatives: no step, and one of each unknown."""
 
 LIMIT = 5.0
-"""No camera is farther than so many deviations from the usual."""
+"""Greatest value of an unknown, in standard deviations of `PRIOR`. Chosen: no camera is farther off; a fit
+beyond is of squares that are none."""
+
+LEAST_VARIANCE_FACTOR = 1e-8
+"""Lower limit of the factor on variances that no detector reports. Chosen: corners of 1e-5 px, exact for all
+purposes; it avoids a division by zero for data without noise."""
+
+LEAST_DEVIATION = 1e-12
+"""Residuals are divided by at least so many standard deviations. Chosen: it only avoids a division by
+zero."""
 
 SIDES, SQUEEZES = 0, 1
+"""Rows of the two kinds of data: logarithms of sides, and squeezes."""
 
 
 @dataclass(frozen=True)
-class Noises:
-    """Sums (2,) of squared residuals over variances, and how many numbers they are of: sides, squeezes."""
+class NoiseStatistics:
+    """What residuals say of the noise of the data, by kind: row `SIDES`, row `SQUEEZES`.
+
+    Attributes:
+        squares: (2,) sums of squared residuals over their variances.
+        freedoms: (2,) their degrees of freedom.
+    """
 
     squares: Array
     freedoms: Array
 
-    def excess(self, *, told: bool) -> Array:
-        """Variance (2,) over what the detector says; at least one if it does say."""
-        return np.maximum(self.squares / self.freedoms, 1.0 if told else 1e-8)
+    def variance_factors(self, *, reported: bool) -> Array:
+        """Factors (2,) by which the true variances exceed the assumed ones.
 
-    def and_then(self, other: "Noises", memory: float = 1.0) -> "Noises":
-        """And those of another image, these counting in part."""
-        return Noises(memory * self.squares + other.squares, memory * self.freedoms + other.freedoms)
+        They are at least 1 where the detector reported covariances, which then is the least noise there is.
+        """
+        return np.maximum(self.squares / self.freedoms, 1.0 if reported else LEAST_VARIANCE_FACTOR)
+
+    def accumulated(self, other: "NoiseStatistics", memory: float = 1.0) -> "NoiseStatistics":
+        """These statistics, weighted by `memory`, together with those of another image."""
+        return NoiseStatistics(memory * self.squares + other.squares, memory * self.freedoms + other.freedoms)
 
 
 @dataclass(frozen=True)
 class GroundFit:
-    """What an image says of the map, with what was known before.
+    """The result of a fit to one image.
 
     Attributes:
-        ground_map: the map.
-        earned: unknowns that have earned their place.
-        image: evidence of the image alone.
-        noises: of the image alone.
+        ground_map: the map, with the camera's former information taken into account.
+        significant: indices of the unknowns that the data support.
+        image: information on all unknowns from this image alone.
+        noises: statistics of the residuals of this image alone.
     """
 
     ground_map: GroundMap
-    earned: frozenset[int]
+    significant: frozenset[int]
     image: Information
-    noises: Noises
+    noises: NoiseStatistics
 
 
 @dataclass(frozen=True)
-class _Lines:
-    """What is seen of squares against what unknowns (10,) predict, to first order around them.
+class _Linearization:
+    """The data of N squares less what the unknowns predict, to first order.
 
-    Sides and squeezes are rows of M = 2 N numbers each, a squeeze having two, a side one and a zero.
+    Sides and squeezes are rows of M = 2 N numbers each: a squeeze has two, a side one and a zero.
 
     Attributes:
-        at: (10,) the unknowns.
-        residuals: (2, M).
-        slopes: (2, M, 10) of the predictions.
-        weights: (M,) by the detector's variances.
+        at: (10,) values of the unknowns.
+        residuals: (2, M) data less predictions.
+        jacobian: (2, M, 10) derivatives of the predictions.
+        weights: (M,) inverse variances, lowered for outliers.
     """
 
     at: Array
     residuals: Array
-    slopes: Array
+    jacobian: Array
     weights: Array
 
     @classmethod
-    def of(cls, squares: Squares, unknowns: Array, robust: Array) -> "_Lines":
+    def of(cls, squares: Squares, unknowns: Array, robust: Array) -> "_Linearization":
+        """At given unknowns (10,), with weights (N,) of the squares."""
         maps = local_maps(unknowns + STEPS, squares.points)
         weights = robust / squares.variances
         shares = weights / weights.sum()
@@ -126,71 +154,93 @@ class _Lines:
             sides - sides @ shares,
         )
         predicted[SQUEEZES], seen[SQUEEZES] = maps.squeezes().view(float), squares.squeezes.view(float)
-        slopes = (predicted[:, 1:] - predicted[:, :1]) / DIFFERENCE
-        return cls(unknowns, seen - predicted[:, 0], slopes.transpose(0, 2, 1), np.repeat(weights, 2))
+        jacobian = (predicted[:, 1:] - predicted[:, :1]) / DIFFERENCE
+        return cls(
+            at=unknowns,
+            residuals=seen - predicted[:, 0],
+            jacobian=jacobian.transpose(0, 2, 1),
+            weights=np.repeat(weights, 2),
+        )
 
-    def evidence(self) -> list[Information]:
-        """Of sides and of squeezes, on the unknowns."""
-        weighted = self.slopes.transpose(0, 2, 1) * self.weights
-        vectors = weighted @ (self.residuals + self.slopes @ self.at)[..., None]
-        return [Information(*parts) for parts in zip(weighted @ self.slopes, vectors[..., 0], strict=True)]
+    def information(self) -> list[Information]:
+        """Information on the unknowns from sides, and from squeezes, for variance factors of 1."""
+        weighted = self.jacobian.transpose(0, 2, 1) * self.weights
+        vectors = weighted @ (self.residuals + self.jacobian @ self.at)[..., None]
+        return [Information(*parts) for parts in zip(weighted @ self.jacobian, vectors[..., 0], strict=True)]
 
-    def left(self, unknowns: Array) -> Array:
-        """Residuals (2, M) with other unknowns."""
-        return self.residuals - self.slopes @ (unknowns - self.at)
+    def residuals_at(self, unknowns: Array) -> Array:
+        """Residuals (2, M) at other values (10,) of the unknowns."""
+        return self.residuals - self.jacobian @ (unknowns - self.at)
 
 
 def fit_ground(
-    squares: Squares, camera: Information, start: Array, noises: Noises, trusted: Collection[int]
+    squares: Squares,
+    *,
+    camera: Information,
+    start: Array,
+    noises: NoiseStatistics,
+    trusted: Collection[int],
 ) -> GroundFit | None:
-    """Fit the map to squares; None where no camera would see them so.
+    """Fit the map to the squares of one image; None where the fit is one that no camera has.
 
     Args:
         squares: of one image, at least one.
-        camera: evidence on the camera's unknowns (8,).
-        start: unknowns (10,) to begin with.
-        noises: of the images before.
-        trusted: unknowns that may be let loose, if they earn it.
+        camera: information on the camera's unknowns (8,).
+        start: (10,) values of the unknowns to begin with.
+        noises: statistics of the images before.
+        trusted: indices of the unknowns that may be freed, if they are significant.
     """
-    before = camera.followed_by(Information.prior(PRIOR[CAMERA:]))
+    before = camera.joined(Information.prior(PRIOR[CAMERA:]))
     unknowns, robust = start, np.ones(len(squares))
-    excess = noises.excess(told=squares.told)
+    factors = noises.variance_factors(reported=squares.reported)
     for _ in range(ROUNDS):
-        lines = _Lines.of(squares, unknowns, robust)
-        parts = lines.evidence()
-        everything = before + _joined(parts, excess)
-        full, covariance = everything.all_loose()
-        here = _noises(lines, full, [p.times(1 / e) for p, e in zip(parts, excess, strict=True)], covariance)
-        excess = noises.and_then(here).excess(told=squares.told)
-        image = _joined(parts, excess)
+        lines = _Linearization.of(squares, unknowns, robust)
+        parts = lines.information()
+        full, covariance = (before + _combined(parts, factors)).estimate()
+        here = _noise_statistics(lines, full, parts=parts, factors=factors, covariance=covariance)
+        factors = noises.accumulated(here).variance_factors(reported=squares.reported)
+        image = _combined(parts, factors)
         everything = before + image
-        earned = everything.earned(GROUPS, AFTER, SIGNIFICANT)
-        unknowns = everything.solved([k for k in earned if k in trusted])
+        significant = everything.significant(GROUPS, after=AFTER, threshold=SIGNIFICANT)
+        unknowns = everything.constrained_mean([k for k in significant if k in trusted])
         if not (np.abs(unknowns) < LIMIT * PRIOR).all():
             return None
-        if np.abs(lines.slopes @ (unknowns - lines.at)).max() < SETTLED:
+        if np.abs(lines.jacobian @ (unknowns - lines.at)).max() < SETTLED:
             break
-        robust = _robust(lines.left(full), squares.variances, excess)
-    # Of a camera that is not ideal, what is held at zero may well be something too.
-    covariance = everything.all_loose()[1] if unknowns.any() else np.zeros((UNKNOWNS, UNKNOWNS))
-    return GroundFit(GroundMap(unknowns, covariance), frozenset(earned), image, here)
+        robust = _robust_weights(lines.residuals_at(full), squares.variances, factors)
+    # Of a camera that is not ideal, an unknown that is held at zero may well have another value.
+    covariance = everything.estimate().covariance if unknowns.any() else np.zeros((UNKNOWNS, UNKNOWNS))
+    return GroundFit(
+        ground_map=GroundMap(unknowns, covariance),
+        significant=frozenset(significant),
+        image=image,
+        noises=here,
+    )
 
 
-def _joined(parts: list[Information], excess: Array) -> Information:
-    """Sides and squeezes together, by their noise."""
-    return parts[SIDES].times(1 / excess[SIDES]) + parts[SQUEEZES].times(1 / excess[SQUEEZES])
+def _combined(parts: list[Information], factors: Array) -> Information:
+    """Information from sides and squeezes together, by their variance factors (2,)."""
+    return parts[SIDES].scaled(1 / factors[SIDES]) + parts[SQUEEZES].scaled(1 / factors[SQUEEZES])
 
 
-def _noises(lines: _Lines, full: Array, parts: list[Information], covariance: Array) -> Noises:
-    """Squares of what all unknowns together leave, and how many numbers they leave free."""
-    squares = (lines.left(full) ** 2 * lines.weights).sum(axis=1)
+def _noise_statistics(
+    lines: _Linearization, full: Array, *, parts: list[Information], factors: Array, covariance: Array
+) -> NoiseStatistics:
+    """Squared residuals at the estimate (10,) with all unknowns free, and their degrees of freedom.
+
+    A kind of data with information Λ spends tr(Λ C) degrees of freedom on an estimate with covariance C.
+    """
+    squares = (lines.residuals_at(full) ** 2 * lines.weights).sum(axis=1)
     numbers = np.array([lines.weights.size / 2 - 1, lines.weights.size])
-    fitted = [float(np.sum(part.information * covariance)) for part in parts]
-    return Noises(squares, np.maximum(numbers - fitted, 0.0))
+    fitted = [
+        float(np.sum(part.scaled(1 / factor).matrix * covariance))
+        for part, factor in zip(parts, factors, strict=True)
+    ]
+    return NoiseStatistics(squares, np.maximum(numbers - fitted, 0.0))
 
 
-def _robust(left: Array, variances: Array, excess: Array) -> Array:
-    """Weights (N,) by residuals (2, M) over their deviations."""
-    squares = (left**2).reshape(2, -1, 2).sum(axis=2) / variances
-    distance = np.sqrt((squares / excess[:, None]).sum(axis=0) / 3)
-    return np.asarray(np.minimum(1.0, OUTLIER / np.maximum(distance, 1e-12)) ** 2)
+def _robust_weights(residuals: Array, variances: Array, factors: Array) -> Array:
+    """Weights (N,), at most 1, of squares with residuals (2, M): `(OUTLIER / d)²` for large d."""
+    squares = (residuals**2).reshape(2, -1, 2).sum(axis=2) / variances
+    distance = np.sqrt((squares / factors[:, None]).sum(axis=0) / 3)
+    return np.asarray(np.minimum(1.0, OUTLIER / np.maximum(distance, LEAST_DEVIATION)) ** 2)

@@ -1,19 +1,19 @@
-"""The map from an image to the ground, up to a similarity: lens, oblong pixels and tilt taken off.
+"""The map from an image to the ground, up to a similarity: it removes lens, oblong pixels and tilt.
 
-Image points p = u + iv are from the image's centre, in halves of its shorter side. Then
+Image points p = u + iv are relative to the image centre, in halves of the image's shorter side. Then
 
-    r = (p - c - α conj(p - c)) / (1 - |α|²)          square pixels: aspect and skew squeeze by α,
-    s = r / (1 + κ₁ |r|² + κ₂ |r|⁴ + κ₃ |r|⁶)          a lens that is round about the centre c,
-    q = (s + (f λ / (1 + S))² s̄) / (1 - Re(λ̄ s))      a tilt: the ground's horizon is Re(λ̄ s) = 1,
+    r = (p - c - α conj(p - c)) / (1 - |α|²)          pixels: aspect and skew squeeze the image by α,
+    s = r / (1 + κ₁ |r|² + κ₂ |r|⁴ + κ₃ |r|⁶)          lens: radially symmetric about the centre c,
+    q = (s + (f λ / (1 + S))² s̄) / (1 - Re(λ̄ s))      tilt: the ground's horizon is Re(λ̄ s) = 1,
 
-where S² = 1 + f² |λ|² is by how much a tilt foreshortens along λ. The focal length f enters there alone, in
-the second order of the tilt. The lens is the division model (Fitzgibbon 2001) with two coefficients more: one
-follows any lens to a hundredth, three follow fisheyes of 120 degrees to 3e-5, and Brown's polynomial as well
-as long as it is not about to fold. Then q is turned, scaled and shifted until q(0) = 0, ∂q/∂p(0) > 0 and the
-circle |p| = 1 keeps its mean radius.
+where S² = 1 + f² |λ|², S being the factor by which the tilt foreshortens along λ. The focal length f enters
+there alone, in the second order of the tilt. The lens is the division model (Fitzgibbon 2001) with two more
+coefficients: one follows any lens to a hundredth, three follow fisheyes of 120 degrees to 3e-5, and also
+Brown's polynomial as long as it is not about to fold. Finally q is rotated, scaled and shifted until
+`q(0) = 0`, `∂q/∂p(0) > 0` and the circle |p| = 1 keeps its mean radius.
 
-A marker is a square on the ground. Where `dq = a dp + b dp̄`, its image is squeezed by `ε = -b / a`, and its
-side is in proportion to `(|a|² - |b|²)^(-1/2)`.
+A marker is a square on the ground. Where `dq = a dp + b dp̄`, its image has the relative squeeze `ε = -b / a`,
+and its side is in proportion to `(|a|² - |b|²)^(-1/2)`. docs/rectification.md derives all this.
 """
 
 from dataclasses import dataclass, field
@@ -24,53 +24,68 @@ from skyherd.geometry import Array, ComplexArray, to_complex, to_points
 from skyherd.messages import centred
 
 SQUEEZE, LENS, CENTER, FOCAL, HORIZON = [0, 1], [2, 3, 4], [5, 6], [7], [8, 9]
-"""Places of the unknowns α, κ, c, f² / `USUAL_FOCAL`² - 1 and λ; complex ones take two."""
+"""Indices of the unknowns α, (κ₁, κ₂, κ₃), c, f² / `USUAL_FOCAL`² - 1 and λ among all ten; a complex unknown
+has two, real part and imaginary part."""
 
 CAMERA, UNKNOWNS = 8, 10
-"""The first so many are the camera's, the others those of one image."""
+"""Number of unknowns that belong to the camera, which come first, and number of all; the others, the tilt's,
+belong to one image."""
 
 USUAL_FOCAL = 1.4
-"""Focal length in halves of the image's shorter side where nothing tells it: 71 degrees from side to side."""
+"""Focal length that is assumed where the data do not support another, in halves of the image's shorter side.
+Chosen: a view of 71 degrees, 2 atan(1 / 1.4), across the shorter side."""
 
 LEAST = 0.05
-"""What is divided by is held above this: the horizon, and what no lens shows, lie beyond."""
+"""Lower limit of the denominators of lens and tilt. Chosen: image points beyond it lie at the horizon, or
+where no lens has an image; it keeps the map finite there."""
 
 NEWTON_STEPS = 10
+"""Steps by which `GroundMap.image_px` inverts the map. Chosen: they converge quadratically once near, and a
+step is limited to a quarter of the image's shorter side before that."""
 
 _FIXED: ComplexArray = np.array([0, 1, 1j, -1, -1j], dtype=complex)
+"""Points that fix rotation, scale and origin of the map: the image centre, and four of the circle |p| = 1."""
 
 
 @dataclass(frozen=True)
 class LocalMaps:
-    """The map near points: `q + a dp + b dp̄`, arrays (..., N)."""
+    """The map to first order at N points: `q + a dp + b dp̄`, with Wirtinger derivatives, arrays (..., N).
+
+    Attributes:
+        values: q, the points on the ground.
+        derivatives: a = ∂q/∂p.
+        conjugate_derivatives: b = ∂q/∂p̄; zero where the map is a similarity locally.
+    """
 
     values: ComplexArray
-    slopes: ComplexArray
-    crosses: ComplexArray
+    derivatives: ComplexArray
+    conjugate_derivatives: ComplexArray
 
     def squeezes(self) -> ComplexArray:
-        """ε, by how much the ground's squares are squeezed in the image."""
-        return np.asarray(-self.crosses / self.slopes)
+        """Relative squeezes ε = -b / a (..., N) of the images of squares on the ground."""
+        return np.asarray(-self.conjugate_derivatives / self.derivatives)
 
     def log_scales(self) -> Array:
-        """Logarithms of image lengths over ground lengths."""
-        areas = np.abs(self.slopes) ** 2 - np.abs(self.crosses) ** 2
+        """Natural logarithms (..., N) of image length over ground length, as of the roots of areas."""
+        areas = np.abs(self.derivatives) ** 2 - np.abs(self.conjugate_derivatives) ** 2
         return np.asarray(-np.log(np.maximum(areas, LEAST**4)) / 2)
 
 
 def local_maps(unknowns: Array, points: ComplexArray) -> LocalMaps:
-    """The map and its derivatives for unknowns (..., 10) at image points (N,)."""
+    """The map and its derivatives for unknowns (..., 10) at image points (N,); arrays (..., N)."""
     raw = _raw_maps(unknowns[..., None, :], np.concatenate([_FIXED, points]))
-    origin, turn = raw.values[..., :1], raw.slopes[..., :1]
-    size = np.abs((raw.values[..., 1:5] - origin) / turn).mean(axis=-1, keepdims=True)
-    factor = 1 / (turn * size)
+    origin, derivative = raw.values[..., :1], raw.derivatives[..., :1]
+    radius = np.abs((raw.values[..., 1:5] - origin) / derivative).mean(axis=-1, keepdims=True)
+    factor = 1 / (derivative * radius)
     return LocalMaps(
-        (raw.values[..., 5:] - origin) * factor, raw.slopes[..., 5:] * factor, raw.crosses[..., 5:] * factor
+        values=(raw.values[..., 5:] - origin) * factor,
+        derivatives=raw.derivatives[..., 5:] * factor,
+        conjugate_derivatives=raw.conjugate_derivatives[..., 5:] * factor,
     )
 
 
 def _raw_maps(unknowns: Array, p: ComplexArray) -> LocalMaps:
-    """As `local_maps`, before turn, scale and origin are set."""
+    """The map as in `local_maps`, before rotation, scale and origin are fixed."""
     a = unknowns[..., 0] + 1j * unknowns[..., 1]
     k1, k2, k3 = unknowns[..., 2], unknowns[..., 3], unknowns[..., 4]
     h = unknowns[..., 8] + 1j * unknowns[..., 9]
@@ -95,34 +110,44 @@ def _raw_maps(unknowns: Array, p: ComplexArray) -> LocalMaps:
 
 @dataclass(frozen=True)
 class GroundMap:
-    """The map of one image: unknowns (10,) and their covariance (10, 10); by default it changes nothing."""
+    """The map of one image to the ground; by default the identity.
+
+    Attributes:
+        unknowns: (10,) values in the order of `SQUEEZE`, `LENS`, `CENTER`, `FOCAL` and `HORIZON`.
+        covariance: (10, 10) their covariance.
+    """
 
     unknowns: Array = field(default_factory=lambda: np.zeros(UNKNOWNS))
     covariance: Array = field(default_factory=lambda: np.zeros((UNKNOWNS, UNKNOWNS)))
 
     @property
     def ideal(self) -> bool:
-        """Whether it changes nothing: a camera with square pixels that looks straight down."""
+        """Whether it is the identity: the camera has square pixels and no lens, and looks straight down."""
         return not self.unknowns.any()
 
     def rectified_px(self, points_px: Array, image_size_px: Array) -> Array:
-        """Points (N, 2) of an image of some size as an ideal camera would see them."""
+        """Points (N, 2), px, where an ideal camera would have the image points (N, 2), px.
+
+        Args:
+            points_px: (N, 2) points of the real image.
+            image_size_px: (2,) width and height of both images.
+        """
         maps = local_maps(self.unknowns, to_complex(centred(points_px, image_size_px)))
         return _pixels(maps.values, image_size_px)
 
     def image_px(self, points_px: Array, image_size_px: Array) -> Array:
-        """The inverse of `rectified_px`, by Newton's method."""
+        """Points (N, 2), px, of the real image: the inverse of `rectified_px`, by Newton's method."""
         target = to_complex(centred(points_px, image_size_px))
         points = target
         for _ in range(NEWTON_STEPS):
             maps = local_maps(self.unknowns, points)
             off = target - maps.values
-            area = np.abs(maps.slopes) ** 2 - np.abs(maps.crosses) ** 2
-            step = (maps.slopes.conj() * off - maps.crosses * off.conj()) / area
+            area = np.abs(maps.derivatives) ** 2 - np.abs(maps.conjugate_derivatives) ** 2
+            step = (maps.derivatives.conj() * off - maps.conjugate_derivatives * off.conj()) / area
             points = points + step / np.maximum(1.0, 2 * np.abs(step))
         return _pixels(points, image_size_px)
 
 
 def _pixels(points: ComplexArray, image_size_px: Array) -> Array:
-    """The inverse of `centred`."""
+    """Pixels (N, 2) of complex points (N,) from the image centre: the inverse of `centred`."""
     return np.asarray(to_points(points) * image_size_px.min() / 2 + (image_size_px - 1) / 2)

@@ -1,105 +1,137 @@
-"""Evidence on unknowns as a quadratic form, and which of them have earned their place.
+"""Gaussian estimates in information form, and the choice of the unknowns that the data support.
 
-`x̂ = argmin ½ xᵀ Λ x - bᵀ x` over the unknowns that are let loose, the others being held at zero. To let
-the group g loose beside those that are lowers the chi-squared by
+Information Λ (n, n) and b (n,) stand for the quadratic form `½ xᵀ Λ x - bᵀ x`, whose minimum is the estimate
+x̂ = Λ⁻¹ b with covariance Λ⁻¹. Information from independent data adds up. An unknown is either free or held at
+zero. To free the group g beside the unknowns a that are free already lowers the chi-squared by
 
-    b̃ᵀ S⁻¹ b̃,   S = Λ_gg - Λ_ga Λ_aa⁻¹ Λ_ag,   b̃ = b_g - Λ_ga Λ_aa⁻¹ b_a.
+    b̃ᵀ S⁻¹ b̃,   S = Λ_gg - Λ_ga Λ_aa⁻¹ Λ_ag,   b̃ = b_g - Λ_ga Λ_aa⁻¹ b_a,
+
+where S is the Schur complement of Λ_aa.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from skyherd.geometry import Array, inverse
 
 
+class Estimate(NamedTuple):
+    """A Gaussian estimate of n unknowns: its mean (n,) and covariance (n, n)."""
+
+    mean: Array
+    covariance: Array
+
+
 @dataclass(frozen=True)
 class Information:
-    """Λ (n, n) and b (n,)."""
+    """Information on n unknowns: the matrix Λ (n, n), positive semidefinite, and the vector b (n,)."""
 
-    information: Array
+    matrix: Array
     vector: Array
 
     @classmethod
-    def none(cls, count: int) -> "Information":
-        """Nothing is known of `count` unknowns."""
+    def zero(cls, count: int) -> "Information":
+        """No information on `count` unknowns."""
         return cls(np.zeros((count, count)), np.zeros(count))
 
     @classmethod
     def prior(cls, deviations: Array) -> "Information":
-        """Each unknown is zero, give or take its deviation (n,)."""
+        """Independent unknowns of mean zero with standard deviations (n,)."""
         return cls(np.diag(deviations**-2.0), np.zeros(deviations.size))
 
     def __add__(self, other: "Information") -> "Information":
-        return Information(self.information + other.information, self.vector + other.vector)
+        """Both, from independent data."""
+        return Information(self.matrix + other.matrix, self.vector + other.vector)
 
     def __sub__(self, other: "Information") -> "Information":
-        return Information(self.information - other.information, self.vector - other.vector)
+        """This without `other`, which is part of it."""
+        return Information(self.matrix - other.matrix, self.vector - other.vector)
 
-    def times(self, share: float) -> "Information":
-        """Counted in part."""
-        return Information(share * self.information, share * self.vector)
+    def scaled(self, factor: float) -> "Information":
+        """The same estimate with its covariance divided by `factor`."""
+        return Information(factor * self.matrix, factor * self.vector)
 
-    def first(self, count: int) -> "Information":
-        """What is told of the first unknowns, the others being whatever they are."""
-        across = self.information[count:, :count]
-        through = np.linalg.solve(self.information[count:, count:], across).T
+    def marginal(self, count: int) -> "Information":
+        """Information on the first `count` unknowns where nothing else is known of the others.
+
+        Its covariance is the corresponding block of this one's, by the Schur complement.
+
+        Raises:
+            numpy.linalg.LinAlgError: there is no information on some of the others.
+        """
+        across = self.matrix[count:, :count]
+        gain = np.linalg.solve(self.matrix[count:, count:], across).T
         return Information(
-            self.information[:count, :count] - through @ across,
-            self.vector[:count] - through @ self.vector[count:],
+            self.matrix[:count, :count] - gain @ across,
+            self.vector[:count] - gain @ self.vector[count:],
         )
 
-    def followed_by(self, others: "Information") -> "Information":
-        """These unknowns and others that are independent of them."""
+    def joined(self, others: "Information") -> "Information":
+        """Information on these unknowns followed by `others`, the two being independent."""
         count, size = self.vector.size, self.vector.size + others.vector.size
-        information = np.zeros((size, size))
-        information[:count, :count], information[count:, count:] = self.information, others.information
-        return Information(information, np.concatenate([self.vector, others.vector]))
+        matrix = np.zeros((size, size))
+        matrix[:count, :count], matrix[count:, count:] = self.matrix, others.matrix
+        return Information(matrix, np.concatenate([self.vector, others.vector]))
 
-    def loosened(self, variances: Array) -> "Information":
-        """After the unknowns may each have changed, with variances (n,)."""
-        values, covariance = self.all_loose()
-        information = inverse(covariance + np.diag(variances))
-        return Information(information, information @ values)
+    def diffused(self, variances: Array) -> "Information":
+        """The information left after each unknown has changed at random with variances (n,).
 
-    def all_loose(self) -> tuple[Array, Array]:
-        """x̂ (n,) and its covariance (n, n) with every unknown let loose."""
-        covariance = inverse(self.information)
-        return covariance @ self.vector, covariance
-
-    def solved(self, loose: Sequence[int]) -> Array:
-        """x̂ (n,), with all but the unknowns `loose` held at zero."""
-        values = np.zeros_like(self.vector)
-        if loose:
-            values[loose] = np.linalg.solve(self.information[np.ix_(loose, loose)], self.vector[loose])
-        return values
-
-    def earned(
-        self, groups: Mapping[str, Sequence[int]], after: Mapping[str, str], least: float
-    ) -> list[int]:
-        """Unknowns of the groups that each lower the chi-squared by `least`, the most telling group first.
-
-        A group that comes `after` another is asked once the other is in.
+        The mean stays, and the variances are added to the covariance: the prediction step of a Kalman filter.
         """
-        loose: list[int] = []
-        left = np.column_stack([self.information, self.vector])
+        mean, covariance = self.estimate()
+        matrix = inverse(covariance + np.diag(variances))
+        return Information(matrix, matrix @ mean)
+
+    def estimate(self) -> Estimate:
+        """The estimate with every unknown free.
+
+        Raises:
+            numpy.linalg.LinAlgError: there is no information on some unknown.
+        """
+        covariance = inverse(self.matrix)
+        return Estimate(covariance @ self.vector, covariance)
+
+    def constrained_mean(self, free: Sequence[int]) -> Array:
+        """The estimated values (n,) where all but the `free` unknowns are held at zero."""
+        mean = np.zeros_like(self.vector)
+        if free:
+            mean[free] = np.linalg.solve(self.matrix[np.ix_(free, free)], self.vector[free])
+        return mean
+
+    def significant(
+        self, groups: Mapping[str, Sequence[int]], *, after: Mapping[str, str], threshold: float
+    ) -> list[int]:
+        """The unknowns of the groups that each lower the chi-squared by at least `threshold`.
+
+        Groups are freed one at a time, the one with the largest fall first (forward selection).
+
+        Args:
+            groups: unknowns by name of the group.
+            after: by name of a group, the group that must be free before it is considered.
+            threshold: least fall of the chi-squared.
+        """
+        free: list[int] = []
+        # S and b̃ of all unknowns, (n, n + 1); freeing unknown k eliminates it from the others.
+        reduced = np.column_stack([self.matrix, self.vector])
         waiting = dict(groups)
         while waiting:
-            falls = {n: _fall(left, g) for n, g in waiting.items() if after.get(n) not in waiting}
+            candidates = {name: group for name, group in waiting.items() if after.get(name) not in waiting}
+            falls = {name: _chi_squared_fall(reduced, group) for name, group in candidates.items()}
             best = max(falls, key=falls.__getitem__)
-            if falls[best] < least:
+            if falls[best] < threshold:
                 break
             for k in waiting.pop(best):
-                loose.append(k)
-                # Eliminating what is loose leaves S and b̃ of all others in place.
-                left = left - np.outer(left[:, k], left[k] / left[k, k])
-        return loose
+                free.append(k)
+                reduced = reduced - np.outer(reduced[:, k], reduced[k] / reduced[k, k])
+        return free
 
 
-def _fall(left: Array, group: Sequence[int]) -> float:
-    """Fall of chi-squared by a group, from S and b̃ (n, n + 1) of all."""
-    vector = left[group, -1]
+def _chi_squared_fall(reduced: Array, group: Sequence[int]) -> float:
+    """b̃ᵀ S⁻¹ b̃ of a group, from S and b̃ (n, n + 1) of all unknowns."""
+    vector = reduced[group, -1]
     if len(group) == 1:
-        return float(vector[0] ** 2 / left[group[0], group[0]])
-    return float(vector @ np.linalg.solve(left[group][:, group], vector))
+        return float(vector[0] ** 2 / reduced[group[0], group[0]])
+    return float(vector @ np.linalg.solve(reduced[group][:, group], vector))

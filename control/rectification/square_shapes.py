@@ -1,4 +1,4 @@
-"""What the image of a square tells of the map to the ground: its size, and by how much it is squeezed."""
+"""The image of a square marker as a measurement of the map to the ground: its size and its squeeze."""
 
 from dataclasses import dataclass
 
@@ -8,39 +8,45 @@ from skyherd.geometry import Array, ComplexArray, IntArray, SquareImages, fit_sq
 from skyherd.messages import Detections, centred
 
 TINY = 1e-24
-"""Areas of corners that all lie on one spot are held above this."""
+"""Areas of the images of squares are held above this, in squares of half an image's shorter side. Chosen: the
+area of corners that all lie in one place is 0, and its logarithm does not exist; a marker of one pixel in an
+image of 8192 px has 6e-8."""
 
 HEADING_SHARE = 1 / 2
-"""Variance of each of a square's three numbers over that of its heading, as of four corners with equal and
-independent errors. Of markers fitted to their pixels, of 18 to 40 px, squeezes have 0.4 to 0.6 and sides
-0.32 to 0.39."""
+"""Variance of each of a square's three numbers (log side, two components of the squeeze) over that of its
+heading. Derived: for four corners with equal and independent errors. Measured of markers of 18 to 40 px that
+were fitted to their pixels: 0.4 to 0.6 for squeezes, 0.32 to 0.39 for sides."""
 
 UNKNOWN_ERROR_PX = 0.1
-"""Error of a corner, per axis, where a detector tells no covariance: a first guess."""
+"""Standard deviation of a corner along each axis, px, where a detector reports no covariance. Chosen: a first
+guess, since the noise is estimated from the residuals then."""
 
 
 def relative_squeezes(squares: SquareImages) -> ComplexArray:
-    """(N,) `ε = squeeze / conj(arm)`: by how much each square is squeezed, however it is turned."""
+    """Relative squeezes `ε = squeeze / conj(arm)` (N,), which do not depend on how a square is rotated.
+
+    The image of a square under `q ↦ p(q) = arm q + squeeze q̄` has the aspect ratio (1 + |ε|) / (1 - |ε|).
+    """
     return np.asarray(squares.squeezes * squares.arms / np.maximum(np.abs(squares.arms) ** 2, TINY))
 
 
 def log_sides(squares: SquareImages) -> Array:
-    """(N,) natural logarithms of the sides of squares that have the same areas as the images."""
+    """Natural logarithms (N,) of the sides of squares that have the same areas as the images."""
     areas = np.abs(squares.arms) ** 2 - np.abs(squares.squeezes) ** 2
     return np.asarray(np.log(np.maximum(np.abs(areas), TINY)) / 2)
 
 
 @dataclass(frozen=True)
 class Squares:
-    """N markers, in the units of `skyherd.control.rectification.ground_map`.
+    """The images of N markers, in the units of `skyherd.control.rectification.ground_map`.
 
     Attributes:
-        ids: (N,).
-        points: (N,) centres.
-        log_sides: (N,) logarithms of their sides.
-        squeezes: (N,).
-        variances: (N,) of each log side and of each component of a squeeze.
-        told: whether the variances come from the detector.
+        ids: (N,) ids of the markers.
+        points: (N,) their centres, complex, from the image centre, in halves of the shorter side.
+        log_sides: (N,) natural logarithms of their sides.
+        squeezes: (N,) their relative squeezes, complex.
+        variances: (N,) variances of each log side and of each component of a squeeze.
+        reported: whether the variances come from covariances that the detector reports.
     """
 
     ids: IntArray
@@ -48,23 +54,29 @@ class Squares:
     log_sides: Array
     squeezes: ComplexArray
     variances: Array
-    told: bool
+    reported: bool
 
     @classmethod
     def of(cls, seen: Detections) -> "Squares":
-        """What detections tell."""
+        """The shapes of detected markers, from their corners; any detector will do."""
         images = fit_squares(to_complex(centred(seen.corners_px, seen.image_size_px)))
         variances = HEADING_SHARE * seen.covariances[:, 2, 2]
-        told = bool((variances > 0).all())
-        if not told:
+        reported = bool((variances > 0).all())
+        if not reported:
             variances = (UNKNOWN_ERROR_PX / seen.sides_px) ** 2 / 2
-        points = to_complex(centred(seen.centers_px, seen.image_size_px))
-        return cls(seen.ids, points, log_sides(images), relative_squeezes(images), variances, told)
+        return cls(
+            ids=seen.ids,
+            points=to_complex(centred(seen.centers_px, seen.image_size_px)),
+            log_sides=log_sides(images),
+            squeezes=relative_squeezes(images),
+            variances=variances,
+            reported=reported,
+        )
 
     def __len__(self) -> int:
         return int(self.ids.size)
 
     def match(self, others: "Squares") -> tuple[IntArray, IntArray]:
-        """Rows of the markers that are in both, here and there."""
+        """Rows (M,) of the markers that are in both, in these squares and in `others`."""
         here, there = np.nonzero(self.ids[:, None] == others.ids)
         return here, there

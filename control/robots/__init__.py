@@ -1,1 +1,1 @@
-"""What a robot does with the goals it was sent."""
+"""The robots' side of control: a robot combines the goals that it received and turns them into speeds."""

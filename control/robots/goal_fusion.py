@@ -1,29 +1,44 @@
-"""A robot seen by several units puts their goals on one scale and adds them (paper, eq. 4-6).
+"""Goals from several units brought to one scale and added (paper, eq. 4-6).
 
-The robots' receivers are kept as arrays over (unit, robot): each robot reads only its own column.
+Each unit sends its goal vector in its own pixels. A robot that several units control either brings them to
+a common scale by the image distances that the units send along, as in the paper, or divides each by the side
+of its own marker in that unit's image, which needs no distances.
+
+The inboxes of all robots are arrays over (unit, robot), for speed alone: each robot reads only its own
+column.
 """
 
 import numpy as np
 
 from skyherd.errors import MessageError
 from skyherd.geometry import Array, BoolArray, ComplexArray, IntArray
-from skyherd.messages import MotionGoals
+from skyherd.messages import TIME_TOLERANCE_S, MotionGoals, rows_of
 
 
 class GoalInboxes:
-    """The last goal that each robot heard from each unit, forgotten after `lifetime_s`.
+    """The newest goal that each of N robots received from each of U units, dropped after `lifetime_s`.
 
-    Goals may tell of neighbours that have no inbox; those distances are left out.
+    Goals may name neighbours that have no inbox here; the distances to those are left out.
 
     Attributes:
         ids: (N,) the robots, ascending.
         unit_ids: (U,) the units that may send, ascending.
-        rho_px: (U, N) goal vectors in each robot's frame, forward + i left, in the sender's pixels.
-        sides_px: (U, N) the robot's own marker side in the sender's image.
-        squares_px2: (U, N, N) squared image distances from robot to neighbour; 0 where not told, empty
-            if nobody needs them.
-        imaged_s: (U, N) time of the image that the goal stands for; -inf if none was heard.
-        heard_s: (U, N) when it arrived.
+        lifetime_s: age, since it was received, at which a goal is no longer followed.
+        rho_px: (U, N) goal vectors in each robot's frame, `forward + i left`, in the sender's pixels.
+        sides_px: (U, N) side of the robot's own marker in the sender's image.
+        squares_px2: (U, N, N) squared image distances from robot to neighbour, 0 where none was sent; empty
+            if `distances` is false.
+        imaged_s: (U, N) time of the image that the goal was computed from; -inf if none was received.
+        received_s: (U, N) time at which it was received; -inf if none was.
+
+    Args:
+        ids: (N,) the robots, ascending.
+        unit_ids: (U,) the units, ascending.
+        lifetime_s: as the attribute.
+        distances: whether to keep image distances, which only `scale_ratios` needs.
+
+    Raises:
+        MessageError: `ids` or `unit_ids` do not ascend.
     """
 
     def __init__(
@@ -37,51 +52,55 @@ class GoalInboxes:
         self.sides_px: Array = np.ones((units, robots))
         self.squares_px2: Array = np.zeros((units, robots, robots) if distances else (0, 0, 0))
         self.imaged_s: Array = np.full((units, robots), -np.inf)
-        self.heard_s: Array = np.full((units, robots), -np.inf)
+        self.received_s: Array = np.full((units, robots), -np.inf)
 
     def receive(self, goals: MotionGoals, time_s: float, received: BoolArray | None = None) -> None:
-        """Take in one unit's goals that arrive now, unless newer ones did before.
+        """Take in the goals of one unit that arrive at `time_s`; goals of an older image change nothing.
 
-        `received` (N,) tells which of its robots heard them, all if None.
+        Args:
+            goals: goals for N robots.
+            time_s: now.
+            received: (N,) mask of the robots addressed that received the message; all if None.
+
+        Raises:
+            MessageError: the unit or a robot addressed has no inbox here.
         """
-        unit = int(np.searchsorted(self.unit_ids[:-1], goals.unit_id))
-        robots = np.searchsorted(self.ids[:-1], goals.ids)
-        if goals.unit_id != self.unit_ids[unit] or (self.ids[robots] != goals.ids).any():
-            raise MessageError(f"goals of unit {goals.unit_id} for robots that have no inbox here")
-        heard = np.ones(len(goals), dtype=bool) if received is None else received
-        robots = robots[heard]
+        unit, robots = int(rows_of(self.unit_ids, goals.unit_id)), rows_of(self.ids, goals.ids)
+        arrived = np.ones(len(goals), dtype=bool) if received is None else received
+        robots = robots[arrived]
         newer = goals.time_s >= self.imaged_s[unit, robots]
-        robots, rows = robots[newer], np.flatnonzero(heard)[newer]
+        robots, rows = robots[newer], np.flatnonzero(arrived)[newer]
         self.rho_px[unit, robots] = goals.rho_px[rows] * np.exp(1j * goals.bearings_rad[rows])
         self.sides_px[unit, robots] = goals.sides_px[rows]
         self.imaged_s[unit, robots] = goals.time_s
-        self.heard_s[unit, robots] = time_s
+        self.received_s[unit, robots] = time_s
         if not self.squares_px2.size:
             return
         self.squares_px2[unit, robots] = 0.0
         row, column = np.nonzero(np.isin(goals.neighbor_ids[rows], self.ids))
-        neighbors = np.searchsorted(self.ids, goals.neighbor_ids[rows][row, column])
+        neighbors = rows_of(self.ids, goals.neighbor_ids[rows][row, column])
         self.squares_px2[unit, robots[row], neighbors] = goals.neighbor_distances_px[rows][row, column] ** 2
 
     def fresh(self, time_s: float) -> BoolArray:
-        """(U, N) goals young enough to follow."""
-        return self.heard_s >= time_s - self.lifetime_s - 1e-9
+        """(U, N) mask of the goals that are young enough to be followed at `time_s`."""
+        return self.received_s >= time_s - self.lifetime_s - TIME_TOLERANCE_S
 
 
 def scale_ratios(inboxes: GoalInboxes) -> Array:
-    """r_kj = r_k / r_j for each robot, (U, U, N) indexed [k, j, i].
+    """Ratios r_kj = r_k / r_j of the units' image scales (paper, Section IV), (U, U, N) indexed [k, j, i].
 
-    From the distances d_k ≈ r_kj d_j to all neighbours that both messages name: the geometric mean of the two
-    least-squares slopes, of d_k on d_j and of the inverse one of d_j on d_k,
+    The paper divides the two image distances to one neighbour. Here all neighbours that both messages name
+    are used: the ratio is the geometric mean of the two least-squares slopes, of the distances d_k on d_j and
+    of the inverse of d_j on d_k,
 
         r_kj = sqrt(Σ_n d_kn² / Σ_n d_jn²),
 
-    which takes both as noisy and keeps r_kj r_jk = 1. Without a common neighbour the ratio of the robot's own
-    marker sides stands in, which rests on few pixels.
+    which treats both as noisy and keeps r_kj r_jk = 1. Without a common neighbour the ratio of the sides of
+    the robot's own marker takes its place, which rests on fewer pixels. The inboxes must keep distances.
     """
     squares = inboxes.squares_px2
-    told = (squares > 0).astype(float)
-    common = np.einsum("kin,jin->kji", squares, told)
+    known = (squares > 0).astype(float)
+    common = np.einsum("kin,jin->kji", squares, known)
     total = common.transpose(1, 0, 2)
     sides = inboxes.sides_px
     fallback = sides[:, None, :] / sides[None, :, :]
@@ -90,7 +109,13 @@ def scale_ratios(inboxes: GoalInboxes) -> Array:
 
 
 def fuse_pixels(inboxes: GoalInboxes, time_s: float) -> ComplexArray:
-    """rho_i^g (N,), px: `1/|C_i| Σ_j Σ_k r_kj rho_i^j` over the units heard (eq. 4); 0 where none is."""
+    """The paper's global motion vectors ρ_i^g (N,), px, in the robots' frames (eq. 4).
+
+        ρ_i^g = 1 / |C_i| Σ_j Σ_k r_kj ρ_i^j,
+
+    over the units C_i whose goals are fresh; 0 where none is. Equal to the mean scale of these units times
+    the sum of the ground vectors (eq. 5-6), so that its length depends on the cameras.
+    """
     fresh = inboxes.fresh(time_s)
     pairs = fresh[:, None, :] & fresh[None, :, :]
     weights = np.where(pairs, scale_ratios(inboxes), 0.0).sum(axis=0)
@@ -99,8 +124,12 @@ def fuse_pixels(inboxes: GoalInboxes, time_s: float) -> ComplexArray:
 
 
 def fuse_marker_sides(inboxes: GoalInboxes, time_s: float) -> ComplexArray:
-    """Σ_j rho_i^j / side_px_ij (N,), marker sides: the common scale; 0 if none is heard."""
-    heard = _unit, robot = np.nonzero(inboxes.fresh(time_s))
-    rho, robots = inboxes.rho_px[heard] / inboxes.sides_px[heard], inboxes.ids.size
+    """Goal vectors Σ_j ρ_i^j / side_ij (N,), marker sides, in the robots' frames; 0 without a fresh goal.
+
+    side_ij is the side of robot i's marker in the image of unit j, px. The side on the ground is a length
+    that all units see, so that the sum does not depend on cameras, zooms and heights.
+    """
+    fresh = _unit, robot = np.nonzero(inboxes.fresh(time_s))
+    rho, robots = inboxes.rho_px[fresh] / inboxes.sides_px[fresh], inboxes.ids.size
     along, across = (np.bincount(robot, weights=part, minlength=robots) for part in (rho.real, rho.imag))
     return along + 1j * across

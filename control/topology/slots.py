@@ -6,11 +6,11 @@ slot (the dwell time of the paper's Proposition 1), and units take turns by the 
 
 from math import floor
 
-ROUNDING = 1e-9
-"""Share of a slot by which a time may fall short of the slot's start. Derived: times are sums of at most 10^6
-steps, each rounded to 1e-16 of the total, and no time step is as short as 1e-9 of a slot."""
+TOLERANCE = 1e-9
+"""A time so close before the beginning of a slot belongs to that slot, in slots. Derived: above the rounding of
+the quotient of a time of a day and a slot of 0.1 s (86 400 / 0.1 x 2^-53 = 1e-10), far below a frame."""
 
 
 def slot_at(time_s: float, slot_s: float) -> int:
     """Number of the slot of length `slot_s` that `time_s` falls in: `floor(t / T)`, 0 from time 0 on."""
-    return floor(time_s / slot_s + ROUNDING)
+    return floor(time_s / slot_s + TOLERANCE)

@@ -1,14 +1,24 @@
-"""Every error skyherd raises on purpose; one root, so that a caller can catch them all."""
+"""Every error that skyherd raises on purpose. They have one root, so that a caller can catch them all."""
 
 
 class SkyherdError(Exception):
-    """Root of all errors raised on purpose; `exit_code` is what the command line returns for it."""
+    """Root of all errors that skyherd raises on purpose.
+
+    Attributes:
+        exit_code: exit status of the command line when the error ends it.
+    """
 
     exit_code = 1
 
 
 class InputError(SkyherdError, ValueError):
-    """Something the user gave is wrong: says where, what, and what is allowed, in one line."""
+    """An input of the user is wrong; the message is one line, `where: what; allowed`.
+
+    Args:
+        where: the file, key or argument.
+        what: the value given, or what is wrong with it.
+        allowed: what would be accepted, or what to do.
+    """
 
     exit_code = 2
 
@@ -18,14 +28,14 @@ class InputError(SkyherdError, ValueError):
 
 
 class MessageError(SkyherdError, ValueError):
-    """A message between the parts was made with a wrong shape, type or value."""
+    """A message between the parts of the system has a wrong shape, type or value."""
 
 
 class DegenerateSetError(SkyherdError, ValueError):
-    """A point set defines no similarity: fewer than two points, or all on one spot."""
+    """A set of points defines no similarity: there are fewer than two, or all lie in one place."""
 
 
 class OutputError(SkyherdError, OSError):
-    """A file could not be written or did not become whole."""
+    """A file could not be written, or not completely."""
 
     exit_code = 2

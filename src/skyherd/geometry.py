@@ -1,7 +1,8 @@
-"""Plane geometry that every part needs: angles, complex points, homographies.
+"""Plane geometry that every part uses: angles, points as complex numbers, homographies, images of squares.
 
-Points of the plane are complex numbers where that makes the law shorter: `x + iy` on the ground,
-`u + iv` in an image. A proper similarity is then `z ↦ a z + b`, with scale `|a|` and rotation `arg a`.
+Points of the plane are complex numbers where that makes a law shorter: `x + iy` on the ground,
+`u + iv` in an image. A proper similarity is then `z ↦ a z + b`, with scale `|a|` and rotation `arg a`; an
+affine map is `z ↦ a z + c z̄ + b`.
 """
 
 from dataclasses import dataclass
@@ -10,9 +11,16 @@ import numpy as np
 import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
+"""An array of 64-bit floats; docstrings name its shape."""
+
 ComplexArray = npt.NDArray[np.complex128]
+"""An array of complex numbers of twice 64 bits, mostly points of a plane."""
+
 IntArray = npt.NDArray[np.int64]
+"""An array of 64-bit integers: ids, rows, counts."""
+
 BoolArray = npt.NDArray[np.bool_]
+"""An array of truth values, mostly a mask."""
 
 UNIFORM_VARIANCE = 1.0 / 12.0
 """Variance of a value spread evenly over an interval of length 1: of the error of rounding to whole numbers
@@ -28,31 +36,38 @@ corners of a marker on the ground, relative to its centre, in sides."""
 
 
 def wrap_angle(angle_rad: npt.ArrayLike) -> Array:
-    """Take angles to [-pi, pi)."""
+    """Angles (any shape), rad, taken to [-pi, pi) by multiples of 2 pi; pi itself becomes -pi."""
     return np.asarray((np.asarray(angle_rad, dtype=float) + np.pi) % (2 * np.pi) - np.pi)
 
 
 def to_complex(points: npt.ArrayLike) -> ComplexArray:
-    """Turn points (..., 2) into complex numbers (...)."""
+    """Points (..., 2) as complex numbers (...), `x + iy`."""
     points = np.asarray(points, dtype=float)
     return np.asarray(points[..., 0] + 1j * points[..., 1])
 
 
 def to_points(z: npt.ArrayLike) -> Array:
-    """Turn complex numbers (...) into points (..., 2)."""
+    """Complex numbers (...) as points (..., 2): the inverse of `to_complex`."""
     z = np.asarray(z, dtype=complex)
     return np.stack([z.real, z.imag], axis=-1)
 
 
 def apply_homography(homography: Array, points: npt.ArrayLike) -> Array:
-    """Map points (..., 2) by a homography (3, 3): `x ~ H (x, y, 1)`."""
+    """Points (..., 2) mapped by a homography (3, 3), `(x', y', 1) ~ H (x, y, 1)`.
+
+    A point on the line that the homography takes to infinity gives infinite values.
+    """
     points = np.asarray(points, dtype=float)
     mapped = points @ homography[:, :2].T + homography[:, 2]
     return np.asarray(mapped[..., :2] / mapped[..., 2:])
 
 
 def inverse(matrices: npt.ArrayLike) -> Array:
-    """Inverses of matrices (..., n, n), such as homographies."""
+    """Inverses of matrices (..., n, n), such as homographies and covariances.
+
+    Raises:
+        numpy.linalg.LinAlgError: a matrix is singular.
+    """
     return np.asarray(np.linalg.inv(np.asarray(matrices, dtype=float)))
 
 
@@ -60,10 +75,14 @@ def inverse(matrices: npt.ArrayLike) -> Array:
 class SquareImages:
     """Affine images of N squares: `p(z) = center + arm z + squeeze z̄`, z in the axes of `SQUARE_CORNERS`.
 
+    `arm z` alone is a similarity, which leaves a square a square; `squeeze z̄` stretches it along one
+    direction and shortens it across. With both, the sides of the image are `|arm| ± |squeeze|` at most and at
+    least.
+
     Attributes:
-        centers: (N,) complex image points of the squares' centres.
-        arms: (N,) what a similarity would be: length `|arm|` is the side, `arg(-i arm)` the heading.
-        squeezes: (N,) what a similarity does not have; zero where the image is a square.
+        centers: (N,) images of the squares' centres, as `u + iv`.
+        arms: (N,) the similarity's part: `|arm|` is the side, `arg(-i arm)` the heading.
+        squeezes: (N,) the other part; zero where the image is a square.
     """
 
     centers: ComplexArray
@@ -71,12 +90,12 @@ class SquareImages:
     squeezes: ComplexArray
 
     def headings_rad(self) -> Array:
-        """(N,) directions of forward, from +u to +v, that fit both axes of each square equally well."""
+        """(N,) headings of the squares, from +u to +v, that fit both of their axes equally well."""
         return np.angle(-1j * self.arms)
 
 
 def fit_squares(corners: ComplexArray) -> SquareImages:
-    """Least-squares affine images of squares with the given corners (N, 4), complex.
+    """Affine images that fit the corners p (N, 4), complex, of N squares with the least squared error.
 
     The corners q_k of the unit square are orthogonal to their conjugates and to the constant, so that the
     three unknowns separate:

@@ -12,10 +12,10 @@ from skyherd.geometry import IntArray
 from skyherd.messages import FlightCommand, VelocityCommand
 from skyherd.random_streams import RunStream, generator
 from skyherd.sim.agents import ControllerFactory, TeamFactory, UnitAgents, make_controller, make_team
-from skyherd.sim.network import Network
 from skyherd.sim.perception import Perception, Sight, make_perception
+from skyherd.sim.physics import make_network, make_world
 from skyherd.sim.truth_metrics import TruthMetrics, TruthObserver
-from skyherd.sim.world import Fleet, World
+from skyherd.sim.world import Fleet
 
 ROUNDING = 1e-9
 """Share of a frame's time by which a tick may fall short of it: the rounding of the tick's time."""
@@ -92,9 +92,9 @@ def run_steps(
     perception_rng = generator(scenario.seed, RunStream.PERCEPTION)
     message_rng = generator(scenario.seed, RunStream.MESSAGES)
     frame_rng = generator(scenario.seed, RunStream.LOST_FRAMES)
-    world, observer = World(mission), TruthObserver(mission.template, mission.ids)
+    world, observer = make_world(mission), TruthObserver(mission.template, mission.ids)
     perception = perception or make_perception(mission, perception_rng)
-    network = Network(scenario.network, message_rng, len(scenario.units))
+    network = make_network(scenario, message_rng)
     agents, team = UnitAgents(mission, controller_for), team_for(mission, world)
     for tick in range(round(scenario.duration_s / scenario.step_s) + 1):
         time_s = tick * scenario.step_s

@@ -7,7 +7,7 @@ import pytest
 
 from skyherd.datasets import load_mission
 from skyherd.loop import Step, run_steps
-from skyherd.sim.world import World
+from skyherd.sim.physics import make_world
 from skyherd.video.camera_panel import BORDER_PX, TITLE_PX, brightened
 from skyherd.video.composer import Composer, make_layout
 from skyherd.video.rectified_panel import RectifiedPanel
@@ -36,7 +36,7 @@ def test_its_cameras_are_none_that_property_1_holds_for():
     assert all(unit.sway is not None for unit in mission.scenario.units)
     assert len({unit.camera.preset for unit in mission.scenario.units}) == 3
     assert all(unit.ideal for unit in load_mission("star").scenario.units)
-    moving = World(mission).motion(0)
+    moving = make_world(mission).motion(0)
     assert any(moving.tilt_rates_radps)
 
 

@@ -22,7 +22,13 @@ from skyherd.control import (
 from skyherd.datasets import Mission, make_mission
 from skyherd.loop import run_steps
 from skyherd.render import homography_image_ground
-from skyherd.sim.perception import ProjectedPerception, RenderedPerception, Sight, make_perception
+from skyherd.sim.perception import (
+    ProjectedPerception,
+    RenderedPerception,
+    Sight,
+    make_perception,
+)
+from skyherd.sim.physics import make_world
 from skyherd.sim.world import World
 from skyherd.vision.detectors.accuracy import load_accuracy
 
@@ -106,7 +112,7 @@ class FixedSets:
 
 def ground_goals(mission: Mission, unit: int = 0, perception: Any = None) -> np.ndarray:
     """Ground points x^d that the wire message of a unit stands for, through the true camera's inverse."""
-    world = World(mission)
+    world = make_world(mission)
     seen = (perception or ProjectedPerception(SIDE_M, "4X4_50")).look(world, [unit], 0.0)[0].detections
     goals = AerialController(mission.template, SafetyRadius(radius=1.5), Hover()).step(seen).goals
     assert goals is not None and goals.ids.tolist() == mission.ids.tolist()
@@ -146,7 +152,7 @@ def test_desired_ground_points_do_not_depend_on_the_camera(mission_with, camera_
 
 def command_of(mission: Mission, gains: PixelGains | MarkerGains) -> Any:
     """One round of the loop: all units look, decide and send; the robots fuse."""
-    world, perception = World(mission), FixedSets(ProjectedPerception(SIDE_M, "4X4_50"))
+    world, perception = make_world(mission), FixedSets(ProjectedPerception(SIDE_M, "4X4_50"))
     inboxes = GoalInboxes(mission.ids, np.arange(len(SETS)), 1.0)
     agents = [AerialController(mission.template, SafetyRadius(radius=1.5), Hover()) for _ in SETS]
     seen = [sight.detections for sight in perception.look(world, range(len(SETS)), 0.0)]

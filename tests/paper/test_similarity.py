@@ -53,7 +53,7 @@ def test_recovers_any_exact_similarity(template, similarity) -> None:
     # A shift by b costs |b| / |a| of the points' digits.
     digits = TIGHT * (1 + abs(b) / abs(a))
     fit = fit_similarity(template, current)
-    assert fit.turn == pytest.approx(a, rel=digits)
+    assert fit.factor == pytest.approx(a, rel=digits)
     assert fit.scale == pytest.approx(abs(a), rel=digits)
     assert np.exp(1j * fit.rotation_rad) == pytest.approx(a / abs(a), abs=digits)
     np.testing.assert_allclose(fit(template), current, rtol=0, atol=digits * abs(a) * 20)
@@ -70,7 +70,7 @@ def test_agrees_with_a_linear_least_squares_solver(sets) -> None:
     seen = np.column_stack([current.real, current.imag]).ravel()
     (c, s, tx, ty), *_ = scipy.linalg.lstsq(np.array(rows), seen)
     fit = fit_similarity(template, current)
-    assert fit.turn == pytest.approx(complex(c, s), abs=TIGHT * 100)
+    assert fit.factor == pytest.approx(complex(c, s), abs=TIGHT * 100)
     reference = complex(c, s) * template + complex(tx, ty)
     np.testing.assert_allclose(desired_points(template, current), reference, rtol=0, atol=TIGHT * 1000)
 
@@ -112,7 +112,7 @@ def test_is_a_projection_that_keeps_the_centroid(sets) -> None:
 
 
 def test_the_map_is_what_its_docstring_says() -> None:
-    similarity = Similarity(turn=2j, source=1 + 1j, target=5 + 0j)
+    similarity = Similarity(factor=2j, source=1 + 1j, target=5 + 0j)
     assert similarity.scale == 2
     assert similarity.rotation_rad == pytest.approx(np.pi / 2)
     np.testing.assert_array_equal(similarity(np.array([1 + 1j, 2 + 1j])), [5, 5 + 2j])
@@ -159,7 +159,7 @@ def test_many_fits_at_once_are_the_fits_one_by_one() -> None:
     current[group == 6] = 3.0 + 1j
     square = np.array([1, 1j, -1, -1j])
     template[group == 7], current[group == 7] = square, square.conj()  # mirrored: explains nothing
-    fits = fit_similarities(template, current, group, len(sizes))
+    fits = fit_similarities(template, current, group=group, groups=len(sizes))
     assert fits.exist.tolist() == [True, False, False, True, True, False, False, False]
     for row in np.flatnonzero(fits.exist).tolist():
         alone = fit_similarity(template[group == row], current[group == row])

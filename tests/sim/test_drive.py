@@ -1,5 +1,6 @@
 """Robots as they are: what each part of the drive does, and that it does nothing when it is off."""
 
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -7,12 +8,13 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from skyherd.datasets import make_mission
-from skyherd.datasets.configuration.robot_models import DriveModel
 from skyherd.errors import InputError
 from skyherd.geometry import wrap_angle
 from skyherd.messages import VelocityCommand
-from skyherd.sim.drive import SLIP_TIME_S, Drive, body_rates, wheel_speeds
-from skyherd.sim.world import World, move_bodies, move_unicycles
+from skyherd.random_streams import RunStream, generator
+from skyherd.sim.drive import SLIP_TIME_S, Drive, DriveParameters, body_rates, wheel_speeds
+from skyherd.sim.physics import make_drive, make_world
+from skyherd.sim.world import move_bodies, move_unicycles
 
 STEP_S = 0.1
 ROUNDING = 1e-12
@@ -25,9 +27,14 @@ def commands(seed: int, steps: int, count: int) -> list[VelocityCommand]:
     return [VelocityCommand(ids, rng.uniform(-1, 1, count), rng.uniform(-3, 3, count)) for _ in range(steps)]
 
 
+def drive_of(parameters: DriveParameters, count: int, seed: int) -> Drive:
+    gain_rng, slip_rng = (generator(seed, stream) for stream in (RunStream.WHEEL_GAINS, RunStream.WHEEL_SLIP))
+    return Drive(parameters, count, step_s=STEP_S, gain_rng=gain_rng, slip_rng=slip_rng)
+
+
 def drive_through(asked: list[VelocityCommand], seed: int = 7, **parts: Any) -> np.ndarray:
     """(T, 2, N) v and omega of every step."""
-    drive = Drive(DriveModel(**parts), len(asked[0].ids), STEP_S, seed)
+    drive = drive_of(DriveParameters(**parts), len(asked[0].ids), seed)
     return np.array([drive.step(command) for command in asked])
 
 
@@ -42,7 +49,7 @@ def test_with_all_parts_off_a_command_is_what_happens_to_the_bit() -> None:
 
 def test_with_all_parts_off_the_world_moves_as_bare_unicycles_to_the_bit(scenario_tree) -> None:
     mission = make_mission(scenario_tree("triangle"))
-    world, state = World(mission), (mission.positions_m, mission.headings_rad)
+    world, state = make_world(mission), (mission.positions_m, mission.headings_rad)
     for tick, command in enumerate(commands(2, 50, mission.ids.size)):
         world.advance(command, tick * STEP_S, STEP_S)
         state = move_unicycles(*state, command.v_mps, command.omega_radps, STEP_S)
@@ -112,15 +119,15 @@ def test_gains_are_drawn_once_within_their_bounds_from_the_seed() -> None:
 
     The variance of a uniform variable's square is `x⁴ (1/5 - 1/9)`, x being its bound.
     """
-    model = DriveModel(gain_error=0.2)
-    errors = Drive(model, 2000, STEP_S, 1).gains.ravel() - 1
+    parameters = DriveParameters(gain_error=0.2)
+    errors = drive_of(parameters, 2000, 1).gains.ravel() - 1
     assert np.abs(errors).max() <= 0.2
     assert abs(errors.mean()) < 5 * 0.2 / np.sqrt(3 * 4000)
     assert abs((errors**2).mean() - 0.2**2 / 3) < 5 * 0.2**2 * np.sqrt((1 / 5 - 1 / 9) / 4000)
-    np.testing.assert_array_equal(Drive(model, 2000, STEP_S, 1).gains.ravel() - 1, errors)
-    assert (Drive(model, 2000, STEP_S, 2).gains.ravel() - 1 != errors).all()
+    np.testing.assert_array_equal(drive_of(parameters, 2000, 1).gains.ravel() - 1, errors)
+    assert (drive_of(parameters, 2000, 2).gains.ravel() - 1 != errors).all()
     asked = commands(9, 10, 30)
-    gains = Drive(model, 30, STEP_S, 7).gains
+    gains = drive_of(parameters, 30, 7).gains
     for rates, (v, omega) in zip(drive_through(asked, gain_error=0.2), plain(asked), strict=True):
         expected = body_rates(gains * wheel_speeds(v, omega, 0.2), 0.2)
         np.testing.assert_allclose(rates, expected, rtol=0, atol=ROUNDING)
@@ -163,7 +170,7 @@ def test_a_body_off_its_axis_moves_as_the_integrated_equations_say(offset_m: flo
     rng = np.random.default_rng(11)
     positions, headings = rng.uniform(-5, 5, (8, 2)), rng.uniform(-np.pi, np.pi, 8)
     v, omega = rng.uniform(-1, 1, 8), np.append(rng.uniform(-3, 3, 7), 0.0)
-    moved, turned = move_bodies(positions, headings, v, omega, 2.0, offset_m)
+    moved, turned = move_bodies(positions, headings, v, omega, step_s=2.0, axis_offset_m=offset_m)
     for i in range(8):
 
         def flow(_: float, state: np.ndarray, i: int = i) -> list[float]:
@@ -182,7 +189,7 @@ def test_the_worlds_motion_is_that_of_the_bodies(scenario_tree) -> None:
     tree = scenario_tree("triangle")
     tree["robots"]["drive"] = {"axis_offset_m": 0.2, "gain_error": 0.1}
     mission = make_mission(tree)
-    world, (command,) = World(mission), commands(12, 1, mission.ids.size)
+    world, (command,) = make_world(mission), commands(12, 1, mission.ids.size)
     world.advance(command, 0.0, STEP_S)
     motion, before, headings = world.motion(0), world.positions_m, world.headings_rad
     world.advance(command, STEP_S, 1e-6)
@@ -206,3 +213,18 @@ def test_a_scenario_names_parts_by_single_keys(scenario_tree) -> None:
         tree["robots"]["drive"] = {key: value}
         with pytest.raises(InputError, match=rf"robots\.drive\.{key}"):
             make_mission(tree)
+
+
+def test_every_key_of_a_scenario_reaches_the_drive(scenario_tree) -> None:
+    """Under the same name, each with a value of its own; the others have the defaults of a robot without."""
+    keys = {
+        name: 0.01 * (number + 1)
+        for number, name in enumerate(field.name for field in fields(DriveParameters))
+    }
+    limits = {name: keys[name] for name in ("max_speed_mps", "max_turn_radps")}
+    tree = scenario_tree("triangle")
+    parts = {name: value for name, value in keys.items() if name not in limits}
+    tree["robots"] |= limits | {"drive": parts}
+    assert make_drive(make_mission(tree).scenario, 2).parameters == DriveParameters(**keys)
+    tree["robots"]["drive"] = {}
+    assert make_drive(make_mission(tree).scenario, 2).parameters == DriveParameters(**limits)

@@ -6,18 +6,18 @@ import numpy as np
 import pytest
 
 from skyherd.datasets.configuration.mission import make_mission
-from skyherd.datasets.configuration.models import NetworkModel
 from skyherd.datasets.generated.random_missions import Crowd, random_mission
 from skyherd.loop import run_steps
-from skyherd.sim.network import Network
+from skyherd.sim.network import Network, NetworkParameters
+from skyherd.sim.physics import make_network
 
 
 @pytest.fixture
 def send_many(make_goals, make_report):
     """Send 400 messages of unit 0, at time 0, through a network of three units."""
 
-    def send(model: NetworkModel, seed: int = 1) -> Network:
-        network = Network(model, np.random.default_rng(seed), 3)
+    def send(parameters: NetworkParameters, seed: int = 1) -> Network:
+        network = Network(parameters, np.random.default_rng(seed), 3)
         for _ in range(400):
             network.send([make_goals(0, [0], [1])], make_report(0, [0], [0], [0]), 1.0)
         return network
@@ -27,10 +27,10 @@ def send_many(make_goals, make_report):
 
 def test_delays_are_spread_evenly_over_their_range(send_many) -> None:
     """Goals that arrived by a quarter of the range: 400 draws, 5 standard deviations of a binomial."""
-    network = send_many(NetworkModel(delay_s=0.8))
+    network = send_many(NetworkParameters(delay_s=0.8))
     assert network.deliver(0.99) == []
     for share in (0.25, 0.75):
-        network = send_many(NetworkModel(delay_s=0.8))
+        network = send_many(NetworkParameters(delay_s=0.8))
         arrived = len(network.deliver(1.0 + 0.8 * share))
         assert arrived / 400 == pytest.approx(share, abs=5 * np.sqrt(share * (1 - share) / 400))
         assert arrived + len(network.deliver(1.8)) == 400, "late, and none lost"
@@ -40,7 +40,7 @@ def test_each_receiver_has_a_delay_of_its_own(make_report) -> None:
     """Of 400 reports each receiver is first in half, to 5 standard deviations of a binomial."""
     first = np.zeros(2)
     for seed in range(400):
-        network = Network(NetworkModel(delay_s=1.0), np.random.default_rng(seed), 3)
+        network = Network(NetworkParameters(delay_s=1.0), np.random.default_rng(seed), 3)
         network.send([], make_report(0, [0], [0], [0]), 0.0)
         for time_s in np.arange(0.0, 1.01, 0.01):
             network.deliver(time_s)
@@ -51,14 +51,14 @@ def test_each_receiver_has_a_delay_of_its_own(make_report) -> None:
 
 
 def test_repeats_are_of_the_stated_share_and_the_same_message(send_many) -> None:
-    network = send_many(NetworkModel(repeats=0.3))
+    network = send_many(NetworkParameters(repeats=0.3))
     delivered = [goals for goals, _ in network.deliver(1.0)]
     assert (len(delivered) - 400) / 400 == pytest.approx(0.3, abs=5 * np.sqrt(0.21 / 400))
     assert len({id(goals) for goals in delivered}) == 400
 
 
 def test_a_report_that_was_overtaken_changes_nothing(make_report) -> None:
-    network = Network(NetworkModel(), np.random.default_rng(0), 2)
+    network = Network(NetworkParameters(), np.random.default_rng(0), 2)
     report = make_report(0, [0], [0], [0])
     network.send([], replace(report, time_s=5.0), 1.0)
     network.send([], replace(report, time_s=4.0), 1.5)
@@ -68,7 +68,7 @@ def test_a_report_that_was_overtaken_changes_nothing(make_report) -> None:
 
 
 def test_the_dead_forget(make_report) -> None:
-    network = Network(NetworkModel(), np.random.default_rng(0), 2)
+    network = Network(NetworkParameters(), np.random.default_rng(0), 2)
     network.send([], make_report(0, [0], [0], [0]), 0.0)
     network.deliver(0.0)
     network.forget(1)
@@ -84,3 +84,11 @@ def test_units_out_of_range_do_not_hear_one_another() -> None:
             words = [frame.decision.report.tree for frame in step.frames.values()]
         trees[range_m] = [word.tree_id for word in words]
     assert trees == {3.0: [0, 1], 30.0: [0, 0]}
+
+
+def test_every_key_of_a_scenario_reaches_the_network(scenario_tree) -> None:
+    faults = {"message_loss": 0.1, "delay_s": 0.2, "repeats": 0.3}
+    scenario = make_mission(scenario_tree("star") | {"network": faults}).scenario
+    network = make_network(scenario, np.random.default_rng(0))
+    assert network.parameters == NetworkParameters(**faults)
+    assert network.units == len(network.reports) == len(scenario.units)

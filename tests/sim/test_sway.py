@@ -6,8 +6,8 @@ import pytest
 from skyherd.datasets import load_mission
 from skyherd.loop import run_steps
 from skyherd.render import project
+from skyherd.sim.physics import make_world
 from skyherd.sim.sway import BANDWIDTH, Sway
-from skyherd.sim.world import World
 
 PERIOD_S, TILT_RAD = 3.0, 0.1
 
@@ -58,7 +58,7 @@ SWAYING = [
 def test_the_worlds_camera_sways_around_its_tilt_and_its_motion_says_so():
     """Rates against differences of poses; the step is as small as differences of seconds allow."""
     mission = load_mission("triangle", [*SWAYING, "step_s=1e-4"])
-    world = World(mission)
+    world = make_world(mission)
     steps = run_steps(mission)
     poses = [next(steps).fleet.pose(0) for _ in range(3)]
     tilts = np.array([pose.tilt_rad for pose in poses])
@@ -74,12 +74,12 @@ def test_the_worlds_camera_sways_around_its_tilt_and_its_motion_says_so():
 def test_what_is_seen_is_seen_from_the_swayed_camera_at_every_step():
     """Ideal detections against the projection by the recorded pose; a still camera would be off by pixels."""
     mission = load_mission("triangle", SWAYING)
-    camera = World(mission).cameras[0]
+    camera = make_world(mission).cameras[0]
     for step in run_steps(mission):
         seen = step.frames[0].sight.detections
         points = step.positions_m[seen.ids]
         np.testing.assert_allclose(seen.centers_px, project(camera, step.fleet.pose(0), points), atol=1e-9)
-    assert np.abs(seen.centers_px - project(camera, World(mission).camera_pose(0), points)).max() > 5
+    assert np.abs(seen.centers_px - project(camera, make_world(mission).camera_pose(0), points)).max() > 5
 
 
 def test_sway_is_of_the_seed_and_of_time_alone():

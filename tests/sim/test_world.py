@@ -7,11 +7,11 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from skyherd.datasets import Mission, make_mission
-from skyherd.datasets.configuration.models import NetworkModel
 from skyherd.loop import run_steps
 from skyherd.messages import FlightCommand, VelocityCommand
 from skyherd.render import project
-from skyherd.sim.network import Network
+from skyherd.sim.network import Network, NetworkParameters
+from skyherd.sim.physics import make_world
 from skyherd.sim.world import World, move_unicycles
 
 EXACT = 1e-12
@@ -155,7 +155,7 @@ def test_flying_along_an_image_axis_moves_the_ground_back_along_it(
     mission_of, yaw_deg, axis, lateral
 ) -> None:
     """By f/h times the way, in pixels; nothing across; to rounding."""
-    world = World(mission_of({"yaw_deg": yaw_deg}))
+    world = make_world(mission_of({"yaw_deg": yaw_deg}))
     before = project(world.cameras[0], world.camera_pose(0), world.positions_m)
     fly(world, lateral, 0.0, 0.0, 2.0)
     moved = project(world.cameras[0], world.camera_pose(0), world.positions_m) - before
@@ -167,7 +167,7 @@ def test_flying_along_an_image_axis_moves_the_ground_back_along_it(
 
 def test_climbing_shrinks_the_image_and_yawing_turns_it(mission_of) -> None:
     """Counter-clockwise yaw seen from above turns the scene clockwise in the image as one sees it."""
-    world = World(mission_of(autopilot={"max_climb_mps": 1.0}))
+    world = make_world(mission_of(autopilot={"max_climb_mps": 1.0}))
     center = np.array([407.0, 392.0])  # the principal point: the unit turns and climbs about it
     before = project(world.cameras[0], world.camera_pose(0), world.positions_m) - center
     fly(world, (0.0, 0.0), 0.7, 0.1, 2.0)
@@ -179,7 +179,7 @@ def test_climbing_shrinks_the_image_and_yawing_turns_it(mission_of) -> None:
 
 def test_the_autopilot_keeps_its_limits(mission_of) -> None:
     limits = {"min_height_m": 12.0, "max_height_m": 16.0, "max_speed_mps": 0.5, "max_climb_mps": 0.4}
-    world = World(mission_of(autopilot=limits | {"max_yaw_rate_degps": 10.0}))
+    world = make_world(mission_of(autopilot=limits | {"max_yaw_rate_degps": 10.0}))
     start = world.fleet
     fly(world, (30.0, 40.0), -9.0, 9.0, 0.1)
     way = world.fleet.positions_m[0] - start.positions_m[0]
@@ -194,14 +194,14 @@ def test_the_autopilot_keeps_its_limits(mission_of) -> None:
 
 def test_the_direction_of_a_limited_flight_is_kept(mission_of) -> None:
     """(30, 40) in the image at yaw 0 is +x and -y on the ground."""
-    world = World(mission_of(autopilot={"max_speed_mps": 0.5}))
+    world = make_world(mission_of(autopilot={"max_speed_mps": 0.5}))
     start = world.fleet.positions_m[0]
     fly(world, (30.0, 40.0), 0.0, 0.0, 1.0)
     np.testing.assert_allclose(world.fleet.positions_m[0] - start, [0.3, -0.4], rtol=0, atol=EXACT)
 
 
 def test_a_unit_that_is_told_nothing_stays(mission_of) -> None:
-    world = World(mission_of())
+    world = make_world(mission_of())
     start = world.fleet
     for tick in range(10):
         world.advance(hold(world), tick / 10, 0.1)
@@ -210,7 +210,7 @@ def test_a_unit_that_is_told_nothing_stays(mission_of) -> None:
 
 
 def test_zoom_is_linear_between_its_points_and_flat_outside(mission_of) -> None:
-    world = World(mission_of({"zoom": [[1.0, 1.0], [3.0, 2.0], [4.0, 0.5]]}))
+    world = make_world(mission_of({"zoom": [[1.0, 1.0], [3.0, 2.0], [4.0, 0.5]]}))
     seen = {0.0: world.camera_pose(0).zoom}
     for tick in range(60):
         world.advance(hold(world), tick / 10, 0.1)
@@ -220,7 +220,7 @@ def test_zoom_is_linear_between_its_points_and_flat_outside(mission_of) -> None:
 
 
 def test_zoom_scales_the_image_about_the_principal_point(mission_of) -> None:
-    one, two = (World(mission_of({"zoom": [[0.0, z]]})) for z in (1.0, 2.0))
+    one, two = (make_world(mission_of({"zoom": [[0.0, z]]})) for z in (1.0, 2.0))
     center = np.array([407.0, 392.0])
     wide = project(one.cameras[0], one.camera_pose(0), one.positions_m) - center
     near = project(two.cameras[0], two.camera_pose(0), two.positions_m) - center
@@ -228,7 +228,7 @@ def test_zoom_scales_the_image_about_the_principal_point(mission_of) -> None:
 
 
 def test_wheels_have_limits(mission_of) -> None:
-    world = World(mission_of(robots={"max_speed_mps": 0.3, "max_turn_radps": 1.5}))
+    world = make_world(mission_of(robots={"max_speed_mps": 0.3, "max_turn_radps": 1.5}))
     asked = VelocityCommand(
         world.ids, np.array([-1, 1, 0.3, -0.1, 0, 0.2]), np.array([2, -2, 1.5, -0.1, 0, 1])
     )
@@ -241,7 +241,7 @@ def test_wheels_have_limits(mission_of) -> None:
 
 
 def test_messages_arrive_after_their_latency_and_once(make_goals, make_report) -> None:
-    network = Network(NetworkModel(), np.random.default_rng(0), 2)
+    network = Network(NetworkParameters(), np.random.default_rng(0), 2)
     network.send([make_goals(0, [1, 2], [1, 2])], make_report(0, [1, 2], [0, 1], [1, 2]), 0.25)
     assert network.deliver(0.2) == []
     assert network.reports == [{}, {}]
@@ -256,7 +256,7 @@ def test_messages_arrive_after_their_latency_and_once(make_goals, make_report) -
 @pytest.mark.parametrize("loss", [0.1, 0.5])
 def test_losses_are_independent_and_of_the_stated_share(make_goals, make_report, loss) -> None:
     """4000 receptions by robots, 1000 by units: 5 standard deviations of a binomial."""
-    network = Network(NetworkModel(message_loss=loss), np.random.default_rng(1), 2)
+    network = Network(NetworkParameters(message_loss=loss), np.random.default_rng(1), 2)
     heard, reports = [], 0
     for n in range(1000):
         network.send([make_goals(0, [0, 1, 2, 3], [1, 1, 1, 1])], make_report(0, [0], [0], [0]), n)
@@ -273,7 +273,7 @@ def test_losses_are_independent_and_of_the_stated_share(make_goals, make_report,
 
 def test_losses_come_from_the_generator(make_goals, make_report) -> None:
     def receptions(seed: int) -> list[list[bool]]:
-        network = Network(NetworkModel(message_loss=0.4), np.random.default_rng(seed), 1)
+        network = Network(NetworkParameters(message_loss=0.4), np.random.default_rng(seed), 1)
         result = []
         for n in range(30):
             network.send([make_goals(0, [0, 1], [1, 1])], make_report(0, [0], [0], [0]), n)

@@ -14,7 +14,7 @@ from skyherd.datasets import load_mission, make_mission
 from skyherd.errors import InputError
 from skyherd.loop import run_steps
 from skyherd.sim.perception import make_perception
-from skyherd.sim.world import World
+from skyherd.sim.physics import make_world
 from skyherd.study.conduct import conduct
 from skyherd.study.invariance import IDEAL, RENDERED, make_sweeps, own_key, predict
 from skyherd.study.plan import Plan, make_plan
@@ -145,7 +145,7 @@ def test_the_built_in_study_has_every_robot_in_view_and_markers_of_14_px() -> No
     for run in plan.runs:
         if run.parameters["perception"] == IDEAL:
             mission = plan.mission(run)
-            sight = make_perception(mission, np.random.default_rng(0)).look(World(mission), [0], 0.0)[0]
+            sight = make_perception(mission, np.random.default_rng(0)).look(make_world(mission), [0], 0.0)[0]
             assert sight.whole_ids.size == 6, run.text()
             assert sight.detections.sides_px.min() > 14, run.text()
     assert len({own_key(s) for s in plan.study.spec.all_sweeps if s.name != "reference"}) >= 14

@@ -84,7 +84,7 @@ def _choice(template: ComplexArray, starts: ComplexArray, classes: IntArray) -> 
     points, robots = template - template.mean(), starts - starts.mean()
     reached: dict[bytes, tuple[float, IntArray]] = {}
     for turn in np.exp(2j * np.pi * np.arange(ROTATIONS) / ROTATIONS):
-        order, z = ascend(robots, points, turn, classes)
+        order, z = ascend(robots, points, turn, classes=classes)
         reached.setdefault(order.tobytes(), (abs(z), order))
     return [order for _, order in sorted(reached.values(), key=lambda item: -item[0])]
 

@@ -1,19 +1,22 @@
-"""Every value that passes between the parts: frozen, read-only, checked when made.
+"""Every message that passes between the parts of the system: immutable, and checked when it is made.
 
 Frames: image u right, v down, an integer is a pixel centre, angles run from +u to +v; robot x forward,
 y left, angles counter-clockwise. Units are in the names.
 """
 
 from skyherd.messages.commands import FlightCommand, VelocityCommand
-from skyherd.messages.detections import Detections, among, centred
+from skyherd.messages.detections import Detections, centred
 from skyherd.messages.goals import MotionGoals, RobotGoal
+from skyherd.messages.ids import NO_ID, among, rows_of
 from skyherd.messages.proximity import Proximity
 from skyherd.messages.reports import UnitReport, shared_ids
 from skyherd.messages.role_map import RoleMap
-from skyherd.messages.tree_status import NO_ID, TreeStatus
+from skyherd.messages.times import TIME_TOLERANCE_S
+from skyherd.messages.tree_status import TreeStatus
 
 __all__ = [
     "NO_ID",
+    "TIME_TOLERANCE_S",
     "Detections",
     "FlightCommand",
     "MotionGoals",
@@ -25,5 +28,6 @@ __all__ = [
     "VelocityCommand",
     "among",
     "centred",
+    "rows_of",
     "shared_ids",
 ]

@@ -1,4 +1,4 @@
-"""What robots and units ask of their own motors: wheel speeds and flight velocities."""
+"""Commands to motors: the speeds of the ground robots, and the flight velocities of the aerial units."""
 
 from dataclasses import dataclass
 
@@ -11,7 +11,13 @@ from skyherd.messages.frozen_arrays import freeze, freeze_ids
 
 @dataclass(frozen=True)
 class VelocityCommand:
-    """Wheel commands of the team: (N,) ids, forward speed and counter-clockwise turn rate."""
+    """Speeds that all robots of the team are to drive at until the next command, as arrays over robots.
+
+    Attributes:
+        ids: (N,) robots, each once.
+        v_mps: (N,) forward speeds of the wheel axes; negative is backwards.
+        omega_radps: (N,) turn rates, counter-clockwise seen from above.
+    """
 
     ids: IntArray
     v_mps: Array
@@ -25,13 +31,13 @@ class VelocityCommand:
 
 @dataclass(frozen=True)
 class FlightCommand:
-    """Velocity that a unit asks of its own autopilot, in its camera's frame.
+    """Velocity that one aerial unit asks of its own autopilot, in the frame of its camera.
 
     Attributes:
         unit_id: the unit.
-        lateral_mps: (2,) along the image's +u and +v.
-        climb_mps: upwards.
-        yaw_rate_radps: counter-clockwise seen from above.
+        lateral_mps: (2,) horizontal velocity along the image's +u and +v.
+        climb_mps: vertical velocity, positive upwards.
+        yaw_rate_radps: turn rate, counter-clockwise seen from above.
         zoom_rate_ps: relative change of the focal length, 1/s.
     """
 

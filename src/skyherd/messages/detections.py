@@ -1,4 +1,4 @@
-"""What one unit's detector found in one image, and the image lengths that rules on detections use."""
+"""The markers that one unit's detector found in one image, and the unit of length for rules on images."""
 
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
@@ -7,24 +7,33 @@ import numpy as np
 import numpy.typing as npt
 
 from skyherd.errors import MessageError
-from skyherd.geometry import Array, BoolArray, IntArray
+from skyherd.geometry import Array, IntArray
 from skyherd.messages.frozen_arrays import freeze, freeze_ids
+from skyherd.messages.ids import among
 
 
 @dataclass(frozen=True)
 class Detections:
-    """What one unit's detector found in one image: all that `control` ever sees of the world.
+    """Markers found in one image: all that `control` ever sees of the world.
+
+    It holds image quantities only: no focal length, height, camera pose or metre. All points are in pixels,
+    u right and v down, with integers at pixel centres.
 
     Attributes:
         unit_id: the aerial unit whose image it is.
         time_s: when the image was taken.
-        image_size_px: (2,) width and height.
-        ids: (N,) marker ids, each once.
-        centers_px: (N, 2) marker centres.
-        headings_rad: (N,) direction of each robot's forward axis, from +u to +v.
-        sides_px: (N,) side of the black square.
-        corners_px: (N, 4, 2) corners, the first two ahead of the robot: left, right.
-        covariances: (N, 3, 3) of (u, v, heading), in px², px·rad, rad².
+        image_size_px: (2,) width and height of the image.
+        ids: (N,) ids of the markers, each once.
+        centers_px: (N, 2) centres of the markers.
+        headings_rad: (N,) direction of each robot's forward axis in the image, from +u to +v.
+        sides_px: (N,) sides of the black squares, positive.
+        corners_px: (N, 4, 2) corners of the black squares, in the order of
+            `skyherd.geometry.SQUARE_CORNERS`: front left, front right, back right, back left.
+        covariances: (N, 3, 3) covariances of (u, v, heading), in px², px·rad and rad²; all zero where the
+            detector reports none.
+
+    Raises:
+        MessageError: a shape is wrong, an id occurs twice, a value is not finite or a side not positive.
     """
 
     unit_id: int
@@ -52,7 +61,7 @@ class Detections:
         return int(self.ids.size)
 
     def select(self, ids: AbstractSet[int] | npt.ArrayLike) -> "Detections":
-        """Keep only the robots named in `ids`, in the order found."""
+        """The detections of those of the `ids` that were found, in the order in which they were found."""
         keep = among(self.ids, ids)
         if keep.all():
             return self
@@ -69,15 +78,14 @@ class Detections:
         )
 
 
-def among(ids: IntArray, members: AbstractSet[int] | npt.ArrayLike) -> BoolArray:
-    """(N,) which of the robots `ids` are members; for the few in an image faster than sorting arrays."""
-    wanted = members if isinstance(members, AbstractSet) else set(np.asarray(members).tolist())
-    return np.array([robot in wanted for robot in ids.tolist()], dtype=bool)
-
-
 def centred(points_px: Array, image_size_px: Array) -> Array:
-    """Image points (N, 2) from the image centre, in halves of the image's shorter side.
+    """Image points (N, 2), px, relative to the image centre, in halves of the image's shorter side.
 
-    In these units a rule on distances from the centre means the same for every camera.
+    In this unit of length the circle of radius 1 touches the nearer borders of every image, so that a rule
+    on distances from the image centre means the same for every camera.
+
+    Args:
+        points_px: (N, 2) image points.
+        image_size_px: (2,) width and height of the image.
     """
     return np.asarray((points_px - (image_size_px - 1) / 2) / (image_size_px.min() / 2))

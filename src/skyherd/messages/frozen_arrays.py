@@ -1,4 +1,8 @@
-"""Arrays of a frozen dataclass: checked when it is made, copied in, read-only."""
+"""Arrays of a frozen dataclass: checked when it is made, copied, and made read-only.
+
+`dataclass(frozen=True)` alone forbids only that a field is assigned anew; the values of its arrays could
+still be changed. Messages call `freeze` for each of their arrays in `__post_init__`.
+"""
 
 import numpy as np
 
@@ -6,10 +10,21 @@ from skyherd.errors import MessageError
 
 
 def freeze(owner: object, name: str, shape: tuple[int | None, ...], *, integer: bool = False) -> None:
-    """Replace a field by a checked, read-only copy of itself."""
+    """Replace the field `name` of `owner` by a checked, read-only copy of itself.
+
+    Args:
+        owner: the frozen dataclass that is being made.
+        name: of the field.
+        shape: the shape that the array must have; None stands for any length. An empty array of another
+            shape is given this one, so that `[]` will do for no robots.
+        integer: whether the copy is of 64-bit integers instead of 64-bit floats.
+
+    Raises:
+        MessageError: the shape is another one, or a float is infinite or not a number.
+    """
     array = np.array(getattr(owner, name), dtype=np.int64 if integer else np.float64)
-    if array.shape != shape:
-        array = _fitted(array, shape)
+    if array.shape != shape and array.size == 0 and 0 in shape:
+        array = array.reshape([length or 0 for length in shape])
     if array.shape != shape and not _fits(array.shape, shape):
         raise MessageError(f"{type(owner).__name__}.{name}: shape {array.shape}, expected {shape}")
     if not integer and not np.isfinite(array).all():
@@ -18,19 +33,19 @@ def freeze(owner: object, name: str, shape: tuple[int | None, ...], *, integer: 
     object.__setattr__(owner, name, array)
 
 
-def _fitted(array: np.ndarray, shape: tuple[int | None, ...]) -> np.ndarray:
-    """An empty array in the shape that is wanted; others as they are."""
-    if array.size == 0 and 0 in shape:
-        return array.reshape([want or 0 for want in shape])
-    return array
-
-
-def _fits(have: tuple[int, ...], want: tuple[int | None, ...]) -> bool:
-    return len(have) == len(want) and all(w is None or w == h for w, h in zip(want, have, strict=True))
+def _fits(actual: tuple[int, ...], expected: tuple[int | None, ...]) -> bool:
+    """Whether a shape is the expected one, in which None stands for any length."""
+    return len(actual) == len(expected) and all(
+        want is None or want == have for want, have in zip(expected, actual, strict=True)
+    )
 
 
 def freeze_ids(owner: object, name: str) -> int:
-    """Freeze a field of robot ids and refuse a repeated one; returns their number."""
+    """Freeze a field of ids, as `freeze` does, and return how many there are.
+
+    Raises:
+        MessageError: an id occurs twice, or the field is no list of integers.
+    """
     freeze(owner, name, (np.size(getattr(owner, name)),), integer=True)
     ids = getattr(owner, name)
     if len(set(ids.tolist())) != ids.size:

@@ -1,4 +1,4 @@
-"""The motion goals that a unit sends to its robots, and the view that one robot reads."""
+"""The motion goals that an aerial unit sends to the robots that it controls."""
 
 from dataclasses import dataclass
 
@@ -11,7 +11,18 @@ from skyherd.messages.frozen_arrays import freeze, freeze_ids
 
 @dataclass(frozen=True)
 class RobotGoal:
-    """What one robot reads of one unit's `MotionGoals`: the message on the wire."""
+    """The part of one unit's `MotionGoals` that is addressed to one robot: the message that is transmitted.
+
+    Attributes:
+        robot_id: the robot addressed.
+        unit_id: the sender.
+        time_s: when the sender's image was taken.
+        rho_px: length of the vector from the robot to its desired point, in the sender's pixels.
+        bearing_rad: direction of that vector in the robot's own frame, 0 ahead, positive to the left.
+        side_px: side of the robot's own marker in the sender's image.
+        neighbor_ids: (K,) robots whose image distances are sent along.
+        neighbor_distances_px: (K,) image distances from the robot to them.
+    """
 
     robot_id: int
     unit_id: int
@@ -25,18 +36,25 @@ class RobotGoal:
 
 @dataclass(frozen=True)
 class MotionGoals:
-    """Goals that one unit sends to the robots it controls (paper eq. 2-3), as arrays over robots.
+    """Goals that one unit sends to the robots it controls (paper, eq. 2-3), as arrays over robots.
+
+    The vector of robot i is `rho_i = p_i^d - p_i`, from where unit j sees it to where the fitted template
+    has it, both in the unit's image. The distances to neighbours let a robot compare the scales of several
+    units' images.
 
     Attributes:
         unit_id: the sender.
         time_s: when its image was taken.
-        ids: (N,) robots addressed.
-        rho_px: (N,) length of the vector to the desired point, in the sender's pixels.
-        bearings_rad: (N,) its direction in the robot's own frame, 0 ahead, positive to the left; the
-            paper's angle is `alpha = pi - bearing`.
-        sides_px: (N,) each robot's own marker side in the sender's image.
-        neighbor_ids: (N, K) robots near each one in the image; -1 fills the row.
+        ids: (N,) robots addressed, each once.
+        rho_px: (N,) lengths of the vectors, in the sender's pixels.
+        bearings_rad: (N,) directions of the vectors, each in the robot's own frame, 0 ahead, positive to
+            the left; the paper's angle (eq. 3) is `alpha = pi - bearing`.
+        sides_px: (N,) side of each robot's own marker in the sender's image.
+        neighbor_ids: (N, K) robots near each one in the image; NO_ID fills the rows.
         neighbor_distances_px: (N, K) image distances to them; 0 where there is none.
+
+    Raises:
+        MessageError: a shape is wrong, an id occurs twice, a length is negative or a side not positive.
     """
 
     unit_id: int
@@ -62,7 +80,11 @@ class MotionGoals:
         return int(self.ids.size)
 
     def for_robot(self, robot_id: int) -> RobotGoal:
-        """Cut out the message for one robot; KeyError if this unit does not address it."""
+        """The part that is addressed to one robot.
+
+        Raises:
+            KeyError: these goals are not for that robot.
+        """
         found = np.flatnonzero(self.ids == robot_id)
         if not found.size:
             raise KeyError(robot_id)

@@ -1,4 +1,4 @@
-"""What a unit tells robots about what is near them: robots have no sensors of their own."""
+"""Distances and bearings to bodies nearby, which units send to robots that have no sensors of their own."""
 
 from dataclasses import dataclass
 
@@ -9,21 +9,27 @@ from skyherd.messages.frozen_arrays import freeze, freeze_ids
 
 @dataclass(frozen=True)
 class Proximity:
-    """Bodies near the robots that one unit sees, as arrays over pairs (robot, other).
+    """Bodies near the robots that one unit sees, as arrays over P pairs of a robot and another body.
 
-    Two bodies that are both seen and make no pair are far apart.
+    Two bodies that are both in `ids` and form no pair are farther apart than the horizon.
 
     Attributes:
         unit_id: the sender.
         time_s: when its image was taken.
-        horizon_sides: gaps wider than this are not told of.
-        ids: (N,) bodies seen; the robots among them are addressed, whether the unit controls them or not.
-        robot_ids: (P,) who is told,
-        other_ids: (P,) of whom: a robot or an obstacle.
-        distances_sides: (P,) between the two centres, in marker sides.
-        bearings_rad: (P,) direction to the other in the robot's own frame, 0 ahead, positive to the left.
-        reaches_sides: (P,) the distance at which the two bodies touch, with a margin.
-        shares: (P,) part of the gap that is the robot's to use: 1/2 where the other one is told as well.
+        horizon_sides: pairs whose bodies are farther apart than this are left out, in marker sides.
+        ids: (N,) bodies seen, each once; the robots among them are addressed, whether the unit controls
+            them or not.
+        robot_ids: (P,) the robot of each pair, which is the receiver.
+        other_ids: (P,) the other body of each pair, a robot or an obstacle.
+        distances_sides: (P,) distances between the two centres, in marker sides.
+        bearings_rad: (P,) directions to the other body in the robot's own frame, 0 ahead, positive to the
+            left.
+        reaches_sides: (P,) distances between the centres at which the bodies touch, margin included.
+        shares: (P,) share of the gap that the robot may use up: 1/2 where the other body is a robot, which
+            receives the same pair, and 1 where it is an obstacle.
+
+    Raises:
+        MessageError: a shape is wrong, an id in `ids` occurs twice, or a distance is negative.
     """
 
     unit_id: int
@@ -45,7 +51,7 @@ class Proximity:
         for name in ("distances_sides", "bearings_rad", "reaches_sides", "shares"):
             freeze(self, name, (pairs,))
         if (self.distances_sides < 0).any() or (self.reaches_sides < 0).any():
-            raise MessageError("Encounters: distances_sides and reaches_sides must not be negative")
+            raise MessageError("Proximity: distances_sides and reaches_sides must not be negative")
 
     def __len__(self) -> int:
         return int(self.ids.size)

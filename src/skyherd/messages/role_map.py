@@ -1,4 +1,7 @@
-"""Which robot takes which point of the template: part of a unit's report (control/formation/roles.py)."""
+"""Which robot takes which point of the template: part of a unit's report.
+
+`skyherd.control.formation.roles` says how units agree on it.
+"""
 
 from dataclasses import dataclass
 
@@ -11,12 +14,16 @@ from skyherd.messages.frozen_arrays import freeze
 
 @dataclass(frozen=True)
 class RoleMap:
-    """A whole map from robots to points of the template, and how new it is.
+    """The complete map from robots to points of the template, with a version.
 
     Attributes:
-        version: exchanges made so far; of two maps the one with the higher version holds,
-        author_id: and of one version that of the lower unit.
-        roles: (N,) row of each robot's template point, in the order of the template's ids: a permutation.
+        version: number of exchanges made so far. Of two maps the one with the higher version is valid.
+        author_id: the unit that made the map. Of two maps of one version that of the lower unit is valid.
+        roles: (N,) row of each robot's point in the template, robots in the order of the template's ids;
+            a permutation of 0 to N - 1, so that no point has two robots.
+
+    Raises:
+        MessageError: `roles` is no permutation.
     """
 
     version: int
@@ -29,6 +36,6 @@ class RoleMap:
             raise MessageError(f"RoleMap.roles: no permutation: {self.roles.tolist()}")
 
     @property
-    def name(self) -> tuple[int, int]:
-        """What tells one map from another; the newer of two has the greater name."""
+    def precedence(self) -> tuple[int, int]:
+        """A key that identifies the map; of two maps the one with the greater key is valid."""
         return self.version, -self.author_id

@@ -1,32 +1,37 @@
-"""What a unit says of the tree it belongs to: part of its report to the other units."""
+"""The state of a unit in the tree protocol: part of its report to the other units.
+
+`skyherd.control.tree` has the protocol; docs/topology.md explains it.
+"""
 
 from dataclasses import dataclass
 from functools import cached_property
 
 from skyherd.geometry import IntArray
 from skyherd.messages.frozen_arrays import freeze, freeze_ids
-
-NO_ID = -1
-"""Stands for no unit and no robot."""
+from skyherd.messages.ids import NO_ID
 
 
 @dataclass(frozen=True)
 class TreeStatus:
-    """A unit's standing in the tree of units, its edges as rows of arrays.
+    """The state of one unit in the tree of units; its E edges are rows of arrays.
 
     Attributes:
-        tree_id: the tree it belongs to, NO_ID if none; of two trees the one with the lower number stays.
-        asks_id: the unit that it asks to admit it, or to found the tree, or NO_ID,
-        ask_turn: and the turn, its own, at which it expects the edge: it tells one asking from the next.
-        heir_id: the neighbour that takes over its robots and edges should it fall silent, or NO_ID.
+        tree_id: number of the tree that the unit belongs to, NO_ID if it belongs to none. Where two trees
+            meet, the one with the lower number remains.
+        asks_id: the unit that it asks for an edge, to be admitted to the tree or to found it; NO_ID if none.
+        ask_turn: the turn, one of its own, at which it expects that edge; distinguishes repeated requests.
+        heir_id: the neighbour that takes over its robots and edges if it falls silent, or NO_ID.
         ready: whether it knows the tree to be complete, so that robots may move.
-        neighbor_ids: (E,) the other end of each edge.
-        turns: (E,) turns taken on each edge; the lower unit holds the even ones.
-        pairs: (E, 2) the robots that each edge shares, NO_ID while it has none.
-        lent_ids: (L,) robots of its own that a neighbour whose turn it is may take,
-        lent_to_ids: (L,) and which neighbour.
-        wished_ids: (W,) those of them that it would rather lose.
-        missing_ids: (M,) robots of its own that it has not seen for long.
+        neighbor_ids: (E,) the unit at the other end of each edge.
+        turns: (E,) number of turns taken on each edge; the lower unit of the two has the even turns.
+        pairs: (E, 2) the two robots that each edge shares, NO_ID while it has none.
+        offered_ids: (L,) robots of its own that a neighbour may take over in its next turn.
+        offered_to_ids: (L,) the neighbour that each of them is offered to.
+        to_release_ids: (W,) those of the offered robots that the unit prefers to give up.
+        missing_ids: (M,) robots of its own that it has not seen for a long time.
+
+    Raises:
+        MessageError: a shape is wrong or an id occurs twice.
     """
 
     tree_id: int
@@ -53,10 +58,10 @@ class TreeStatus:
 
     @cached_property
     def rows(self) -> dict[int, int]:
-        """The row of each edge, by its other end."""
+        """By neighbour, the row of the edge to it."""
         return {neighbor: row for row, neighbor in enumerate(self.neighbor_ids.tolist())}
 
     @cached_property
     def paired(self) -> frozenset[int]:
-        """Robots in the pairs of the unit's edges."""
+        """All robots that the unit's edges share."""
         return frozenset(self.pairs.ravel().tolist()) - {NO_ID}

@@ -1,1 +1,1 @@
-"""The simulated world and what acts in it: robots, units, radio, perception, and who judges by the truth."""
+"""The simulation: the true world, the radio, perception, the agents, and the metrics that use the truth."""

@@ -11,7 +11,6 @@ from skyherd.control import (
     Decision,
     FlightLaw,
     Follow,
-    Gains,
     GoalFollowers,
     GoalInboxes,
     Hover,
@@ -22,6 +21,7 @@ from skyherd.control import (
     Perimeter,
     PixelGains,
     Rectifier,
+    RobotLaw,
     RobotTeam,
     RoleRule,
     SafetyRadius,
@@ -86,7 +86,7 @@ def make_flight(model: FlightModel, template: Template) -> FlightLaw:
     )
 
 
-def make_gains(scenario: Scenario) -> Gains:
+def make_gains(scenario: Scenario) -> RobotLaw:
     """The robots' gains, in the paper's pixels or in marker sides."""
     control = scenario.control
     if control.gains == "pixel":
@@ -163,7 +163,7 @@ class UnitAgents:
     @property
     def roles(self) -> IntArray:
         """(N,) row of the template's point that each robot goes to, by the newest map of any unit."""
-        maps = [controller.roles.word for controller in self.controllers]
+        maps = [controller.roles.reported for controller in self.controllers]
         return newest_roles(maps, self._mission.ids.size)
 
 
@@ -236,8 +236,8 @@ def make_avoidance(scenario: Scenario) -> AvoidanceRule:
     return AvoidanceRule(
         side_m=scenario.marker.side_m,
         wheels=make_wheels(scenario),
-        prompt_s=max(unit.latency_s + 1 / unit.frame_rate_hz for unit in scenario.units),
-        next_s=min(unit.latency_s for unit in scenario.units) + apart_s,
+        nominal_age_s=max(unit.latency_s + 1 / unit.frame_rate_hz for unit in scenario.units),
+        superseded_age_s=min(unit.latency_s for unit in scenario.units) + apart_s,
         step_s=step_s,
         lag_s=np.ceil(drive.delay_s / step_s - ROUNDING_STEPS) * step_s + brakes_s,
         overshoot=drive.gain_error + SLIP_DEVIATIONS * drive.slip,

@@ -1,9 +1,10 @@
-"""Formation controllers from the literature; each is told what it needs of the truth.
+"""Formation control laws from the literature, for comparison; each is given the true positions it needs.
 
-Robots are single integrators here, places z (N,) complex, m, on the ground; robots i and j are neighbours
-where the Delaunay triangulation of the shape joins them. Gains are such that at the shape the fastest mode
-dies out at rate k, as one unit's does (control/topology/convergence_rate.py): so all are as far from
-instability in discrete time.
+Robots are single integrators here, at positions z (N,), complex, m, on the ground. Robots i and j are
+neighbours where the Delaunay triangulation of the shape joins them. Gains are normalised such that at the
+shape the fastest mode decays at the rate k, as it does under one unit's goals
+(`skyherd.control.topology.convergence_rate`): all laws are then equally far from instability in discrete
+time.
 """
 
 from collections.abc import Callable
@@ -15,33 +16,42 @@ from skyherd.errors import InputError
 from skyherd.geometry import ComplexArray, IntArray
 
 Law = Callable[[ComplexArray], ComplexArray]
-"""Velocities (N,), m/s, of robots at places (N,), m."""
+"""A law: velocities (N,), m/s, of robots at positions (N,), m, both complex in the ground frame."""
+
+LEAST_DISTANCE_M = 1e-12
+"""Distances are divided by at least this, m. Chosen: robots nearer than that are in one place; their bearing
+is then 0 instead of 0 / 0."""
 
 
 def complex_laplacian_law(shape: ComplexArray, gain_ps: float) -> Law:
-    """dz/dt = -k L z / λ_max(L), with a complex Laplacian: L 1 = 0 and L shape = 0.
+    """The law `dz/dt = -k L z / λ_max(L)`, with a complex Laplacian L: L 1 = 0 and L shape = 0.
 
-    Lin, Wang, Han and Fu, "Distributed formation control of multi-agent systems using complex Laplacian",
-    IEEE TAC 59 (2014) 1765. Each robot needs the places of its neighbours relative to its own, in its own
-    frame, in one unit of length; place, turn and size of the shape are free, the robots' points of it
-    fixed. The weights are theirs to choose: the sum over triangles of the projectors that a similar
-    triangle leaves at zero makes L Hermitian and not negative, so that it is stable without the diagonal
-    matrix that other weights need.
+    From Lin, Wang, Han and Fu (Lin 2014). Each robot needs the positions of its neighbours relative to its
+    own, in its own frame, in a unit of length that all have in common. Place, rotation and size of the shape
+    are free; each robot's point in it is fixed.
 
     Args:
-        shape: (N,) points that robots are to form.
-        gain_ps: k, 1/s.
+        shape: (N,) points that the robots are to form.
+        gain_ps: rate k, 1/s.
 
     Raises:
         InputError: the points lie in a line.
     """
     matrix = complex_laplacian(shape)
     matrix *= gain_ps / np.linalg.eigvalsh(matrix)[-1]
-    return lambda places: -(matrix @ places)
+    return lambda positions: -(matrix @ positions)
 
 
 def complex_laplacian(shape: ComplexArray) -> ComplexArray:
-    """L (N, N) of the triangles of a shape (N,): Hermitian, not negative, of rank N - 2."""
+    """The Laplacian L (N, N) of a shape (N,): Hermitian, positive semidefinite, of rank N - 2.
+
+    The paper leaves the weights open. Here L is the sum over the triangles of the shape of `w wᴴ`, where
+    `wᴴ z` is zero for the triangles similar to it. This makes L stable without the diagonal matrix that other
+    weights need.
+
+    Raises:
+        InputError: the points lie in a line.
+    """
     corners = _triangles(shape)
     ahead, behind = np.roll(corners, -1, axis=1), np.roll(corners, -2, axis=1)
     weights = shape[behind] - shape[ahead]
@@ -52,30 +62,29 @@ def complex_laplacian(shape: ComplexArray) -> ComplexArray:
 
 
 def bearing_only_law(shape: ComplexArray, gain_ps: float) -> Law:
-    """u_i = -m Σ_j (I - g_ij g_ijᵀ) g*_ij, with bearings g_ij = (z_j - z_i) / |z_j - z_i|.
+    """The law `u_i = -m Σ_j (I - g_ij g_ijᵀ) g*_ij`, with bearings `g_ij = (z_j - z_i) / |z_j - z_i|`.
 
-    g* are the bearings in the shape. Zhao and Zelazo, "Bearing rigidity and almost global bearing-only
-    formation stabilization", IEEE TAC 61 (2016) 1255. Each robot needs the bearings of its neighbours in a
-    frame whose orientation all have in common. The shape's turn is given; the robots' centroid and RMS
-    distance from it stay what they were at the start. The gain m, m/s, follows from the size that the shape
-    will have, which is known once the start is.
+    From Zhao and Zelazo (Zhao-Zelazo 2016); g* are the bearings in the shape. Each robot needs the bearings
+    of its neighbours in a frame whose orientation all have in common. The rotation of the shape is given; the
+    robots' centroid and RMS distance from it stay what they were at the start. The gain m, m/s, follows from
+    the size that the shape will have, which is known from the start.
 
     Args:
-        shape: (N,) points that robots are to form, in the common frame.
-        gain_ps: k, 1/s.
+        shape: (N,) points that the robots are to form, in the common frame.
+        gain_ps: rate k, 1/s.
 
     Raises:
         InputError: the points lie in a line.
     """
     first, second = neighbors(shape).T
-    wanted = _bearings(shape, first, second)
+    desired = _bearings(shape, first, second)
     stiffness = _bearing_rate(shape / _spread(shape), first, second)
 
-    def law(places: ComplexArray) -> ComplexArray:
-        bearings = _bearings(places, first, second)
-        pulls = 1j * bearings * (bearings.conj() * wanted).imag
-        gain_mps = gain_ps * _spread(places) / stiffness
-        total = np.zeros(places.size, dtype=np.complex128)
+    def law(positions: ComplexArray) -> ComplexArray:
+        bearings = _bearings(positions, first, second)
+        pulls = 1j * bearings * (bearings.conj() * desired).imag
+        gain_mps = gain_ps * _spread(positions) / stiffness
+        total = np.zeros(positions.size, dtype=np.complex128)
         np.add.at(total, first, -pulls)
         np.add.at(total, second, pulls)
         return gain_mps * total
@@ -84,7 +93,11 @@ def bearing_only_law(shape: ComplexArray, gain_ps: float) -> Law:
 
 
 def neighbors(shape: ComplexArray) -> IntArray:
-    """Pairs (E, 2) that the triangulation of a shape joins, each once."""
+    """Pairs (E, 2) of points of a shape (N,) that its Delaunay triangulation joins, each once.
+
+    Raises:
+        InputError: the points lie in a line.
+    """
     corners = _triangles(shape)
     sides = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]])
     return np.unique(np.sort(sides, axis=1), axis=0)
@@ -99,15 +112,15 @@ def _triangles(shape: ComplexArray) -> IntArray:
         ) from None
 
 
-def _bearings(places: ComplexArray, first: IntArray, second: IntArray) -> ComplexArray:
-    """Directions (E,) from the first to the second of each pair; 0 for robots on one spot."""
-    apart = places[second] - places[first]
-    return np.asarray(apart / np.maximum(np.abs(apart), 1e-12))
+def _bearings(positions: ComplexArray, first: IntArray, second: IntArray) -> ComplexArray:
+    """Unit vectors (E,) from the first to the second robot of each pair; 0 for robots in one place."""
+    apart = positions[second] - positions[first]
+    return np.asarray(apart / np.maximum(np.abs(apart), LEAST_DISTANCE_M))
 
 
-def _spread(places: ComplexArray) -> float:
-    """RMS distance from the centroid."""
-    return float(np.sqrt(np.mean(np.abs(places - places.mean()) ** 2)))
+def _spread(positions: ComplexArray) -> float:
+    """RMS distance of positions (N,) from their centroid."""
+    return float(np.sqrt(np.mean(np.abs(positions - positions.mean()) ** 2)))
 
 
 def _bearing_rate(shape: ComplexArray, first: IntArray, second: IntArray) -> float:

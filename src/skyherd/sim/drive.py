@@ -1,103 +1,162 @@
-"""Robots as they are: from the commanded (v, omega) to what the wheels do with it."""
+"""The robots' drives: from the commanded (v, ω) to what the wheels, and the ground below them, make of it."""
 
 from collections import deque
+from dataclasses import dataclass
 
 import numpy as np
 
-from skyherd.datasets import DriveModel, RobotsModel
 from skyherd.geometry import Array
 from skyherd.messages import VelocityCommand
-from skyherd.random_streams import RunStream, generator
 
 SLIP_TIME_S = 0.5
-"""Time over which slip forgets itself."""
+"""Correlation time of slip, s. Chosen: longer than a time step, so that slip does not average out within a
+few steps, and shorter than a run. At twice the value a robot is off by about 1.4 times as much in the end."""
+
+STEP_TOLERANCE = 1e-9
+"""A delay that exceeds a whole number of steps by less than this, in steps, is that number of steps. Derived:
+above the rounding of the quotient of 60 s, the longest delay, and a step of 1e-4 s (6e5 x 2^-53 = 7e-11)."""
 
 
-def limit(command: VelocityCommand, robots: RobotsModel) -> VelocityCommand:
-    """The command as a robot takes it: |v| and |omega| within their limits."""
-    return VelocityCommand(
-        command.ids,
-        np.clip(command.v_mps, -robots.max_speed_mps, robots.max_speed_mps),
-        np.clip(command.omega_radps, -robots.max_turn_radps, robots.max_turn_radps),
-    )
+@dataclass(frozen=True)
+class DriveParameters:
+    """What the drives of all robots have in common. Each part is off by default, as in the paper.
+
+    Attributes:
+        max_speed_mps: limit of |v| of a command.
+        max_turn_radps: limit of |ω| of a command.
+        max_accel_mps2: limit of |dv/dt|.
+        max_turn_accel_radps2: limit of |dω/dt|.
+        wheel_step_mps: wheel speeds are multiples of this; 0 for any.
+        dead_zone_mps: wheel speeds below this are 0.
+        gain_error: greatest share by which a wheel is faster or slower than commanded.
+        track_m: distance between the two wheels, which the three above are about.
+        slip: standard deviation of what v and ω gain or lose on the ground, as a share.
+        delay_s: time from a command to its effect, rounded up to whole steps.
+        axis_offset_m: distance by which the body's centre and the marker lie ahead of the wheel axis.
+    """
+
+    max_speed_mps: float = np.inf
+    max_turn_radps: float = np.inf
+    max_accel_mps2: float = np.inf
+    max_turn_accel_radps2: float = np.inf
+    wheel_step_mps: float = 0.0
+    dead_zone_mps: float = 0.0
+    gain_error: float = 0.0
+    track_m: float = 0.2
+    slip: float = 0.0
+    delay_s: float = 0.0
+    axis_offset_m: float = 0.0
+
+    @property
+    def has_wheels(self) -> bool:
+        """Whether anything happens to single wheels."""
+        return bool(self.wheel_step_mps or self.dead_zone_mps or self.gain_error)
 
 
 def wheel_speeds(v_mps: Array, omega_radps: Array, track_m: float) -> Array:
-    """Speeds (2, N) of the left and the right wheel: `v -+ omega track / 2`."""
-    turn = omega_radps * (track_m / 2)
-    return np.stack([v_mps - turn, v_mps + turn])
+    """Speeds (2, N), m/s, of the left and the right wheels: `v -+ ω track / 2`."""
+    half_difference = omega_radps * (track_m / 2)
+    return np.stack([v_mps - half_difference, v_mps + half_difference])
 
 
 def body_rates(wheels_mps: Array, track_m: float) -> tuple[Array, Array]:
-    """Speed (N,) and turn rate (N,) of a body by its wheels (2, N): mean, and difference over the track."""
+    """V (N,), m/s, and ω (N,), rad/s, of bodies by the speeds (2, N) of their wheels.
+
+    v is the mean of both wheels, and ω their difference over the track: the inverse of `wheel_speeds`.
+    """
     left, right = wheels_mps
     return (left + right) / 2, (right - left) / track_m
 
 
 class Drive:
-    """What N robots do with their commands, one step after the other.
+    """The drives of N robots, advanced one time step at a time.
 
-    A command goes through these, in this order, each by one key of `DriveModel` and off without it:
+    A command goes through the following parts in this order. Each part is one key of `DriveParameters` and
+    does nothing without it, so that by default the command is what happens, to the bit. The order is such
+    that no part breaks what an earlier one limits; slip comes last, since it is what the ground does.
 
-    - delay: the robot obeys the command of `ceil(delay_s / step_s)` steps ago, and rests before its first;
+    - delay: the robot obeys the command of `ceil(delay_s / dt)` steps ago, and rests before its first;
     - dead zone: wheel speeds of less than `dead_zone_mps` are zero;
     - quantisation: wheel speeds are the nearest multiples of `wheel_step_mps`, off by half a step at most;
-    - gain: each wheel turns `1 + e` times as fast, e uniform within `gain_error`, once for all;
-    - acceleration: v and omega go towards that by at most `max_accel_mps2 dt` and
-      `max_turn_accel_radps2 dt` a step, so that no later part breaks these limits, and a stop is a stop;
-    - slip: the body moves at `(1 + s) v` and `(1 + r) omega`. s and r are independent first-order noise of
-      standard deviation `slip` from the start on, `s' = rho s + sqrt(1 - rho²) slip n`, n standard normal,
-      `rho = exp(-dt / SLIP_TIME_S)`: where a robot ends then hardly depends on the step.
+    - gain: each wheel turns `1 + e` times as fast, e uniform within `gain_error`, drawn once;
+    - acceleration: v and ω approach that by at most `max_accel_mps2 dt` and `max_turn_accel_radps2 dt`;
+    - slip: the body moves at `(1 + s) v` and `(1 + r) ω`. s and r are independent first-order noise of
+      standard deviation `slip`, stationary from the start: `s' = ρ s + sqrt(1 - ρ²) slip n`, n standard
+      normal, `ρ = exp(-dt / SLIP_TIME_S)`. Where a robot ends then hardly depends on the step.
+
+    Attributes:
+        gains: (2, N) factors 1 + e of the left and the right wheels.
 
     Args:
-        model: which parts there are.
+        parameters: of all robots.
         count: N.
-        step_s: dt.
-        seed: the scenario's.
+        step_s: the time step dt.
+        gain_rng: draws the wheels' gains.
+        slip_rng: draws slip.
     """
 
-    def __init__(self, model: DriveModel, count: int, step_s: float, seed: int) -> None:
-        self.model, self._step_s = model, step_s
-        late = max(0, int(np.ceil(model.delay_s / step_s - 1e-9)))
+    def __init__(
+        self,
+        parameters: DriveParameters,
+        count: int,
+        *,
+        step_s: float,
+        gain_rng: np.random.Generator,
+        slip_rng: np.random.Generator,
+    ) -> None:
+        self.parameters, self._step_s = parameters, step_s
+        late = max(0, int(np.ceil(parameters.delay_s / step_s - STEP_TOLERANCE)))
         at_rest = np.zeros((2, count))
         self._commands = deque([at_rest] * late, maxlen=late + 1)
         self._rates = at_rest
-        error = model.gain_error
-        self.gains = 1 + generator(seed, RunStream.WHEEL_GAINS).uniform(-error, error, (2, count))
-        self._slip_rng = generator(seed, RunStream.WHEEL_SLIP)
+        error = parameters.gain_error
+        self.gains = 1 + gain_rng.uniform(-error, error, (2, count))
+        self._slip_rng = slip_rng
         self._slip: Array | None = None
 
+    def limit(self, command: VelocityCommand) -> VelocityCommand:
+        """The command with |v| and |ω| clipped to their limits, as the robots accept it."""
+        most = self.parameters
+        return VelocityCommand(
+            command.ids,
+            np.clip(command.v_mps, -most.max_speed_mps, most.max_speed_mps),
+            np.clip(command.omega_radps, -most.max_turn_radps, most.max_turn_radps),
+        )
+
     def step(self, command: VelocityCommand) -> tuple[Array, Array]:
-        """Speed (N,) of the wheel axis and turn rate (N,) in the next step, given a command within limits."""
+        """V (N,), m/s, of the wheel axes and ω (N,), rad/s, in the next time step.
+
+        Args:
+            command: for all N robots in order, within the limits.
+        """
         self._commands.append(np.stack([command.v_mps, command.omega_radps]))
-        asked = self._commands[0]
-        if self.model.has_wheels:
-            asked = np.stack(self._through_wheels(asked))
-        self._rates = self._ramp(asked)
+        commanded = self._commands[0]
+        if self.parameters.has_wheels:
+            commanded = np.stack(self._through_wheels(commanded))
+        self._rates = self._accelerated(commanded)
         v_mps, omega_radps = self._slipping(self._rates)
         return v_mps, omega_radps
 
     def _through_wheels(self, rates: Array) -> tuple[Array, Array]:
-        model = self.model
-        wheels = wheel_speeds(rates[0], rates[1], model.track_m)
-        wheels = np.where(np.abs(wheels) < model.dead_zone_mps, 0.0, wheels)
-        if model.wheel_step_mps:
-            wheels = np.rint(wheels / model.wheel_step_mps) * model.wheel_step_mps
-        return body_rates(wheels * self.gains, model.track_m)
+        parameters = self.parameters
+        wheels = wheel_speeds(rates[0], rates[1], parameters.track_m)
+        wheels = np.where(np.abs(wheels) < parameters.dead_zone_mps, 0.0, wheels)
+        if parameters.wheel_step_mps:
+            wheels = np.rint(wheels / parameters.wheel_step_mps) * parameters.wheel_step_mps
+        return body_rates(wheels * self.gains, parameters.track_m)
 
-    def _ramp(self, asked: Array) -> Array:
-        limits = np.array([self.model.max_accel_mps2 or np.inf, self.model.max_turn_accel_radps2 or np.inf])
+    def _accelerated(self, commanded: Array) -> Array:
+        limits = np.array([self.parameters.max_accel_mps2, self.parameters.max_turn_accel_radps2])
         if np.isinf(limits).all():
-            return asked
+            return commanded
         most = limits[:, None] * self._step_s
-        return np.where(
-            np.abs(asked - self._rates) <= most, asked, self._rates + np.copysign(most, asked - self._rates)
-        )
+        change = commanded - self._rates
+        return np.where(np.abs(change) <= most, commanded, self._rates + np.copysign(most, change))
 
     def _slipping(self, rates: Array) -> Array:
-        if not self.model.slip:
+        if not self.parameters.slip:
             return rates
-        noise = self.model.slip * self._slip_rng.standard_normal(rates.shape)
+        noise = self.parameters.slip * self._slip_rng.standard_normal(rates.shape)
         rho = np.exp(-self._step_s / SLIP_TIME_S)
         self._slip = noise if self._slip is None else rho * self._slip + np.sqrt(1 - rho**2) * noise
         return np.asarray(rates * (1 + self._slip))

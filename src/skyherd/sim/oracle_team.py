@@ -1,10 +1,15 @@
-"""Robots that follow a law from the literature, which is given the truth in place of the units' messages."""
+"""Robots that follow a law from the literature, which needs more than the units' images tell.
+
+The laws of `skyherd.sim.baseline_laws` read true positions from the world. They stand in the robots' place
+outside `skyherd.control`, so that the rule that control knows nothing of the truth holds for it without
+exception; wheels and limits are the same, so that `skyherd study methods` can compare the laws.
+"""
 
 from collections.abc import Sequence
 
 import numpy as np
 
-from skyherd.control import Delivery, Gains, RobotTeam, TeamOrders, Wheels, wheel_law
+from skyherd.control import Delivery, RobotLaw, RobotTeam, TeamOrders, Wheels, wheel_law
 from skyherd.geometry import to_complex
 from skyherd.messages import VelocityCommand
 from skyherd.sim.baseline_laws import Law
@@ -21,7 +26,7 @@ class OracleTeam(RobotTeam):
         wheels: what the robots can do.
     """
 
-    def __init__(self, world: World, law: Law, gains: Gains, wheels: Wheels) -> None:
+    def __init__(self, world: World, law: Law, gains: RobotLaw, wheels: Wheels) -> None:
         self._world, self._law, self._gains, self._wheels = world, law, gains, wheels
 
     def decide(self, time_s: float, delivered: Sequence[Delivery]) -> TeamOrders:

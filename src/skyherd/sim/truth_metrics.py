@@ -1,6 +1,6 @@
-"""What only one who knows the truth can say: V, the topology's conditions, how good the shape is.
+"""Metrics that need the truth: the cost V, the topological conditions, the quality of the shape.
 
-For plots and tests; nothing here reaches `control`.
+They are for plots, summaries and tests; nothing here reaches `skyherd.control`.
 """
 
 from collections.abc import Sequence
@@ -23,13 +23,13 @@ from skyherd.geometry import Array, BoolArray, IntArray, to_complex
 
 @dataclass(frozen=True)
 class ShapeFit:
-    """The similarity of the template that fits a formation best, on the ground.
+    """The similarity that takes the template nearest to a formation on the ground.
 
     Attributes:
-        error: RMS distance to it over the formation's RMS radius.
-        scale: metres a template unit.
-        rotation_rad: counter-clockwise.
-        squares_m2: sum of squared distances to it.
+        error: RMS distance of the robots to the fitted template over the RMS radius of the formation.
+        scale: metres for a template unit.
+        rotation_rad: rotation of the template, counter-clockwise seen from above.
+        squares_m2: sum of squared distances to the fitted template.
     """
 
     error: float
@@ -39,25 +39,39 @@ class ShapeFit:
 
 
 def fit_shape(template_ground: np.ndarray, positions: np.ndarray) -> ShapeFit:
-    """Fit template points (N,) to ground positions (N,), both complex in map sense."""
+    """The best fit of a template to a formation.
+
+    Args:
+        template_ground: (N,) template points, complex, x right and y up.
+        positions: (N,) positions of the robots, complex, m.
+
+    Raises:
+        DegenerateSetError: the points define no similarity.
+    """
     similarity = fit_similarity(template_ground, positions)
     squares = float(np.sum(np.abs(similarity(template_ground) - positions) ** 2))
     spread = float(np.sum(np.abs(positions - positions.mean()) ** 2))
-    return ShapeFit(float(np.sqrt(squares / spread)), similarity.scale, similarity.rotation_rad, squares)
+    return ShapeFit(
+        error=float(np.sqrt(squares / spread)),
+        scale=similarity.scale,
+        rotation_rad=similarity.rotation_rad,
+        squares_m2=squares,
+    )
 
 
 @dataclass(frozen=True)
 class TruthMetrics:
-    """The state of a mission at one instant.
+    """The true state of a mission at one instant.
 
     Attributes:
-        V: cost function, m² (eq. 9).
-        V_units: (U,) each unit's share, `1/2 Σ_i |x_i^{d,j} - x_i|²`; NaN for a set that makes no shape.
-        scales: (U,) metres a template unit, of each partial formation.
-        rotations_rad: (U,) of each partial formation, ground sense.
-        conditions: TC1-TC5.
-        shape: of the whole formation.
-        min_separation_m: between any two robots.
+        V: the cost function, m² (paper, eq. 9).
+        V_units: (U,) each unit's term `V^j = 1/2 Σ_i |x_i^{d,j} - x_i|²`, m²; NaN for a set of robots that
+            defines no similarity.
+        scales: (U,) metres for a template unit, of each unit's partial formation.
+        rotations_rad: (U,) rotations of the partial formations, counter-clockwise seen from above.
+        conditions: the topological conditions TC1 to TC5 (paper, Section II).
+        shape: the fit of the whole formation.
+        min_separation_m: least distance between the centres of two robots.
     """
 
     V: float
@@ -70,7 +84,12 @@ class TruthMetrics:
 
 
 class TruthObserver:
-    """Watches a team form the shape of `template`; `ids` are its robots, ascending."""
+    """Computes the metrics of one team at each instant.
+
+    Args:
+        template: the shape at the start.
+        ids: (N,) robots of the team, ascending.
+    """
 
     def __init__(self, template: Template, ids: IntArray) -> None:
         self.ids = ids
@@ -85,36 +104,43 @@ class TruthObserver:
         dead: Sequence[int] = (),
         shape: Template | None = None,
     ) -> TruthMetrics:
-        """Judge robots at positions (N, 2) under the topology `sets`, in which dead units have no part.
+        """The metrics of robots at given positions under a given topology.
 
-        `shape` is what they form now, each robot with the point that is its own; the template if None.
+        Args:
+            positions_m: (N, 2) positions on the ground.
+            sets: S_j^c, the robots that each unit controls.
+            dead: units that have failed, which TC1 to TC5 leave out.
+            shape: the shape at this time, each robot with its own point; the template if None.
         """
         template = self.template_ground if shape is None else shape.points_of(self.ids).conj()
         positions = to_complex(positions_m)
         controlled = control_matrix(sets, self.ids)
         unit, robot = np.nonzero(controlled)
         units = len(controlled)
-        partial = fit_similarities(template[robot], positions[robot], unit, units)
+        partial = fit_similarities(template[robot], positions[robot], group=unit, groups=units)
         missed = np.abs(partial(template[robot], unit) - positions[robot])
         costs = np.bincount(unit, weights=missed**2, minlength=units) / 2
         return TruthMetrics(
             V=float(costs[partial.exist].sum()),
             V_units=np.where(partial.exist, costs, np.nan),
-            scales=np.where(partial.exist, np.abs(partial.turns), np.nan),
-            rotations_rad=np.where(partial.exist, np.angle(partial.turns), np.nan),
-            conditions=self._judged(np.delete(controlled, list(dead), axis=0)),
+            scales=np.where(partial.exist, np.abs(partial.factors), np.nan),
+            rotations_rad=np.where(partial.exist, np.angle(partial.factors), np.nan),
+            conditions=self._checked(np.delete(controlled, list(dead), axis=0)),
             shape=fit_shape(template, positions),
-            min_separation_m=_least_separation(positions_m),
+            min_separation_m=_min_separation_m(positions_m),
         )
 
-    def _judged(self, topology: BoolArray) -> Conditions:
-        """TC1-TC5 of a topology; most steps leave it as it was."""
+    def _checked(self, topology: BoolArray) -> Conditions:
+        """TC1 to TC5 of a topology (U, N), computed anew only where it has changed."""
         if not np.array_equal(topology, self._topology):
             self._topology, self._conditions = topology, check_conditions(topology)
         return self._conditions
 
 
-def _least_separation(positions_m: Array) -> float:
-    """Distance of the two robots that are nearest to each other; a robot is the nearest to itself."""
+def _min_separation_m(positions_m: Array) -> float:
+    """Least distance between two of the positions (N, 2).
+
+    The nearest neighbour that the tree finds for a robot is the robot itself, so that the second counts.
+    """
     distances, _ = KDTree(positions_m).query(positions_m, 2)
     return float(np.asarray(distances)[:, 1].min())

@@ -1,30 +1,37 @@
-"""The truth: unicycle robots, and aerial units with their autopilots."""
+"""The truth: unicycle robots on the ground, and aerial units with their autopilots.
+
+Robots have unicycle kinematics and units single-integrator kinematics, as in the paper (Sections II and VI).
+Numbers are in the ground frame: x, y in metres, angles counter-clockwise from +x. `control` never sees any of
+this; a scenario's numbers come from `skyherd.sim.physics`.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from skyherd.datasets import AutopilotModel, Mission, Scenario, UnitModel
 from skyherd.geometry import Array, IntArray, to_complex, to_points, wrap_angle
 from skyherd.messages import FlightCommand, VelocityCommand
-from skyherd.random_streams import RunStream, generator
-from skyherd.render import CameraPose, Motion
-from skyherd.sim.drive import Drive, limit
+from skyherd.render import Camera, CameraPose, Motion
+from skyherd.sim.drive import Drive
 from skyherd.sim.sway import Sway
+
+LEAST_SPEED_MPS = 1e-12
+"""Speeds are divided by at least this, m/s. Chosen: far below any speed of flight; it only avoids 0 / 0."""
 
 
 def move_unicycles(
     positions_m: Array, headings_rad: Array, v_mps: Array, omega_radps: Array, step_s: float
 ) -> tuple[Array, Array]:
-    """Positions (N, 2) and headings (N,) after `step_s` at constant v and omega: exact arcs.
+    """Positions (N, 2) and headings (N,) of unicycles after `step_s` at constant v and ω: exact arcs.
 
-    The chord of an arc that turns by `a = omega t` is `v t sin(a/2)/(a/2)` long and points along the mean
-    heading, which holds for a = 0 too.
+    The chord of an arc that turns by `a = ω t` is `v t sin(a/2) / (a/2)` long and points along the mean of
+    the two headings, which holds for a = 0 too.
     """
-    turn = omega_radps * step_s
-    chord = v_mps * step_s * np.sinc(turn / (2 * np.pi)) * np.exp(1j * (headings_rad + turn / 2))
-    return positions_m + to_points(chord), wrap_angle(headings_rad + turn)
+    turned_rad = omega_radps * step_s
+    length = v_mps * step_s * np.sinc(turned_rad / (2 * np.pi))
+    chord = length * np.exp(1j * (headings_rad + turned_rad / 2))
+    return positions_m + to_points(chord), wrap_angle(headings_rad + turned_rad)
 
 
 def move_bodies(
@@ -32,10 +39,14 @@ def move_bodies(
     headings_rad: Array,
     v_mps: Array,
     omega_radps: Array,
+    *,
     step_s: float,
     axis_offset_m: float,
 ) -> tuple[Array, Array]:
-    """`move_unicycles` for bodies whose centres lie `axis_offset_m` ahead of their axes, which v is of."""
+    """`move_unicycles` for bodies whose centres lie ahead of their wheel axes by `axis_offset_m`.
+
+    v is the speed of the axis, which moves on an exact arc; positions (N, 2) are of the bodies' centres.
+    """
     if not axis_offset_m:
         return move_unicycles(positions_m, headings_rad, v_mps, omega_radps, step_s)
     ahead = axis_offset_m * np.exp(1j * headings_rad)
@@ -45,7 +56,13 @@ def move_bodies(
 
 @dataclass(frozen=True)
 class Markers:
-    """All markers on the ground, M of them, the robots' first: ids (M,), places (M, 2), headings (M,)."""
+    """M markers on the ground.
+
+    Attributes:
+        ids: (M,) ids.
+        positions_m: (M, 2) centres.
+        headings_rad: (M,) headings.
+    """
 
     ids: IntArray
     positions_m: Array
@@ -53,8 +70,62 @@ class Markers:
 
 
 @dataclass(frozen=True)
+class UnitParameters:
+    """One aerial unit: its camera, where it starts, and what its gimbal and lens do by themselves.
+
+    Attributes:
+        camera: the camera at a zoom of 1.
+        position_m: start on the ground plane.
+        height_m: height of the camera at the start.
+        yaw_rad: yaw at the start.
+        tilt_rad: constant tilts about the camera's u and v axes.
+        zoom_times_s: (K,) times, ascending, of the prescribed zooms.
+        zooms: (K,) factors on the focal length at these times; linear between, constant outside.
+        zoom_range: least and greatest factor by which the unit itself may zoom in addition.
+        sway: random tilts in addition; None if the unit hangs still.
+    """
+
+    camera: Camera
+    position_m: tuple[float, float]
+    height_m: float
+    yaw_rad: float = 0.0
+    tilt_rad: tuple[float, float] = (0.0, 0.0)
+    zoom_times_s: Sequence[float] = (0.0,)
+    zooms: Sequence[float] = (1.0,)
+    zoom_range: tuple[float, float] = (1.0, 1.0)
+    sway: Sway | None = None
+
+
+@dataclass(frozen=True)
+class AutopilotLimits:
+    """Limits that the autopilots of all units keep.
+
+    Attributes:
+        min_height_m: least height.
+        max_height_m: greatest height.
+        max_speed_mps: limit of the horizontal speed.
+        max_climb_mps: limit of the vertical speed.
+        max_yaw_rate_radps: limit of the yaw rate.
+    """
+
+    min_height_m: float
+    max_height_m: float
+    max_speed_mps: float
+    max_climb_mps: float
+    max_yaw_rate_radps: float
+
+
+@dataclass(frozen=True)
 class Fleet:
-    """State of the aerial units: positions (U, 2), heights (U,), yaws (U,), tilts (U, 2), zooms (U,)."""
+    """State of the U aerial units.
+
+    Attributes:
+        positions_m: (U, 2) on the ground plane.
+        heights_m: (U,) heights of the cameras.
+        yaws_rad: (U,) yaws; at yaw ψ the camera's +u lies along (cos ψ, sin ψ).
+        tilts_rad: (U, 2) tilts about the cameras' u and v axes.
+        zooms: (U,) factors on the focal lengths.
+    """
 
     positions_m: Array
     heights_m: Array
@@ -63,7 +134,7 @@ class Fleet:
     zooms: Array
 
     def pose(self, unit: int) -> CameraPose:
-        """Where one unit's camera is."""
+        """Pose of one unit's camera."""
         x, y = self.positions_m[unit].tolist()
         tilt_u, tilt_v = self.tilts_rad[unit].tolist()
         return CameraPose(
@@ -75,13 +146,13 @@ class Fleet:
         )
 
 
-def _fly(fleet: Fleet, commands: Sequence[FlightCommand], limits: AutopilotModel, step_s: float) -> Fleet:
-    """Single integrators with limited speeds, each in its camera's axes, kept between two heights."""
+def _fly(fleet: Fleet, commands: Sequence[FlightCommand], *, limits: AutopilotLimits, step_s: float) -> Fleet:
+    """The fleet after `step_s`: single integrators with limited speeds, each in its camera's axes."""
     lateral = np.array([command.lateral_mps for command in commands])
     speed = np.linalg.norm(lateral, axis=1, keepdims=True)
-    lateral *= np.minimum(1.0, limits.max_speed_mps / np.maximum(speed, 1e-12))
+    lateral *= np.minimum(1.0, limits.max_speed_mps / np.maximum(speed, LEAST_SPEED_MPS))
     climb = np.clip([c.climb_mps for c in commands], -limits.max_climb_mps, limits.max_climb_mps)
-    most = np.radians(limits.max_yaw_rate_degps)
+    most = limits.max_yaw_rate_radps
     yaw_rate = np.clip([c.yaw_rate_radps for c in commands], -most, most)
     moved = to_points(to_complex(lateral).conj() * np.exp(1j * fleet.yaws_rad)) * step_s
     return replace(
@@ -94,124 +165,136 @@ def _fly(fleet: Fleet, commands: Sequence[FlightCommand], limits: AutopilotModel
 
 
 class World:
-    """Robots and units as they are; `control` never sees it.
+    """Robots, obstacles and aerial units as they truly are; `control` never sees it.
 
     Attributes:
         ids: (N,) robots.
-        positions_m: (N, 2).
-        headings_rad: (N,).
-        fleet: the aerial units.
-        cameras: one for each unit.
+        positions_m: (N, 2) centres of the robots' markers.
+        headings_rad: (N,) headings of the robots.
+        fleet: state of the aerial units.
+        cameras: (U,) one for each unit, at a zoom of 1.
+
+    Args:
+        robots: the robots' markers at the start.
+        obstacles: markers of the obstacles, which never move.
+        drive: drives of the robots, at rest.
+        units: the aerial units.
+        autopilot: limits of their flight.
+        radio_range_m: distance on the ground plane up to which units receive one another; None for any.
     """
 
-    def __init__(self, mission: Mission) -> None:
-        self.mission = mission
-        self.scenario: Scenario = mission.scenario
-        self.ids = mission.ids
-        self.positions_m, self.headings_rad = mission.positions_m.copy(), mission.headings_rad.copy()
-        units: list[UnitModel] = self.scenario.units
-        self.cameras = [unit.camera.make() for unit in units]
+    def __init__(
+        self,
+        *,
+        robots: Markers,
+        obstacles: Markers,
+        drive: Drive,
+        units: Sequence[UnitParameters],
+        autopilot: AutopilotLimits,
+        radio_range_m: float | None = None,
+    ) -> None:
+        self.ids = robots.ids
+        self.positions_m, self.headings_rad = robots.positions_m.copy(), robots.headings_rad.copy()
+        self.cameras = [unit.camera for unit in units]
+        self._obstacles, self._drive, self._autopilot = obstacles, drive, autopilot
+        self._units, self._radio_range_m = units, radio_range_m
         self._time_s = 0.0
-        self._tilts_rad = np.radians([unit.tilt_deg for unit in units])
-        self._sways = [self._draw_sway(number, unit) for number, unit in enumerate(units)]
-        self._zooms = [np.array(unit.zoom, dtype=float).T for unit in units]
+        self._tilts_rad = np.array([unit.tilt_rad for unit in units])
         self._zoom_limits = np.array([unit.zoom_range for unit in units], dtype=float).T
         self.fleet = Fleet(
             positions_m=np.array([unit.position_m for unit in units]),
             heights_m=np.array([unit.height_m for unit in units]),
-            yaws_rad=np.radians([unit.yaw_deg for unit in units]),
+            yaws_rad=np.array([unit.yaw_rad for unit in units]),
             tilts_rad=self._swayed(0.0),
             zooms=self._limited(np.ones(len(units)), 0.0),
         )
-        robots = self.scenario.robots
-        self._drive = Drive(robots.drive, self.ids.size, self.scenario.step_s, self.scenario.seed)
         self._rates = (np.zeros_like(self.positions_m), np.zeros_like(self.headings_rad))
         self._fleet_before, self._step_s = self.fleet, 1.0
-        self._commands = [FlightCommand(unit, np.zeros(2), 0.0, 0.0) for unit in range(len(units))]
+        self._commands = [
+            FlightCommand(unit, np.zeros(2), climb_mps=0.0, yaw_rate_radps=0.0) for unit in range(len(units))
+        ]
 
     @property
     def markers(self) -> Markers:
-        """Where all markers are: those of the robots, then those of the obstacles."""
-        mission = self.mission
+        """All markers on the ground: those of the robots, then those of the obstacles."""
+        obstacles = self._obstacles
         return Markers(
-            np.concatenate([self.ids, mission.obstacle_ids]),
-            np.concatenate([self.positions_m, mission.obstacle_positions_m]),
-            np.concatenate([self.headings_rad, mission.obstacle_headings_rad]),
+            np.concatenate([self.ids, obstacles.ids]),
+            np.concatenate([self.positions_m, obstacles.positions_m]),
+            np.concatenate([self.headings_rad, obstacles.headings_rad]),
         )
 
     def camera_pose(self, unit: int) -> CameraPose:
-        """Where one unit's camera is now."""
+        """Pose of one unit's camera now."""
         return self.fleet.pose(unit)
 
     def motion(self, unit: int) -> Motion:
-        """Velocities of one unit's camera and of all markers over the last step; zero before the first.
+        """Velocities of one unit's camera and of all markers, which blur images and skew rolling shutters.
 
-        Those of its sway are of the instant itself.
+        They are means over the last step, and zero before the first; the sway's are those of the instant.
         """
         old, new = self._fleet_before, self.fleet
         x, y = ((new.positions_m[unit] - old.positions_m[unit]) / self._step_s).tolist()
         climb = float(new.heights_m[unit] - old.heights_m[unit]) / self._step_s
-        turn = float(wrap_angle(new.yaws_rad[unit] - old.yaws_rad[unit])) / self._step_s
-        still, (mps, radps) = self.mission.obstacle_ids.size, self._rates
-        sway = self._sways[unit]
+        yaw_rate = float(wrap_angle(new.yaws_rad[unit] - old.yaws_rad[unit])) / self._step_s
+        still, (mps, radps) = self._obstacles.ids.size, self._rates
+        sway = self._units[unit].sway
         tilt_u, tilt_v = (0.0, 0.0) if sway is None else sway.rates_at(self._time_s).tolist()
         return Motion(
-            (x, y, climb),
-            turn,
-            np.pad(mps, ((0, still), (0, 0))),
-            np.pad(radps, (0, still)),
+            camera_mps=(x, y, climb),
+            yaw_rate_radps=yaw_rate,
+            robots_mps=np.pad(mps, ((0, still), (0, 0))),
+            robots_radps=np.pad(radps, (0, still)),
             tilt_rates_radps=(tilt_u, tilt_v),
         )
 
     def in_range(self) -> list[list[int]] | None:
-        """Units that hear each unit's radio; None if all hear all."""
-        range_m = self.scenario.network.range_m
-        if range_m is None:
+        """By unit, the units that receive its radio, itself among them; None if all receive all."""
+        if self._radio_range_m is None:
             return None
         places_m = self.fleet.positions_m
         apart_m = np.linalg.norm(places_m[:, None] - places_m, axis=2)
-        return [np.flatnonzero(row).tolist() for row in apart_m <= range_m]
+        return [np.flatnonzero(row).tolist() for row in apart_m <= self._radio_range_m]
 
     def fly(self, command: FlightCommand) -> None:
-        """Hand a unit's autopilot the velocity to fly until the next command."""
+        """Give a unit's autopilot the velocity to fly at until the next command."""
         self._commands[command.unit_id] = command
 
     def limit(self, command: VelocityCommand) -> VelocityCommand:
-        """A command as the robots take it: v and omega within their limits."""
-        return limit(command, self.scenario.robots)
+        """A command as the robots accept it: v and ω within their limits."""
+        return self._drive.limit(command)
 
     def advance(self, command: VelocityCommand, time_s: float, step_s: float) -> None:
-        """Move all from `time_s` to `time_s + step_s`; `command` is for all robots, in order, and limited."""
-        offset_m = self.scenario.robots.drive.axis_offset_m
+        """Move robots and units from `time_s` to `time_s + step_s`.
+
+        Args:
+            command: for all robots in order, within the limits.
+            time_s: the time now.
+            step_s: the time step.
+        """
+        offset_m = self._drive.parameters.axis_offset_m
         v_mps, omega_radps = self._drive.step(command)
         self.positions_m, self.headings_rad = move_bodies(
-            self.positions_m, self.headings_rad, v_mps, omega_radps, step_s, offset_m
+            self.positions_m, self.headings_rad, v_mps, omega_radps, step_s=step_s, axis_offset_m=offset_m
         )
         forward = np.column_stack([np.cos(self.headings_rad), np.sin(self.headings_rad)])
         left = np.column_stack([-forward[:, 1], forward[:, 0]])
         self._rates = v_mps[:, None] * forward + offset_m * omega_radps[:, None] * left, omega_radps
         self._fleet_before, self._step_s = self.fleet, step_s
-        fleet = _fly(self.fleet, self._commands, self.scenario.autopilot, step_s)
-        zooms = self._limited(fleet.zooms / self._scripted(time_s), time_s + step_s)
+        fleet = _fly(self.fleet, self._commands, limits=self._autopilot, step_s=step_s)
+        zooms = self._limited(fleet.zooms / self._prescribed_zooms(time_s), time_s + step_s)
         self._time_s = time_s + step_s
         self.fleet = replace(fleet, tilts_rad=self._swayed(self._time_s), zooms=zooms)
 
-    def _draw_sway(self, number: int, unit: UnitModel) -> Sway | None:
-        if unit.sway is None:
-            return None
-        rng = generator(self.scenario.seed, RunStream.SWAY, number)
-        return Sway.draw(float(np.radians(unit.sway.tilt_deg)), unit.sway.period_s, rng)
-
     def _swayed(self, time_s: float) -> Array:
-        """Tilts (U, 2) that the scenario prescribes, and the sway on top."""
-        return self._tilts_rad + [np.zeros(2) if s is None else s.tilts_rad(time_s) for s in self._sways]
+        """Tilts (U, 2), rad: the constant ones, and the sway in addition."""
+        sways = (unit.sway for unit in self._units)
+        return self._tilts_rad + [np.zeros(2) if s is None else s.tilts_rad(time_s) for s in sways]
 
-    def _scripted(self, time_s: float) -> Array:
-        """Zooms that the scenario prescribes."""
-        return np.array(
-            [np.interp(time_s, *plan) if len(plan[0]) > 1 else plan[1][0] for plan in self._zooms]
-        )
+    def _prescribed_zooms(self, time_s: float) -> Array:
+        """Zooms (U,) that the units' parameters prescribe at a time."""
+        return np.array([np.interp(time_s, unit.zoom_times_s, unit.zooms) for unit in self._units])
 
     def _limited(self, flown: Array, time_s: float) -> Array:
-        """Zooms as scripted, times what the units ask for within their lenses' ranges."""
-        return np.asarray(self._scripted(time_s) * np.clip(flown, *self._zoom_limits))
+        """Zooms (U,): the prescribed ones times the units' own factors (U,) within their ranges."""
+        return np.asarray(self._prescribed_zooms(time_s) * np.clip(flown, *self._zoom_limits))

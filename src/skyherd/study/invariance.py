@@ -24,8 +24,8 @@ from skyherd.errors import DegenerateSetError, InputError
 from skyherd.geometry import Array, IntArray, apply_homography, inverse, to_complex, to_points
 from skyherd.messages import VelocityCommand
 from skyherd.render import homography_image_ground, project, undistort
+from skyherd.sim.physics import make_world
 from skyherd.sim.truth_metrics import fit_shape
-from skyherd.sim.world import World
 from skyherd.study.plan import Plan, Run
 from skyherd.study.spec import CURVE, REFERENCE, RUN_KEYS, SweepModel
 from skyherd.study.store import ERROR
@@ -161,7 +161,7 @@ def own_key(sweep: SweepModel) -> str:
 
 def predict(mission: Mission) -> Measures:
     """Largest displacement of the goals while robots stand at the start, and the shape's error at the end."""
-    world, scenario = World(mission), mission.scenario
+    world, scenario = make_world(mission), mission.scenario
     template = mission.template.points_of(mission.ids)
     true = desired_on_ground(template.conj(), to_complex(mission.positions_m))
     step_s, still = scenario.duration_s / (INSTANTS - 1), _stand(mission.ids)

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from skyherd.control import AvoidanceRule, BodyRule, MarkerGains, NeighborMemory, Wheels
-from skyherd.control.avoidance.detour import circle, slide
+from skyherd.control.avoidance.detour import around, gyroscopic
 from skyherd.control.avoidance.proximity import proximity
 from skyherd.control.avoidance.speed_bound import avoiding_law, closing_bounds, slowed
 from skyherd.control.robots.unicycle import wheel_law
-from skyherd.datasets.configuration.robot_models import DriveModel
 from skyherd.geometry import to_complex, to_points, wrap_angle
 from skyherd.messages import VelocityCommand
-from skyherd.sim.drive import Drive
+from skyherd.random_streams import RunStream, generator
+from skyherd.sim.drive import Drive, DriveParameters
 from skyherd.sim.world import move_bodies
 
 SIDE_M, STEP_S = 0.2, 0.1
@@ -23,7 +23,7 @@ REACH_M = 2 * SIDE_M
 
 
 def rule(**changed) -> AvoidanceRule:
-    return AvoidanceRule(SIDE_M, WHEELS, prompt_s=0.2, next_s=0.2, step_s=STEP_S, **changed)
+    return AvoidanceRule(SIDE_M, WHEELS, nominal_age_s=0.2, superseded_age_s=0.2, step_s=STEP_S, **changed)
 
 
 @dataclass
@@ -33,7 +33,7 @@ class Crowd:
     rng: np.random.Generator
     rule: AvoidanceRule
     make_detections: object
-    drive: DriveModel
+    drive: DriveParameters
     count: int = 6
     latency: int = 0
     loss: float = 0.0
@@ -41,8 +41,12 @@ class Crowd:
     def __post_init__(self) -> None:
         ids = np.arange(self.count)
         self.positions_m, self.headings = self._start(), self.rng.uniform(-np.pi, np.pi, self.count)
-        self.around = NeighborMemory(ids, ids, self.rule.lifetime_s)
-        self.wheels = Drive(self.drive, self.count, STEP_S, int(self.rng.integers(1000)))
+        self.memory = NeighborMemory(ids, ids, self.rule.lifetime_s)
+        seed = int(self.rng.integers(1000))
+        gain_rng, slip_rng = (
+            generator(seed, stream) for stream in (RunStream.WHEEL_GAINS, RunStream.WHEEL_SLIP)
+        )
+        self.wheels = Drive(self.drive, self.count, step_s=STEP_S, gain_rng=gain_rng, slip_rng=slip_rng)
         self.waiting: list = []
         self.least_m = np.inf
 
@@ -79,19 +83,18 @@ class Crowd:
             self.look(tick)
         for arrival, message in self.waiting:
             if arrival == tick:
-                self.around.receive(message, self.rng.random(self.count) >= self.loss)
-        bounds = closing_bounds(self.around, self.rule, tick * STEP_S)
-        v, omega = slowed(*self.wants(), bounds, self.rule)
-        self.around.turn(omega, tick * STEP_S, STEP_S)
+                self.memory.receive(message, self.rng.random(self.count) >= self.loss)
+        bounds = closing_bounds(self.memory, self.rule, tick * STEP_S)
+        v, omega = slowed(*self.wants(), bounds=bounds, rule=self.rule)
+        self.memory.record_rotation(omega, tick * STEP_S, STEP_S)
         v, omega = self.wheels.step(VelocityCommand(np.arange(self.count), v, omega))
         offset = self.rule.wheels.axis_offset_m
+        before = self.positions_m, self.headings
         for part in np.linspace(0.1, 1.0, 10):
-            there, _ = move_bodies(self.positions_m, self.headings, v, omega, part * STEP_S, offset)
+            there, _ = move_bodies(*before, v, omega, step_s=part * STEP_S, axis_offset_m=offset)
             apart = np.abs(to_complex(there)[:, None] - to_complex(there))[np.triu_indices(self.count, 1)]
             self.least_m = min(self.least_m, float(apart.min()))
-        self.positions_m, self.headings = move_bodies(
-            self.positions_m, self.headings, v, omega, STEP_S, offset
-        )
+        self.positions_m, self.headings = move_bodies(*before, v, omega, step_s=STEP_S, axis_offset_m=offset)
 
 
 def least_gap_m(crowd: Crowd, ticks: int = 150) -> float:
@@ -101,15 +104,15 @@ def least_gap_m(crowd: Crowd, ticks: int = 150) -> float:
 
 
 ROBOTS_AS_THEY_ARE = {
-    "exact": (DriveModel(), {}),
-    "brakes": (DriveModel(max_accel_mps2=0.25), {"lag_s": 2.0}),
-    "late": (DriveModel(delay_s=0.2), {"lag_s": 0.2}),
+    "exact": (DriveParameters(), {}),
+    "brakes": (DriveParameters(max_accel_mps2=0.25), {"lag_s": 2.0}),
+    "late": (DriveParameters(delay_s=0.2), {"lag_s": 0.2}),
     "fast": (
-        DriveModel(gain_error=0.2, track_m=0.3),
+        DriveParameters(gain_error=0.2, track_m=0.3),
         {"overshoot": 0.2, "turn_error_radps": 2 * 0.2 * 0.5 / 0.3 + 0.2 * 2.0},
     ),
     "offset": (
-        DriveModel(axis_offset_m=0.05),
+        DriveParameters(axis_offset_m=0.05),
         {"wheels": Wheels(0.5, 2.0, axis_offset_m=0.05)},
     ),
 }
@@ -122,8 +125,14 @@ def test_bodies_never_touch(make_detections, kind, latency, loss, seed) -> None:
     """From any start without overlap, with any wishes: docs/bodies.md proves it, the gap only ever shrinks
     by a factor. Rounding is 1e-9 m."""
     drive, known = ROBOTS_AS_THEY_ARE[kind]
-    news_s = 0.2 + latency * STEP_S
-    usual = {"wheels": WHEELS, "prompt_s": news_s, "next_s": news_s, "step_s": STEP_S, "lifetime_s": 60.0}
+    age_s = 0.2 + latency * STEP_S
+    usual = {
+        "wheels": WHEELS,
+        "nominal_age_s": age_s,
+        "superseded_age_s": age_s,
+        "step_s": STEP_S,
+        "lifetime_s": 60.0,
+    }
     mine = AvoidanceRule(SIDE_M, **(usual | known))
     crowd = Crowd(np.random.default_rng([seed, 7]), mine, make_detections, drive, latency=latency, loss=loss)
     assert least_gap_m(crowd) > -1e-9
@@ -135,9 +144,13 @@ def test_bodies_never_touch(make_detections, kind, latency, loss, seed) -> None:
 def test_robots_that_do_not_know_their_wheels_touch(make_detections, kind, forgotten) -> None:
     """Negative control: each part of the bound is needed."""
     drive, _ = ROBOTS_AS_THEY_ARE[kind]
-    blind = AvoidanceRule(SIDE_M, WHEELS, prompt_s=0.2, next_s=0.2, step_s=STEP_S, lifetime_s=60.0)
+    blind = AvoidanceRule(
+        SIDE_M, WHEELS, nominal_age_s=0.2, superseded_age_s=0.2, step_s=STEP_S, lifetime_s=60.0
+    )
     if forgotten == "gamma":
-        blind = AvoidanceRule(SIDE_M, WHEELS, prompt_s=0.0, next_s=0.2, step_s=0.001, lifetime_s=60.0)
+        blind = AvoidanceRule(
+            SIDE_M, WHEELS, nominal_age_s=0.0, superseded_age_s=0.2, step_s=0.001, lifetime_s=60.0
+        )
     gaps = [
         least_gap_m(Crowd(np.random.default_rng([seed, 7]), blind, make_detections, drive), 60)
         for seed in range(8)
@@ -145,94 +158,103 @@ def test_robots_that_do_not_know_their_wheels_touch(make_detections, kind, forgo
     assert min(gaps) < 0
 
 
-def test_what_a_unit_tells_is_true(make_detections) -> None:
+def test_what_a_unit_reports_is_true(make_detections) -> None:
     """Against the ground: distances in marker sides, bearings in each robot's frame, counter-clockwise."""
     rng = np.random.default_rng(8)
-    crowd = Crowd(rng, rule(), make_detections, DriveModel())
+    crowd = Crowd(rng, rule(), make_detections, DriveParameters())
     crowd.look(0)
-    word = crowd.waiting[0][1]
+    message = crowd.waiting[0][1]
     here = to_complex(crowd.positions_m)
-    away = here[word.other_ids] - here[word.robot_ids]
-    assert word.distances_sides == pytest.approx(np.abs(away) / SIDE_M, rel=1e-9)
-    assert wrap_angle(word.bearings_rad - np.angle(away) + crowd.headings[word.robot_ids]) == pytest.approx(
-        0, abs=1e-9
-    )
-    assert word.robot_ids.size == 6 * 5 and (word.shares == 0.5).all()
+    away = here[message.other_ids] - here[message.robot_ids]
+    assert message.distances_sides == pytest.approx(np.abs(away) / SIDE_M, rel=1e-9)
+    assert wrap_angle(
+        message.bearings_rad - np.angle(away) + crowd.headings[message.robot_ids]
+    ) == pytest.approx(0, abs=1e-9)
+    assert message.robot_ids.size == 6 * 5 and (message.shares == 0.5).all()
 
 
 def test_an_obstacle_is_all_the_robots_own_to_keep_away_from(make_detections) -> None:
     seen = make_detections([0, 1, 40], [0, 300, 60], sides=[20, 20, 20])
     bodies = BodyRule(1.0, margin_sides=0.5, horizon_sides=4.0, obstacles={40: 0.25})
-    word = proximity(seen, np.array([0, 1, 2]), bodies)
-    assert word.robot_ids.tolist() == [0] and word.other_ids.tolist() == [40]
-    assert word.distances_sides.tolist() == [3.0] and word.reaches_sides.tolist() == [1.75]
-    assert word.shares.tolist() == [1.0]
+    message = proximity(seen, np.array([0, 1, 2]), bodies)
+    assert message.robot_ids.tolist() == [0] and message.other_ids.tolist() == [40]
+    assert message.distances_sides.tolist() == [3.0] and message.reaches_sides.tolist() == [1.75]
+    assert message.shares.tolist() == [1.0]
 
 
-def test_news_replace_older_ones_and_clear_what_went_away(make_detections) -> None:
-    around = NeighborMemory(np.array([0, 1]), np.array([0, 1]), 2.0)
+def test_messages_replace_older_ones_and_clear_what_went_away(make_detections) -> None:
+    memory = NeighborMemory(np.array([0, 1]), np.array([0, 1]), 2.0)
     bodies = BodyRule(1.0, horizon_sides=4.0)
 
-    def tell(time_s: float, apart_px: float, ids=(0, 1)) -> None:
+    def send(time_s: float, apart_px: float, ids=(0, 1)) -> None:
         points = [0, apart_px][: len(ids)]
         seen = make_detections(ids, points, sides=[20] * len(ids), time_s=time_s)
-        around.receive(proximity(seen, np.array([0, 1]), bodies))
+        memory.receive(proximity(seen, np.array([0, 1]), bodies))
 
-    tell(1.0, 100)
-    tell(0.5, 60)
-    assert around.distances_sides[0, 1] == 5.0, "older news change nothing"
-    tell(1.2, 0, ids=(0,))
-    assert around.fresh(1.3)[0].size == 2, "a body that is not seen has not gone"
-    tell(1.4, 400)
-    assert around.fresh(1.5)[0].size == 0, "two that are seen far apart have"
-    tell(2.0, 100)
-    assert around.fresh(4.1)[0].size == 0, "and old news are forgotten"
+    send(1.0, 100)
+    send(0.5, 60)
+    assert memory.distances_sides[0, 1] == 5.0, "an older message changes nothing"
+    send(1.2, 0, ids=(0,))
+    assert memory.fresh(1.3)[0].size == 2, "a body that is not seen has not gone"
+    send(1.4, 400)
+    assert memory.fresh(1.5)[0].size == 0, "two that are seen far apart have"
+    send(2.0, 100)
+    assert memory.fresh(4.1)[0].size == 0, "and old messages are forgotten"
 
 
 def test_directions_turn_with_the_robot(make_detections) -> None:
     """A message of time 0 that arrives at 0.3 s: the robot has turned by 0.3 rad meanwhile."""
-    around = NeighborMemory(np.array([0]), np.array([0, 1]), 2.0)
+    memory = NeighborMemory(np.array([0]), np.array([0, 1]), 2.0)
     for tick in range(5):
         if tick == 3:
             seen = make_detections([0, 1], [0, 60], time_s=0.0)
-            around.receive(proximity(seen, np.array([0]), BodyRule(1.0, obstacles={1: 1.0})))
-        around.turn(np.array([1.0]), 0.1 * tick, 0.1)
-    assert around.bearings_rad(around.fresh(0.5)) == pytest.approx([-0.5])
+            memory.receive(proximity(seen, np.array([0]), BodyRule(1.0, obstacles={1: 1.0})))
+        memory.record_rotation(np.array([1.0]), 0.1 * tick, 0.1)
+    assert memory.bearings_rad(memory.fresh(0.5)) == pytest.approx([-0.5])
 
 
 def test_nothing_near_leaves_the_law_alone(make_detections) -> None:
     """Bit for bit: robots 10 sides apart whose goals lead away from one another."""
     gains = MarkerGains(0.5, 2.0, 0.0, SIDE_M)
     rho = np.array([3 + 1j, -2 + 4j])
-    around = NeighborMemory(np.array([0, 1]), np.array([0, 1]), 2.0)
+    memory = NeighborMemory(np.array([0, 1]), np.array([0, 1]), 2.0)
     points = np.array([0, 200])
-    around.receive(proximity(make_detections([0, 1], points), np.array([0, 1]), BODIES))
-    assert np.array_equal(avoiding_law(rho, gains, around, rule(), 0.0), wheel_law(rho, gains, WHEELS))
+    memory.receive(proximity(make_detections([0, 1], points), np.array([0, 1]), BODIES))
+    assert np.array_equal(
+        avoiding_law(rho, gains, memory=memory, rule=rule(), time_s=0.0), wheel_law(rho, gains, WHEELS)
+    )
 
 
-def test_the_way_that_is_taken_is_within_all_bounds() -> None:
-    """And of two robots head on each takes the same side; one whose way is free keeps it."""
+def test_a_detour_is_within_all_bounds() -> None:
+    """Of two robots that meet head-on each keeps to the right; one that is not blocked is left alone."""
     rng = np.random.default_rng(9)
     rows = np.repeat(np.arange(20), 5)
     bearings, speeds = rng.uniform(-np.pi, np.pi, 100), rng.uniform(0, 0.2, 100)
-    wanted = 0.3 * np.exp(1j * rng.uniform(-np.pi, np.pi, 20))
-    barred, way = slide(wanted, rows, bearings, speeds)
-    taken = wanted.copy()
-    taken[barred] = way
+    preferred = 0.3 * np.exp(1j * rng.uniform(-np.pi, np.pi, 20))
+    blocked, velocities = around(preferred, rows=rows, bearings_rad=bearings, speeds_mps=speeds)
+    taken = preferred.copy()
+    taken[blocked] = velocities
     assert ((np.exp(-1j * bearings) * taken[rows]).real <= speeds + 1e-12).all()
-    free = np.setdiff1d(np.arange(20), barred)
-    assert barred.size and free.size
-    head_on = slide(np.array([0.3, 0.3 + 0j]), np.arange(2), np.zeros(2), np.full(2, 0.01))[1]
+    free = np.setdiff1d(np.arange(20), blocked)
+    assert blocked.size and free.size
+    head_on = around(
+        np.array([0.3, 0.3 + 0j]), rows=np.arange(2), bearings_rad=np.zeros(2), speeds_mps=np.full(2, 0.01)
+    )[1]
     assert (head_on.imag < 0).all(), "to the right"
 
 
 def test_a_gyroscopic_force_turns_to_the_tangent_and_does_not_brake() -> None:
-    """Of the body that bars most: to the nearer side, to the right if head on; a free way stays free."""
+    """Of the body that blocks most: to the nearer side, to the right if head-on; others are not blocked."""
     rows = np.array([0, 0, 1, 2, 3])
     bearings, speeds = np.array([0.3, -1.2, -0.4, 0.0, 3.0]), np.full(5, 0.05)
-    barred, way = circle(np.full(4, 0.3 + 0j), rows, bearings, speeds)
-    assert barred.tolist() == [0, 1, 2]
-    np.testing.assert_allclose(
-        way, 0.3 * np.exp(1j * np.array([0.3 - np.pi / 2, -0.4 + np.pi / 2, -np.pi / 2]))
+    blocked, velocities = gyroscopic(
+        np.full(4, 0.3 + 0j), rows=rows, bearings_rad=bearings, speeds_mps=speeds
     )
-    assert circle(np.ones(1, dtype=complex), rows[:0], bearings[:0], speeds[:0])[0].size == 0
+    assert blocked.tolist() == [0, 1, 2]
+    np.testing.assert_allclose(
+        velocities, 0.3 * np.exp(1j * np.array([0.3 - np.pi / 2, -0.4 + np.pi / 2, -np.pi / 2]))
+    )
+    none = gyroscopic(
+        np.ones(1, dtype=complex), rows=rows[:0], bearings_rad=bearings[:0], speeds_mps=speeds[:0]
+    )
+    assert none[0].size == 0

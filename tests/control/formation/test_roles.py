@@ -18,7 +18,7 @@ TEMPLATE = Template(np.arange(N), 100 * RING)
 RULE = RoleRule()
 
 
-def left(robots, points) -> float:
+def residual(robots, points) -> float:
     x, p = robots - robots.mean(), points - points.mean()
     return float(np.vdot(x, x).real - abs(np.vdot(p, x)) ** 2 / np.vdot(p, p).real)
 
@@ -40,17 +40,17 @@ class Agents:
     def step(self, time_s: float, robots: np.ndarray) -> None:
         for unit, mine in self.roles.items():
             reports = list(self.heard[unit].values())
-            mine.hear(reports)
+            mine.receive(reports)
             if mine.may_exchange(unit, time_s, reports):
                 mine.exchange(unit, whole(self.views[unit] * robots))
         for unit, mine in self.roles.items():
-            report = replace(self.blank(unit, [], [], []), time_s=time_s, roles=mine.word)
+            report = replace(self.blank(unit, [], [], []), time_s=time_s, roles=mine.reported)
             for other in self.roles:
                 if other != unit and self.rng.random() >= self.loss:
                     self.heard[other][unit] = report
 
     def maps(self) -> set:
-        return {mine.map.name for mine in self.roles.values()}
+        return {mine.map.precedence for mine in self.roles.values()}
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -59,29 +59,29 @@ def test_units_come_to_one_map_and_it_stays(make_report, seed, loss, longest) ->
     """Two units differ for as long as the newest map is not heard: `loss^longest` is below 1e-5."""
     agents = Agents(make_report, loss=loss, seed=seed)
     robots = agents.rng.normal(size=N) + 1j * agents.rng.normal(size=N)
-    before = left(robots, TEMPLATE.points_px)
+    before = residual(robots, TEMPLATE.points_px)
     differ = 0
     for tick in range(400):
         agents.step(0.2 * tick, robots)
         differ = differ + 1 if len(agents.maps()) > 1 else 0
         assert differ <= longest
     (name,) = agents.maps()
-    after = [left(robots, mine.shape.points_px) for mine in agents.roles.values()]
+    after = [residual(robots, mine.shape.points_px) for mine in agents.roles.values()]
     assert len(set(after)) == 1 and after[0] < before and name[0] >= 1
     for tick in range(400, 500):
         agents.step(0.2 * tick, robots)
     assert agents.maps() == {name}, "what cannot be improved is left alone"
 
 
-def test_every_exchange_lowers_what_is_left_by_the_gain(make_report) -> None:
+def test_every_exchange_lowers_the_residual_by_the_gain(make_report) -> None:
     agents = Agents(make_report, units=1)
     robots = agents.rng.normal(size=N) + 1j * agents.rng.normal(size=N)
     versions = 0
     for tick in range(100):
         robots = robots + 0.02 * (agents.rng.normal(size=N) + 1j * agents.rng.normal(size=N))
-        before = left(robots, agents.roles[0].shape.points_px)
+        before = residual(robots, agents.roles[0].shape.points_px)
         agents.step(0.5 * tick, robots)
-        now = left(robots, agents.roles[0].shape.points_px)
+        now = residual(robots, agents.roles[0].shape.points_px)
         if agents.roles[0].map.version > versions:
             versions = agents.roles[0].map.version
             assert now < (1 - RULE.gain) * before
@@ -109,8 +109,10 @@ def test_the_map_outlives_its_author_and_reaches_newcomers(make_report) -> None:
 def test_of_two_maps_made_at_once_the_lower_units_holds(make_report) -> None:
     first, second = (RoleMap(3, unit, np.roll(np.arange(N), unit)) for unit in (1, 2))
     mine = Roles(RULE, TEMPLATE)
-    reports = [replace(make_report(u, [], [], []), roles=word) for u, word in ((2, second), (1, first))]
-    mine.hear(reports)
+    reports = [
+        replace(make_report(u, [], [], []), roles=role_map) for u, role_map in ((2, second), (1, first))
+    ]
+    mine.receive(reports)
     assert mine.map is first
     assert newest_roles([second, None, first], N).tolist() == first.roles.tolist()
     assert newest_roles([None], N).tolist() == list(range(N))
@@ -118,9 +120,9 @@ def test_of_two_maps_made_at_once_the_lower_units_holds(make_report) -> None:
 
 def test_fixed_roles_stay(make_report) -> None:
     mine = Roles(None, TEMPLATE)
-    mine.hear([replace(make_report(1, [], [], []), roles=RoleMap(3, 1, np.roll(np.arange(N), 1)))])
+    mine.receive([replace(make_report(1, [], [], []), roles=RoleMap(3, 1, np.roll(np.arange(N), 1)))])
     assert not mine.may_exchange(0, 0.0, []) and not mine.exchange(0, whole(RING[::-1]))
-    assert mine.word is None
+    assert mine.reported is None
     assert mine.shape.points_px.tolist() == TEMPLATE.points_px.tolist()
 
 
@@ -137,7 +139,7 @@ def test_a_map_that_is_no_permutation_is_refused() -> None:
         RoleMap(0, 0, np.array([0, 0, 1]))
 
 
-def test_a_panorama_reaches_along_a_chain_of_views(make_detections, make_report) -> None:
+def test_a_registration_reaches_along_a_chain_of_views(make_detections, make_report) -> None:
     """Unit 0 sees robots 0-4, unit 1 sees 3-8, unit 2 sees 7-11: two in common tell each next similarity."""
     rng = np.random.default_rng(6)
     ground = 300 * (rng.normal(size=N) + 1j * rng.normal(size=N))

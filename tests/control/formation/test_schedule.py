@@ -87,4 +87,4 @@ def test_a_recording_has_the_roles_and_all_shapes(two_shapes, tmp_path) -> None:
     assert before == after and before["role_exchanges"] >= 2 and before["collisions"] == 0
     first, again = steps[10].frames[0].decision, recording.steps[10].frames[0].decision
     assert np.array_equal(first.proximity.distances_sides, again.proximity.distances_sides)
-    assert first.report.roles.name == again.report.roles.name
+    assert first.report.roles.precedence == again.report.roles.precedence

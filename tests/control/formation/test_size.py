@@ -8,7 +8,7 @@ from scipy.optimize import minimize
 from scipy.spatial.distance import pdist
 
 from skyherd.control import SizeRule, Template, fit_similarity
-from skyherd.control.formation.size import LEAK, Yardstick
+from skyherd.control.formation.size import LEAK, SideConsensus
 from skyherd.datasets import make_mission
 from skyherd.loop import run_steps
 
@@ -37,7 +37,7 @@ def test_a_bounded_fit_is_the_nearest_within_the_bounds(seed, low, high) -> None
 
     starts = [(0.7, angle) for angle in np.linspace(-3, 3, 7)]
     best = min(minimize(cost, start, method="Nelder-Mead", tol=1e-10).fun for start in starts)
-    assert residual(fitted.turn, points, robots) == pytest.approx(best, rel=1e-6)
+    assert residual(fitted.factor, points, robots) == pytest.approx(best, rel=1e-6)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -75,7 +75,7 @@ def test_units_that_measure_differently_agree(make_detections, make_report, unit
     rng = np.random.default_rng(4)
     ground = rng.normal(size=6) + 1j * rng.normal(size=6)
     scales, errors = rng.uniform(100, 300, units), 1 + 0.02 * np.arange(units)
-    sticks = [Yardstick() for _ in range(units)]
+    estimates = [SideConsensus() for _ in range(units)]
     seen = [
         make_detections(np.arange(6), scale * ground, sides=np.full(6, 0.2 * scale * error), unit_id=unit)
         for unit, (scale, error) in enumerate(zip(scales, errors, strict=True))
@@ -83,12 +83,12 @@ def test_units_that_measure_differently_agree(make_detections, make_report, unit
     reports: dict = {}
     for _ in range(200):
         sides = [
-            stick.update(seen[unit], [reports[k] for k in (unit - 1, unit + 1) if k in reports])
-            for unit, stick in enumerate(sticks)
+            estimate.update(seen[unit], [reports[k] for k in (unit - 1, unit + 1) if k in reports])
+            for unit, estimate in enumerate(estimates)
         ]
         for unit, side in enumerate(sides):
-            word = make_report(unit, np.arange(6), scales[unit] * ground, [])
-            reports[unit] = replace(word, side_px=side)
+            report = make_report(unit, np.arange(6), scales[unit] * ground, [])
+            reports[unit] = replace(report, side_px=side)
     agreed = np.array(sides) / scales
     assert np.ptp(np.log(agreed)) < 2 * LEAK * units * np.ptp(np.log(errors))
     assert agreed.mean() == pytest.approx(0.2 * errors.mean(), rel=0.02 * units)

@@ -27,7 +27,7 @@ def test_derivatives_are_those_of_finite_differences(seed, way):
     unknowns, h = random_unknowns(seed), 1e-5
     maps = local_maps(unknowns, POINTS)
     ahead, behind = (local_maps(unknowns, POINTS + s * h * way).values for s in (1, -1))
-    predicted = maps.slopes * way + maps.crosses * np.conj(way)
+    predicted = maps.derivatives * way + maps.conjugate_derivatives * np.conj(way)
     np.testing.assert_allclose((ahead - behind) / (2 * h), predicted, atol=1e-7, rtol=0)
 
 
@@ -36,8 +36,8 @@ def test_the_centre_stays_and_the_circle_keeps_its_size(seed):
     unknowns = random_unknowns(seed)
     origin = local_maps(unknowns, np.zeros(1, dtype=complex))
     assert abs(origin.values[0]) < 1e-15
-    assert origin.slopes[0].real > 0
-    assert abs(origin.slopes[0].imag) < 1e-15
+    assert origin.derivatives[0].real > 0
+    assert abs(origin.derivatives[0].imag) < 1e-15
     circle = local_maps(unknowns, np.array([1, 1j, -1, -1j]))
     assert np.abs(circle.values).mean() == pytest.approx(1.0, abs=1e-14)
 

@@ -260,7 +260,7 @@ def test_what_was_learned_from_many_robots_serves_two():
     own squeezes tell the tilt there is. Distances within 1e-3, from 5e-2."""
     camera = random_view(2).camera
     rectifier = learn(lambda image: View(camera, (8.0, 3.0)), 20, 12)
-    unknowns = rectifier.learned
+    unknowns = rectifier.camera
     view, rng = View(camera, (-5.0, 6.0)), np.random.default_rng(1)
     ratios = []
     for image in range(10):
@@ -269,7 +269,7 @@ def test_what_was_learned_from_many_robots_serves_two():
         truth_px = view.ideal_px(view.see(positions, headings, rng).centers_px)
         lengths = [np.linalg.norm(p[1] - p[0]) / 2 for p in (rectified.centers_px, truth_px)]
         ratios.append(lengths[0] / lengths[1])
-    assert rectifier.learned is unknowns, "two robots teach nothing"
+    assert rectifier.camera is unknowns, "two robots add no information"
     np.testing.assert_allclose(ratios, 1.0, atol=0.02)
 
 

@@ -127,14 +127,14 @@ def test_a_newer_image_wins_over_an_older_one_that_arrives_later(make_goals) -> 
     inboxes.receive(make_goals(0, [1, 2], [20, 30], time_s=0.4, neighbors=[{0: 9.0}, {0: 9.0}]), 0.7)
     np.testing.assert_array_equal(inboxes.rho_px[0], [1, 2, 30])
     np.testing.assert_array_equal(inboxes.imaged_s[0], [0.5, 0.5, 0.4])
-    np.testing.assert_array_equal(inboxes.heard_s[0], [0.6, 0.6, 0.7])
+    np.testing.assert_array_equal(inboxes.received_s[0], [0.6, 0.6, 0.7])
     np.testing.assert_array_equal(inboxes.squares_px2[0], [[0, 0, 16], [0, 0, 16], [81, 0, 0]])
     inboxes.receive(make_goals(0, [1], [5j], time_s=0.6, neighbors=[{0: 3.0}]), 0.8)
     assert inboxes.rho_px[0, 1] == pytest.approx(5j)
     np.testing.assert_array_equal(inboxes.squares_px2[0, 1], [9, 0, 0])
 
 
-def test_only_robots_that_heard_take_the_message_in(make_goals) -> None:
+def test_only_robots_that_received_take_the_message_in(make_goals) -> None:
     inboxes = GoalInboxes(np.array([3, 5, 8]), np.array([0]), 1.0)
     inboxes.receive(make_goals(0, [8, 3, 5], [8j, 3j, 5j]), 0.0, np.array([True, False, True]))
     np.testing.assert_allclose(inboxes.rho_px[0], [0, 5j, 8j], atol=1e-14)
@@ -142,7 +142,7 @@ def test_only_robots_that_heard_take_the_message_in(make_goals) -> None:
 
 
 def test_goals_are_forgotten_after_their_lifetime(make_goals) -> None:
-    """Counted from when it was heard: a late message is still followed for the whole time."""
+    """Counted from when it was received: a late message is still followed for the whole time."""
     inboxes = GoalInboxes(np.arange(2), np.array([0]), lifetime_s=0.5)
     inboxes.receive(make_goals(0, [0], [7 + 0j], time_s=0.0), 0.3)
     assert fuse_pixels(inboxes, 0.8)[0] == 7
@@ -152,7 +152,7 @@ def test_goals_are_forgotten_after_their_lifetime(make_goals) -> None:
 
 
 def test_a_forgotten_unit_leaves_the_mean(make_goals) -> None:
-    """After unit 0 falls silent the fusion is unit 1's alone: card(C_i) counts units heard."""
+    """After unit 0 falls silent the fusion is unit 1's alone: card(C_i) counts units received."""
     inboxes = GoalInboxes(np.arange(4), np.array([0, 1]), lifetime_s=0.5)
     inboxes.receive(make_goals(0, [1], [3 + 4j], neighbors=[{0: 10.0}]), 0.0)
     inboxes.receive(make_goals(1, [1], [1 - 2j], neighbors=[{0: 30.0}]), 0.4)

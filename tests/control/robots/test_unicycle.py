@@ -34,7 +34,7 @@ def one_inbox(rho: np.ndarray) -> GoalInboxes:
     inboxes = GoalInboxes(np.arange(rho.size), np.array([0]), 1.0)
     inboxes.rho_px[0] = rho
     inboxes.sides_px[0] = 20.0
-    inboxes.heard_s[0] = 0.0
+    inboxes.received_s[0] = 0.0
     return inboxes
 
 

@@ -19,7 +19,7 @@ from skyherd.datasets.generated.random_missions import (
 from skyherd.geometry import to_complex, to_points
 from skyherd.loop import run_steps
 from skyherd.render import project
-from skyherd.sim.world import World
+from skyherd.sim.physics import make_world
 
 
 def options(**changed) -> argparse.Namespace:
@@ -56,8 +56,8 @@ def test_a_legible_mission_is_the_same_with_finer_images() -> None:
     coarse, fine = (make_mission(either) for either in (tree, legible(tree)))
     ground = np.array([[0.3, -1.2], [2.0, 0.4]])
     for unit in range(len(tree["units"])):
-        pose = World(coarse).fleet.pose(unit)
-        cameras = [World(mission).cameras[unit] for mission in (coarse, fine)]
+        pose = make_world(coarse).fleet.pose(unit)
+        cameras = [make_world(mission).cameras[unit] for mission in (coarse, fine)]
         finer = cameras[1].size_px[0] // cameras[0].size_px[0]
         points = [project(camera, pose, ground) + 0.5 for camera in cameras]
         np.testing.assert_allclose(points[1], finer * points[0], rtol=1e-12)

@@ -8,6 +8,7 @@ import pytest
 from skyherd.datasets import load_mission, make_mission
 from skyherd.loop import Step, dead_units, run_steps
 from skyherd.messages import FlightCommand, VelocityCommand
+from skyherd.sim.physics import make_world
 from skyherd.sim.world import World
 
 DIES_S, RETURNS_S = 1.0, 2.0
@@ -93,17 +94,17 @@ def zoom_for(world: World, rate_ps: float, seconds: float, start_s: float = 0.0)
 
 def test_a_unit_zooms_exponentially_within_its_lens_range(tree_of) -> None:
     """`zoom' = rate zoom`, so that `zoom(t) = exp(rate t)`, to rounding, until the range ends."""
-    world = World(make_mission(tree_of({"zoom_range": [0.5, 2.0]})))
+    world = make_world(make_mission(tree_of({"zoom_range": [0.5, 2.0]})))
     assert zoom_for(world, 0.3, 2.0) == pytest.approx(np.exp(0.6), rel=1e-12)
     assert zoom_for(world, 0.3, 2.0) == 2.0
     assert zoom_for(world, -0.5, 1.0) == pytest.approx(2 * np.exp(-0.5), rel=1e-12), "no wind-up at the end"
     assert zoom_for(world, -0.5, 9.0) == 0.5
-    fixed = World(make_mission(tree_of({})))
+    fixed = make_world(make_mission(tree_of({})))
     assert zoom_for(fixed, 0.3, 2.0) == 1.0, "a lens without a range"
 
 
 def test_the_scripted_zoom_multiplies_the_units_own(tree_of) -> None:
-    world = World(make_mission(tree_of({"zoom_range": [0.5, 4.0], "zoom": [[0.0, 1.0], [2.0, 1.5]]})))
+    world = make_world(make_mission(tree_of({"zoom_range": [0.5, 4.0], "zoom": [[0.0, 1.0], [2.0, 1.5]]})))
     assert zoom_for(world, 0.2, 2.0) == pytest.approx(1.5 * np.exp(0.4), rel=1e-12)
 
 

@@ -12,7 +12,7 @@ from skyherd.loop import run_steps
 from skyherd.messages import Detections
 from skyherd.render import project
 from skyherd.sim.perception import RenderedPerception, make_perception
-from skyherd.sim.world import World
+from skyherd.sim.physics import make_world
 
 OBSTACLES = [
     {"id": 41, "position_m": [0.4, 0.2], "heading_deg": 30.0},
@@ -134,7 +134,7 @@ def test_a_scattered_start_leaves_room_to_every_body(scenario_tree) -> None:
 def test_obstacles_are_seen_like_robots_and_are_not_false(mission_of, perception: str) -> None:
     """Detected within half a pixel of their projection: tens of the detector's standard deviations."""
     mission = mission_of(perception)
-    world = World(mission)
+    world = make_world(mission)
     sight = make_perception(mission, np.random.default_rng(1)).look(world, [0], 0.0)[0]
     assert set(sight.whole_ids.tolist()) == {*mission.ids.tolist(), 7, 41}
     assert np.array_equal(np.sort(sight.found_ids), np.sort(sight.whole_ids))
@@ -147,7 +147,7 @@ def test_obstacles_are_seen_like_robots_and_are_not_false(mission_of, perception
 def test_what_is_no_marker_of_the_scene_stays_false(mission_of) -> None:
     """An obstacle's marker found where it is not, and a marker that nobody has."""
     mission = mission_of("rendered")
-    world, perception = World(mission), RenderedPerception(mission, np.random.default_rng(1))
+    world, perception = make_world(mission), RenderedPerception(mission, np.random.default_rng(1))
     true = perception.look(world, [0], 0.0)[0].detections
     ids, shift = true.ids.copy(), np.zeros((len(true), 2))
     shift[ids == 41] = (0.6 * true.sides_px[ids == 41][0], 0)
@@ -172,7 +172,7 @@ def test_what_is_no_marker_of_the_scene_stays_false(mission_of) -> None:
 
 def test_obstacles_stand_still_while_robots_move(mission_of) -> None:
     mission = mission_of(duration_s=1.0, sensor={"exposure_s": 0.02})
-    world = World(mission)
+    world = make_world(mission)
     for step in run_steps(mission):
         world.advance(step.command, step.time_s, 0.1)
     motion, markers = world.motion(0), world.markers

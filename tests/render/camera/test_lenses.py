@@ -24,7 +24,7 @@ from skyherd.render import (
 )
 from skyherd.render.camera.camera import lens_field, lens_jacobians, undistort
 from skyherd.sim.perception import make_perception
-from skyherd.sim.world import World
+from skyherd.sim.physics import make_world
 
 FISHEYE = Camera((800, 600), 300 / np.radians(45), (406.0, 291.0), distortion=Equidistant())
 """120 degrees across the longer side."""
@@ -200,7 +200,7 @@ def test_every_test_camera_can_be_used_and_reads_its_markers(name, scenario_tree
     tree["units"] = [UnitModel(position_m=(0, 0), height_m=12.0, camera=camera).model_dump()]
     tree["marker"]["side_m"] = max(0.4, 20 / camera.focal_length_px * 12.0)
     mission = make_mission(tree)
-    sight = make_perception(mission, np.random.default_rng(1)).look(World(mission), [0], 0.0)[0]
+    sight = make_perception(mission, np.random.default_rng(1)).look(make_world(mission), [0], 0.0)[0]
     assert sight.whole_ids.size == 6
     np.testing.assert_array_equal(np.sort(sight.found_ids), np.arange(6))
     assert sight.detections.sides_px.min() > 14

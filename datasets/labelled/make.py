@@ -6,7 +6,7 @@ are drawn again; so an interrupted set, made again, is the same to the byte.
 
 import json
 import signal
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import get_context
@@ -26,20 +26,16 @@ from skyherd.datasets.labelled.truth_table import TRUTH_COLUMNS, Row, image_row,
 from skyherd.datasets.labelled.yolo import folder_yaml, yolo_text
 from skyherd.errors import OutputError
 from skyherd.files.atomic import write_text, write_whole
+from skyherd.progress import NO_PROGRESS, Progress
 
 BATCH = 8
 """Most images that a worker is given at a time, all of one camera, whose ground is dear to make; an
 interrupt waits for no more."""
 
-OnImages = Callable[[int], None]
-"""Told of how many images more are done."""
-
 Made = tuple[Labels, Row]
 
 
-def make_dataset(
-    file: SpecFile, path: Path, *, jobs: int = 1, on_images: OnImages = lambda count: None
-) -> Dataset:
+def make_dataset(file: SpecFile, path: Path, *, jobs: int = 1, progress: Progress = NO_PROGRESS) -> Dataset:
     """Make the set that a spec describes, with so many processes, or go on with it; then read it back.
 
     Raises:
@@ -55,7 +51,7 @@ def make_dataset(
     made: dict[int, Made] = {}
     for batch, results in _run(file, folder, jobs):
         made |= dict(zip(batch, results, strict=True))
-        on_images(len(batch))
+        progress.update("images", len(made), file.spec.images)
     _write_tables(folder, made)
     dataset = read_dataset(path)
     write_preview(dataset, folder.preview)

@@ -1,6 +1,6 @@
 """The measurement: every detector on the same frames, cell by cell, on all cores."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
@@ -18,9 +18,14 @@ from skyherd.bench.frames import Frame, FrameSource, rendered_frames
 from skyherd.bench.scorer import Scorer
 from skyherd.errors import SkyherdError
 from skyherd.messages import Detections
+from skyherd.progress import NO_PROGRESS, Progress
 from skyherd.vision import Detector
 
 Row = dict[str, Any]
+"""A row of the result: the factors of a cell, and what one detector achieved in it."""
+
+TASK = "accuracy"
+"""Name of this part of the benchmark in progress reports."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +48,7 @@ class Plan:
 
 
 def measure_cells(
-    plan: Plan, cells: Sequence[Cell], *, jobs: int = 1, on_cell: Callable[[Cell], None] = lambda cell: None
+    plan: Plan, cells: Sequence[Cell], *, jobs: int = 1, progress: Progress = NO_PROGRESS
 ) -> list[Row]:
     """Rows of all cells, in their order: one for each detector and cell; `jobs` cells at a time.
 
@@ -57,7 +62,7 @@ def measure_cells(
     if jobs == 1:
         for index, cell in enumerate(cells):
             rows[index] = measure_cell(plan, cell, index)
-            on_cell(cell)
+            progress.update(TASK, len(rows), len(cells))
     else:
         with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
             futures = {
@@ -66,7 +71,7 @@ def measure_cells(
             try:
                 for future in as_completed(futures):
                     rows[futures[future]] = future.result()
-                    on_cell(cells[futures[future]])
+                    progress.update(TASK, len(rows), len(cells))
             except BrokenProcessPool:
                 raise EntrantError(
                     "a detector crashed its process; measure one at a time to see which"

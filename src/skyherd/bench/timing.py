@@ -5,7 +5,7 @@ All detectors take each frame in turn, so that whatever else the machine does hi
 every frame, so that their scheduled passes over the full frame are in the figures.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,12 +13,16 @@ import numpy as np
 from skyherd.bench.design import Cell
 from skyherd.bench.entrants import REFERENCE, dictionary_for
 from skyherd.bench.execution import Entrant, Plan, Row, one_thread, time_row
+from skyherd.progress import NO_PROGRESS, Progress
 
 WARM_UP = 3
 """First frames that are not counted: there patterns are made, memory is claimed, and trackers acquire."""
 
 FEWEST = 6
 SIZES_PX = ((640, 480), (1280, 960), (1920, 1080), (3840, 2160))
+TASK = "time per frame"
+"""Name of this part of the benchmark in progress reports."""
+
 NOISES = (0.0, 5.0)
 SIDE_PX = 30.0
 
@@ -46,13 +50,13 @@ def measure_times(
     cells: Sequence[TimingCell],
     budget_s: float,
     *,
-    on_cell: Callable[[Cell], None] = lambda cell: None,
+    progress: Progress = NO_PROGRESS,
 ) -> list[Row]:
     """Rows of all cells: one for each detector; none takes more than about `budget_s` in a cell."""
     rows = []
     for index, cell in enumerate(cells):
         rows += _measure(plan, cell, index, budget_s)
-        on_cell(cell)
+        progress.update(TASK, index + 1, len(cells))
     return rows
 
 

@@ -1,4 +1,4 @@
-"""The figure of a study of formation controllers: time, way and room, method below method."""
+"""The figure of a study of formation controllers: success, time, path length and gap, a row a method."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -12,15 +12,23 @@ from matplotlib.ticker import LogLocator, NullLocator, ScalarFormatter
 from skyherd.drawing.palette import INK, MUTED, UNIT_COLORS
 from skyherd.geometry import Array
 from skyherd.plots.style import legend_above, new_figure
-from skyherd.study.methods import Method, Outcomes
+from skyherd.study.methods.outcomes import Method, Outcomes
 
 MARKS = "osD^vPX<"
+"""Matplotlib markers of the kinds of start, in the study's order, beside their colours."""
+
 SPREAD = 0.62
-"""Height that the starts of one method take, of the room between two methods."""
+"""Height over which the starts of one method are spread, as a share of the distance between two methods.
+Chosen: towards 1 the last start of a method lies as near to the next method as to its own, towards 0 the
+markers of the starts overlap."""
 
 
 def draw_methods(methods: Sequence[Method]) -> Figure:
-    """Panels of the share that formed the shape, of time, way and least gap: median and range a start."""
+    """Draw panels with a row a method: share of runs that formed the shape, time, path length, least gap.
+
+    Each kind of start has a colour and a marker, at the median of its runs; a line goes from the least value
+    to the greatest.
+    """
     starts = list(methods[0].outcomes)
     figure = new_figure(1.6 + 0.52 * len(methods), 12.0)
     panels: Sequence[Axes] = figure.subplots(1, 4, sharey=True, width_ratios=[0.62, 1, 1, 1])
@@ -65,7 +73,7 @@ def _dot(axes: Axes, place: float, value: float, style: dict[str, Any]) -> None:
 
 
 def _range(axes: Axes, place: float, values: Array, style: dict[str, Any]) -> None:
-    """Median, and a line from the least to the greatest; nothing of values that are not known."""
+    """Draw the median, and a line from the least value to the greatest; nothing if all are NaN."""
     known = values[np.isfinite(values)]
     if known.size:
         axes.plot([known.min(), known.max()], [place, place], color=style["color"], linewidth=1.2, alpha=0.7)

@@ -1,4 +1,4 @@
-"""The figure of the control topology: who controls whom, and which of the paper's conditions hold."""
+"""The figure of the control topology over time: who controls whom, and which of TC1-TC5 hold."""
 
 from collections.abc import Iterator
 from itertools import pairwise
@@ -18,21 +18,30 @@ from skyherd.geometry import Array, BoolArray
 from skyherd.plots.style import legend_above, new_figure
 
 HOLDS, BROKEN = "#d5dae1", INK
+"""Colours of the time in which a condition holds, and in which it does not."""
+
 BAR = 0.76
-"""Height of a bar; the rest of its row is a gap."""
+"""Height of a bar, as a share of its row; the rest is a gap."""
 
 WIDE_IN = 10.2
+"""Width of the figure, inches."""
+
+ROW_IN = 0.14
+"""Height of a robot's or a unit's row, inches. Chosen: labels of 8 points just do not touch."""
+
 MOST_ROWS_LABELLED = 24
+"""With more robots than this every fifth one's row is labelled."""
 
 
 def draw_topology(history: History) -> Figure:
-    """A row a robot in the colours of the units that control it, and a row for each of TC1-TC5.
+    """Draw over time which units control each robot, and when the conditions TC1-TC5 hold.
 
-    Where units form a tree there is a row a unit, too: when it was in the tree, and when it was dead.
+    Every robot has a row in the colours of its units. Where units form a tree, every unit has a row as well,
+    filled while it belongs to the tree, and a dashed line marks the instant at which the tree was complete.
     """
     robots, units = history.ids.size, history.controlled.shape[1]
     members = np.array([_in_tree(tree, units) for tree in history.trees])
-    heights = [0.14 * robots, *([0.14 * units] if members.any() else []), 0.8]
+    heights = [ROW_IN * robots, *([ROW_IN * units] if members.any() else []), 0.8]
     figure = new_figure(1.5 + sum(heights), WIDE_IN)
     rows = figure.subplots(len(heights), 1, sharex=True, height_ratios=heights)
     upper, lower = rows[0], rows[-1]
@@ -108,7 +117,7 @@ def _finish_rows(axes: Axes, rows: int) -> None:
 
 
 def runs(states: BoolArray) -> Iterator[tuple[int, int]]:
-    """Stretches `start:end` over which rows (T, K) stay the same."""
+    """Index ranges (start, end), end excluded, over which the rows of states (T, K) stay the same."""
     changes = np.flatnonzero((states[1:] != states[:-1]).any(axis=1)) + 1
     bounds = [0, *changes.tolist(), len(states)]
     yield from pairwise(bounds)

@@ -1,4 +1,4 @@
-"""A unit's image as it would be under an ideal camera, by the map that the unit has learned."""
+"""The panel of a unit's image as an ideal camera would take it, by the map that the unit has learned."""
 
 import cv2
 import numpy as np
@@ -25,14 +25,15 @@ from skyherd.video.camera_panel import BORDER_PX, PLAIN, TITLE_PX, brightened
 Float = npt.NDArray[np.float32]
 
 KNOT_PX = 8
-"""The map is computed so far apart on the panel, and linear between: right to a tenth of its pixels."""
+"""Distance on the panel between points at which the map is computed; it is linear between them, which is
+right to a tenth of a pixel of the panel."""
 
 
 class RectifiedPanel:
     """Draws one unit's frames, rectified, into its cell of the canvas: a title, and the image below it.
 
     Args:
-        unit: whose images they are.
+        unit: number of the unit.
         cell: the part of the canvas to draw in.
         image_size_px: width and height of the unit's images.
     """
@@ -53,7 +54,7 @@ class RectifiedPanel:
         return np.asarray((points_px + 0.5) * self.scale - 0.5)
 
     def draw(self, frame: UnitFrame) -> None:
-        """Draw a frame: markers are squares of one size here, if the map is right."""
+        """Draw a frame. All markers are squares of one size in it if the map is right."""
         seen = frame.sight.detections
         robots = rectified(seen, frame.ground_map)
         self._write_title(*_titles(seen, robots, learned=not frame.ground_map.ideal))

@@ -84,10 +84,15 @@ def _links(statuses: Mapping[int, TreeStatus]) -> dict[Ends, Link]:
         rows = zip(status.neighbor_ids.tolist(), status.turns.tolist(), status.pairs.tolist(), strict=True)
         for neighbor, turn, pair in rows:
             ends = min(unit, neighbor), max(unit, neighbor)
-            own = Link(ends, turn, tuple(sorted(robot for robot in pair if robot != NO_ID)), False)
+            own = Link(
+                ends=ends,
+                turn=turn,
+                pair=tuple(sorted(robot for robot in pair if robot != NO_ID)),
+                is_mutual=False,
+            )
             other = links.get(ends)
             newer = own if other is None or own.turn > other.turn else other
-            links[ends] = Link(ends, newer.turn, newer.pair, other is not None)
+            links[ends] = Link(ends=ends, turn=newer.turn, pair=newer.pair, is_mutual=other is not None)
     return links
 
 

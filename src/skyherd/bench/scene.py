@@ -80,7 +80,12 @@ def make_view(cell: Cell, rng: np.random.Generator) -> tuple[Camera, CameraPose]
     height_m = camera.focal_px / cell.side_px * np.cos(tilt) ** 1.5
     about = (float(tilt * np.cos(toward)), float(tilt * np.sin(toward)))
     position = (float(rng.uniform(-20, 20)), float(rng.uniform(-20, 20)))
-    return camera, CameraPose(position, float(height_m), float(rng.uniform(-np.pi, np.pi)), about)
+    return camera, CameraPose(
+        position_m=position,
+        height_m=float(height_m),
+        yaw_rad=float(rng.uniform(-np.pi, np.pi)),
+        tilt_rad=about,
+    )
 
 
 @dataclass(frozen=True)

@@ -170,4 +170,4 @@ def save_figure(figure: Figure, folder: Path, name: str, title: str, caption: st
     png, svg = folder / f"{name}.png", folder / f"{name}.svg"
     write_whole(png, lambda part: figure.savefig(part, format="png", dpi=DPI))
     write_whole(svg, lambda part: figure.savefig(part, format="svg", metadata={"Date": None}))
-    return FigureFile(name, title, caption, png, svg)
+    return FigureFile(name=name, title=title, caption=caption, png=png, svg=svg)

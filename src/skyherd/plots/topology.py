@@ -73,7 +73,7 @@ def _draw_members(axes: Axes, members: BoolArray, edges_s: Array) -> None:
     for unit, column in enumerate(members.T):
         for start, end in runs(column[:, None]):
             if column[start]:
-                bar = _rectangle(edges_s[start], edges_s[end], unit - BAR / 2, BAR)
+                bar = _rectangle(left=edges_s[start], right=edges_s[end], bottom=unit - BAR / 2, height=BAR)
                 axes.add_collection(PolyCollection([bar], facecolor=unit_color(unit), linewidth=0))
     axes.set_yticks(range(members.shape[1]), labels=[str(unit) for unit in range(members.shape[1])])
     _finish_rows(axes, members.shape[1])
@@ -88,7 +88,12 @@ def _draw_control(axes: Axes, history: History, edges_s: Array) -> None:
             units: list[int] = np.flatnonzero(history.controlled[start, :, row]).tolist()
             for share, unit in enumerate(units):
                 height = BAR / len(units)
-                bar = _rectangle(edges_s[start], edges_s[end], row - BAR / 2 + share * height, height)
+                bar = _rectangle(
+                    left=edges_s[start],
+                    right=edges_s[end],
+                    bottom=row - BAR / 2 + share * height,
+                    height=height,
+                )
                 bars.setdefault(unit, []).append(bar)
     for unit, rectangles in bars.items():
         axes.add_collection(PolyCollection(rectangles, facecolor=unit_color(unit), linewidth=0))
@@ -101,7 +106,7 @@ def _draw_control(axes: Axes, history: History, edges_s: Array) -> None:
 def _draw_conditions(axes: Axes, history: History, edges_s: Array) -> None:
     for row, holds in enumerate(history.conditions.T):
         for start, end in runs(holds[:, None]):
-            bar = _rectangle(edges_s[start], edges_s[end], row - BAR / 2, BAR)
+            bar = _rectangle(left=edges_s[start], right=edges_s[end], bottom=row - BAR / 2, height=BAR)
             color = HOLDS if holds[start] else BROKEN
             axes.add_collection(PolyCollection([bar], facecolor=color, linewidth=0))
     axes.set_yticks(range(5), labels=[f"TC{row + 1}" for row in range(5)])

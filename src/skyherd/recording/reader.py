@@ -124,7 +124,13 @@ def read_recording(path: Path) -> Recording:
         )
     if not steps:
         raise InputError(str(path), "no whole step in it", "a run that went on for at least one chunk")
-    return Recording(mission, versions, steps, wall_s if ended else None, has_images)
+    return Recording(
+        mission=mission,
+        versions=versions,
+        steps=steps,
+        wall_s=wall_s if ended else None,
+        has_images=has_images,
+    )
 
 
 def read_steps(path: Path) -> Iterator[Step]:

@@ -75,7 +75,7 @@ def make_plan(study: Study) -> Plan:
             mission = _mission(source, settings, where)
             dump = mission.scenario.model_dump(mode="json")
             values = {key: _value(dump, key) for key in study.spec.parameters}
-            runs.append(Run(sweep.name, settings, values, mission_key(mission)))
+            runs.append(Run(sweep=sweep.name, settings=settings, parameters=values, key=mission_key(mission)))
     return Plan(study, source, runs)
 
 

@@ -30,17 +30,14 @@ RUN_KEYS = ("perception", "control.rectify", "seed")
 """Keys of the grid of a study of cameras that are no parameters of the camera."""
 
 INVARIANCE_KEEPS = ("goal_error_m", "shape_error", f"{CURVE}positions_m")
-"""Fields that a study with pages of the kind `invariance` must keep."""
-
 METHODS_KEEPS = ("reached_s", "ready_s", "path_length_m", "min_gap_m", "collisions", "converged")
-"""Fields that a study with pages of the kind `methods` must keep."""
+"""Fields that studies with pages of the kinds `invariance` and `methods` must keep."""
 
 METHODS_START = "robots.scatter"
 """The one key of the grid of a study with pages of the kind `methods`: how robots start."""
 
 SUMMARY_FIELDS = {field.key: field for group in GROUPS.values() for field in group if field.kind != "ids"}
 """Fields of the summary that a study can keep, by key."""
-_KINDS = {"uniform", "log", "whole", "choice"}
 
 
 def _keys(tree: Any) -> Any:
@@ -49,7 +46,7 @@ def _keys(tree: Any) -> Any:
         return tree
     flat: dict[str, Any] = {}
     for key, value in tree.items():
-        if isinstance(value, dict) and not (value and value.keys() <= _KINDS):
+        if isinstance(value, dict) and not (value and value.keys() <= DrawModel.model_fields.keys()):
             flat |= {f"{key}.{rest}": leaf for rest, leaf in _keys(value).items()}
         else:
             flat[key] = value

@@ -88,13 +88,20 @@ class CameraPanel:
         width, height = image_size_px
         room = np.array([cell.shape[1], cell.shape[0] - TITLE_PX]) - 2 * BORDER_PX
         self.scale = float(min(room / (width, height)))
-        shown = Box(BORDER_PX, TITLE_PX + BORDER_PX, int(width * self.scale), int(height * self.scale))
+        shown = Box(
+            left=BORDER_PX,
+            top=TITLE_PX + BORDER_PX,
+            width=int(width * self.scale),
+            height=int(height * self.scale),
+        )
         self._title = cell[:TITLE_PX]
         self._picture = shown.of(cell)
         self._grey = np.empty((shown.height, shown.width), np.uint8)
         center_px = self.to_panel(np.array([(width - 1) / 2, (height - 1) / 2]))
         self._circle = circle_dashes(center_px, radius * min(width, height) / 2 * self.scale)
-        self._frame = Box(0, TITLE_PX, shown.width + 2 * BORDER_PX, shown.height + 2 * BORDER_PX).of(cell)
+        self._frame = Box(
+            left=0, top=TITLE_PX, width=shown.width + 2 * BORDER_PX, height=shown.height + 2 * BORDER_PX
+        ).of(cell)
         self._is_dead = False
         self._show_nothing(self.color)
         self._write_title(f"unit {unit} · no image yet")

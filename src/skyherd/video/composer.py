@@ -105,12 +105,17 @@ def make_layout(
         (GAP_PX + k % columns * pitch_u, HEADER_PX + k // columns * pitch_v)
         for k in range(len(image_sizes_px))
     ]
-    cells = [Box(u, v, pitch_u - GAP_PX, pitch_v - GAP_PX) for u, v in corners]
+    cells = [Box(left=u, top=v, width=pitch_u - GAP_PX, height=pitch_v - GAP_PX) for u, v in corners]
     left = 2 * GAP_PX + columns * pitch_u
-    ground = Box(left, HEADER_PX, width - left - GAP_PX, bottom - HEADER_PX)
+    ground = Box(left=left, top=HEADER_PX, width=width - left - GAP_PX, height=bottom - HEADER_PX)
     half = (width - 3 * GAP_PX) // 2
-    plots = tuple(Box(u, bottom + 4, half, height - bottom - 4) for u in (GAP_PX, width - GAP_PX - half))
-    return Layout(cells[:units], cells[units:], key, ground, (plots[0], plots[1]))
+    plots = tuple(
+        Box(left=u, top=bottom + 4, width=half, height=height - bottom - 4)
+        for u in (GAP_PX, width - GAP_PX - half)
+    )
+    return Layout(
+        cameras=cells[:units], rectified=cells[units:], key=key, ground=ground, plots=(plots[0], plots[1])
+    )
 
 
 def _block(
@@ -136,11 +141,18 @@ def _block(
     pitch_u, pitch_v = int(wide) + frame + GAP_PX, int(wide / aspect) + TITLE_PX + frame + GAP_PX
     below = HEADER_PX + rows * pitch_v
     if strip_px:
-        key = Box(GAP_PX, below - GAP_PX // 2, columns * pitch_u - GAP_PX, bottom - below)
+        key = Box(
+            left=GAP_PX, top=below - GAP_PX // 2, width=columns * pitch_u - GAP_PX, height=bottom - below
+        )
     else:
         filled = units - (rows - 1) * columns
         left = GAP_PX + filled * pitch_u
-        key = Box(left, below - pitch_v, (columns - filled) * pitch_u - GAP_PX, pitch_v - GAP_PX)
+        key = Box(
+            left=left,
+            top=below - pitch_v,
+            width=(columns - filled) * pitch_u - GAP_PX,
+            height=pitch_v - GAP_PX,
+        )
     fits = wide > 0 and key.width > 0 and legend_height_px(key.width, tree=tree, bodies=bodies) <= key.height
     return (pitch_u, pitch_v, columns, key) if fits else None
 

@@ -48,7 +48,10 @@ class CurvePanel:
         self._times_s: list[float] = []
         self._values: list[Array] = []
         box = Box(
-            LEFT_PX, TITLE_PX, panel.shape[1] - LEFT_PX - RIGHT_PX, panel.shape[0] - TITLE_PX - BOTTOM_PX
+            left=LEFT_PX,
+            top=TITLE_PX,
+            width=panel.shape[1] - LEFT_PX - RIGHT_PX,
+            height=panel.shape[0] - TITLE_PX - BOTTOM_PX,
         )
         self._field = box.of(panel)
 

@@ -75,7 +75,12 @@ class GroundPanel:
     def __init__(self, mission: Mission, panel: Image) -> None:
         self.mission, self._panel = mission, panel
         self._cameras = [unit.camera.make() for unit in mission.scenario.units]
-        box = Box(LEFT_PX, TITLE_PX, panel.shape[1] - LEFT_PX, panel.shape[0] - TITLE_PX - BOTTOM_PX)
+        box = Box(
+            left=LEFT_PX,
+            top=TITLE_PX,
+            width=panel.shape[1] - LEFT_PX,
+            height=panel.shape[0] - TITLE_PX - BOTTOM_PX,
+        )
         self._field = box.of(panel)
         self._paper = np.empty_like(self._field)
         self._past_m: list[Array] = []

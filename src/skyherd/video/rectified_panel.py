@@ -43,9 +43,16 @@ class RectifiedPanel:
         room = np.array([cell.shape[1], cell.shape[0] - TITLE_PX]) - 2 * BORDER_PX
         self.unit, self.color, self.size_px = unit, unit_rgb(unit), np.array(image_size_px)
         self.scale = float(min(room / (width, height)))
-        shown = Box(BORDER_PX, TITLE_PX + BORDER_PX, int(width * self.scale), int(height * self.scale))
+        shown = Box(
+            left=BORDER_PX,
+            top=TITLE_PX + BORDER_PX,
+            width=int(width * self.scale),
+            height=int(height * self.scale),
+        )
         self._title, self._picture = cell[:TITLE_PX], shown.of(cell)
-        Box(0, TITLE_PX, shown.width + 2 * BORDER_PX, shown.height + 2 * BORDER_PX).of(cell)[:] = self.color
+        Box(left=0, top=TITLE_PX, width=shown.width + 2 * BORDER_PX, height=shown.height + 2 * BORDER_PX).of(
+            cell
+        )[:] = self.color
         self._picture[:] = PLAIN
         self._write_title("rectified · no image yet")
 

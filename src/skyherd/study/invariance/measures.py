@@ -254,7 +254,7 @@ def _sweep(sweep: SweepModel, plan: Plan, measured: Mapping[str, Measures], nois
             if run.key in measured:
                 runs.setdefault(kind, []).append(measured[run.key])
         points.append(Point(_shown(value), runs, predict(plan.mission(here[0]))))
-    return Sweep(sweep.name, LABELS.get(key, key), inside, points, noise)
+    return Sweep(name=sweep.name, label=LABELS.get(key, key), inside=inside, points=points, noise=noise)
 
 
 def _shown(value: Any) -> float | str:

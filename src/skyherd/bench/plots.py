@@ -222,10 +222,10 @@ def draw_times(result: Result) -> Figure | None:
         axes.set_yscale("log")
         axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         axes.yaxis.set_minor_locator(NullLocator())
-        axes.yaxis.set_major_formatter(FuncFormatter(lambda ms, _: f"{ms:g}"))
+        axes.yaxis.set_major_formatter("{x:g}")
         axes.set_xticks(range(len(sizes)), [f"{width}x{height}" for width, height in sizes])
-        axes.set_title("clean" if noise == 0 else f"noise {noise:g} grey levels")
-        axes.set_xlabel("image (px)")
+        title = "clean" if noise == 0 else f"noise {noise:g} grey levels"
+        axes.set(title=title, xlabel="image (px)")
     panels[0].set_ylabel("time per frame (ms)")
     _legend(figure, result, result.detectors)
     return figure

@@ -24,10 +24,10 @@ FEWEST = 6
 """Fewest frames that count, however slow a detector is. Chosen: the median of fewer depends on single
 frames."""
 
-SIZES_PX = ((640, 480), (1280, 960), (1920, 1080), (3840, 2160))
 TASK = "time per frame"
 """Name of this part of the benchmark in progress reports."""
 
+SIZES_PX = ((640, 480), (1280, 960), (1920, 1080), (3840, 2160))
 NOISES = (0.0, 5.0)
 SIDE_PX = 30.0
 """Sizes of the images, px, noises, grey levels, and side of the markers, px."""

@@ -17,6 +17,7 @@ BOTTOM_PX = 40
 """Margins of the field of the curves: title above, labels to the left and below."""
 
 GRID: Color = (232, 233, 231)
+"""Colour of the grid."""
 
 
 @dataclass(frozen=True)

@@ -36,6 +36,8 @@ BOTTOM_PX = 22
 FIELD: Color = (248, 248, 246)
 GRID: Color = (228, 229, 226)
 FAINT: Color = (206, 209, 212)
+"""Colours of the map, of its grid, and of the paths of the whole run."""
+
 TAILS: tuple[tuple[int, Color], ...] = ((60, (184, 188, 193)), (30, (150, 156, 163)), (12, (112, 119, 128)))
 """Numbers of last steps of a path, and the colours in which they are drawn over the faint path of the whole
 run."""
@@ -48,6 +50,9 @@ LABEL_ROOM_PX = np.array([34.0, 18.0])
 
 EXCHANGE_S = 2.0
 """Simulated time for which a robot's place in the shape is shown as newly exchanged."""
+
+LEAST_EXTENT_M = 1e-3
+"""Least extent of the view, so that a single robot that does not move has one at all."""
 
 MARGIN_PX = 16.0
 """Least distance of robots and units from the edge of the map."""
@@ -147,7 +152,7 @@ class GroundPanel:
         room = np.array([self._field.shape[1], self._field.shape[0]]) - 2 * MARGIN_PX
         past = np.concatenate(self._past_m)
         low, high = past.min(axis=0), past.max(axis=0)
-        middle, least = (low + high) / 2, 0.55 * np.maximum(high - low, 1e-3)
+        middle, least = (low + high) / 2, 0.55 * np.maximum(high - low, LEAST_EXTENT_M)
         most = np.maximum(
             least, room * _spacing_m(self._past_m[-1][: self.mission.ids.size]) / SPACING_PX / 2
         )

@@ -30,6 +30,8 @@ MOST_TICKS = 6
 """With at most this many values of the parameter each has a tick of its own; more would overlap."""
 
 AS_SEEN, RECTIFIED = UNIT_COLORS[1], UNIT_COLORS[0]
+"""Colours of runs without and with rectification."""
+
 KINDS: tuple[tuple[str, bool, str, dict[str, Any]], ...] = (
     (IDEAL, False, "as seen, exact", {"color": AS_SEEN, "ls": ":", "marker": "s", "mfc": "white", "ms": 7}),
     (RENDERED, False, "as seen, rendered", {"color": AS_SEEN, "ls": "-", "marker": "s", "ms": 4.5}),

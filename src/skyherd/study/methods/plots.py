@@ -44,6 +44,13 @@ def draw_methods(methods: Sequence[Method]) -> Figure:
             _range(panels[1], place, runs.times_s, style)
             _range(panels[2], place, runs.paths_m, style)
             _range(panels[3], place, runs.gaps_m, style)
+    _finish_panels(panels, methods)
+    legend_above(figure, _handles(starts), columns=4)
+    return figure
+
+
+def _finish_panels(panels: Sequence[Axes], methods: Sequence[Method]) -> None:
+    """Labels, grids and limits of the four panels."""
     labels = ("formed the shape (%)", "time to 1 % (s)", "way of all robots (m)", "least gap (m)")
     for axes, label in zip(panels, labels, strict=True):
         axes.set_xlabel(label)
@@ -60,8 +67,6 @@ def draw_methods(methods: Sequence[Method]) -> Figure:
     panels[3].set_title("touching, left of the line", fontsize="small")
     panels[0].set_yticks(range(len(methods)), [method.name for method in methods])
     panels[0].set_ylim(len(methods) - 0.5, -0.5)
-    legend_above(figure, _handles(starts), columns=4)
-    return figure
 
 
 def _share(runs: Outcomes) -> float:

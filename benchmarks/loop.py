@@ -27,7 +27,7 @@ from skyherd.control import AerialController, Team
 from skyherd.datasets import load_mission
 from skyherd.loop import run_steps
 from skyherd.markers.dictionary import load_dictionary
-from skyherd.recording.writer import Recorder
+from skyherd.recording.writer import McapRecorder
 from skyherd.sim.perception import RenderedPerception
 
 KEEP_EVERY = 10
@@ -65,7 +65,7 @@ def measure(name: str, duration_s: float) -> dict[str, Any]:
     try:
         with (
             tempfile.TemporaryDirectory() as folder,
-            Recorder(Path(folder) / "run.mcap", mission) as recorder,
+            McapRecorder(Path(folder) / "run.mcap", mission) as recorder,
         ):
             write, started = laps.timed("record", recorder.write), perf_counter()
             for count, step in enumerate(run_steps(mission, perception)):

@@ -7,8 +7,8 @@ slot (the dwell time of the paper's Proposition 1), and units take turns by the 
 from math import floor
 
 TOLERANCE = 1e-9
-"""A time so close before the beginning of a slot belongs to that slot, in slots. Derived: above the rounding of
-the quotient of a time of a day and a slot of 0.1 s (86 400 / 0.1 x 2^-53 = 1e-10), far below a frame."""
+"""A time so close before the beginning of a slot belongs to that slot, in slots. Derived: above the rounding
+of the quotient of a time of a day and a slot of 0.1 s (86 400 / 0.1 x 2^-53 = 1e-10), far below a frame."""
 
 
 def slot_at(time_s: float, slot_s: float) -> int:

@@ -5,7 +5,7 @@ labels are drawn again, so that an interrupted set that is made again is the sam
 """
 
 import signal
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import get_context
@@ -25,28 +25,24 @@ from skyherd.datasets.labelled.truth_table import TRUTH_COLUMNS, Row, image_row,
 from skyherd.datasets.labelled.yolo import folder_yaml, yolo_text
 from skyherd.errors import OutputError
 from skyherd.files.atomic import write_text, write_whole
+from skyherd.progress import NO_PROGRESS, Progress
 
 BATCH = 8
 """Most images that a worker is given at a time, all of one camera. *Chosen*: the ground of a camera takes as
 long to make as some images, which larger batches share; an interrupt waits for a batch to end."""
 
-OnImages = Callable[[int], None]
-"""Called after each batch with the number of images that it had, for a progress bar."""
-
 Made = tuple[Labels, Row]
 """An image's labels, and its row of the table of images."""
 
 
-def make_dataset(
-    file: SpecFile, path: Path, *, jobs: int = 1, on_images: OnImages = lambda count: None
-) -> Dataset:
+def make_dataset(file: SpecFile, path: Path, *, jobs: int = 1, progress: Progress = NO_PROGRESS) -> Dataset:
     """Make the set that a spec describes, or go on with it, and read it back.
 
     Args:
         file: the spec, and where its pictures lie.
         path: the folder to make.
         jobs: number of processes.
-        on_images: called with the number of images of each batch that is done.
+        progress: is given the number of images made after each batch.
 
     Raises:
         InputError: the folder holds something else.
@@ -61,7 +57,7 @@ def make_dataset(
     made: dict[int, Made] = {}
     for batch, results in _run(file, folder, jobs):
         made |= dict(zip(batch, results, strict=True))
-        on_images(len(batch))
+        progress.update("images", len(made), file.spec.images)
     _write_tables(folder, made)
     dataset = read_dataset(path)
     write_preview(dataset, folder.preview)

@@ -1,11 +1,15 @@
 """A run from start to finish: the loop, its recording and video, and what is made of them.
 
 Left in the output folder: `run.mcap`, `video.mp4`, `figures/`, `summary.json`, `report.html`.
+
+The recording comes first: messages are written to MCAP while the run goes on, and figures, summary and page
+are always made from the file read back. `skyherd report` therefore is the same code as the end of `skyherd
+run`, and a run that was killed still has its report, up to the last whole chunk of its file.
 """
 
 import json
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from itertools import chain
 from pathlib import Path
@@ -17,26 +21,32 @@ from skyherd.analysis.summary import summarize
 from skyherd.datasets import Mission
 from skyherd.errors import InputError
 from skyherd.files.atomic import refuse_existing, write_text
-from skyherd.files.video_writer import VideoSink
 from skyherd.loop import Step, run_steps
 from skyherd.plots.panels import PANELS, write_figures
+from skyherd.progress import NO_PROGRESS, Progress
 from skyherd.recording.reader import read_recording, read_steps
-from skyherd.recording.writer import Recorder
+from skyherd.recording.writer import McapRecorder, Recorder
 from skyherd.report.run_page import PAGE, VIDEO, write_page
-from skyherd.video.composer import Composer
+from skyherd.video.recorder import VideoRecorder
 
 RECORDING, SUMMARY, FIGURES = "run.mcap", "summary.json", "figures"
+"""Names of the recording, of the summary, and of the folder of figures, in a run's folder."""
+
 FREE_BYTES = 100 * 2**20
-VIDEO_FPS = 20
-VIDEO_SPEED = 4
-"""Simulated seconds a second of video."""
+"""Least free space on the disk, in bytes, to begin a run with. Chosen: more than the files of a mission of
+some minutes without recorded images; half of it would let long runs fill the disk, twice as much would refuse
+disks that are large enough."""
+
+TIME_TOLERANCE_S = 1e-9
+"""Instants nearer to each other than this are the same. Derived: times are multiples of the step, with a
+rounding error of 1e-12 s after an hour, and steps are milliseconds at least."""
 
 
 def prepare_folder(folder: Path) -> None:
-    """Make an output folder and clear what an earlier run left in it; other files are left alone.
+    """Make an output folder and remove what an earlier run left in it; other files are left alone.
 
     Raises:
-        InputError: it cannot be written to, or the disk is nearly full.
+        InputError: it cannot be written to, or the disk has less than `FREE_BYTES` left.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -62,68 +72,90 @@ def run_mission(
     force: bool = False,
     video: bool = True,
     record_images: bool = False,
+    recorders: Sequence[Recorder] = (),
+    progress: Progress = NO_PROGRESS,
     on_step: Callable[[Step], None] = lambda step: None,
 ) -> dict[str, Any]:
-    """Run a mission into a folder and return its summary; `on_step` watches.
+    """Run a mission into a folder, and make its report.
 
-    The first step is taken before the folder is touched: what it refuses leaves an earlier run whole.
+    The first step is taken before the folder is touched, so that an error in the mission's input leaves the
+    results of an earlier run whole.
+
+    Args:
+        mission: what to run.
+        folder: where results go.
+        force: write into a folder that exists, and remove what an earlier run left there.
+        video: make a video.
+        record_images: keep the cameras' images in the recording, as JPEG.
+        recorders: further ones beside the recording and the video; they are entered and left here.
+        progress: is told the simulated time, and as the state V and how many markers were detected.
+        on_step: called with every step after it is recorded.
+
+    Returns:
+        the run's summary, as `skyherd.analysis.summary.summarize` makes it.
 
     Raises:
-        InputError: the folder exists without `force` or cannot be used, or the mission's images are no good.
+        InputError: the folder exists without `force` or cannot be used, or an image that the mission names
+            cannot be read.
     """
     refuse_existing(folder, force=force)
     started_s = perf_counter()
     steps = run_steps(mission)
     first = next(steps)
     prepare_folder(folder)
+    recording = McapRecorder(folder / RECORDING, mission, images=record_images)
     with ExitStack() as stack:
-        recorder = stack.enter_context(Recorder(folder / RECORDING, mission, images=record_images))
-        film = stack.enter_context(Film(mission, folder / VIDEO)) if video else None
+        stack.enter_context(recording)
+        films = [VideoRecorder(mission, folder / VIDEO)] if video else []
+        entered: list[Recorder] = [recording, *map(stack.enter_context, (*films, *recorders))]
         for step in chain([first], steps):
-            recorder.write(step)
-            if film is not None:
-                film.show(step)
+            for recorder in entered:
+                recorder.write(step)
             on_step(step)
-        recorder.finish(step.time_s, perf_counter() - started_s)
+            _report_step(progress, mission, step)
+        recording.finish(step.time_s, perf_counter() - started_s)
     return make_report(folder, film=False)
 
 
-class Film(ExitStack):
-    """The annotated video of a run, one frame each `VIDEO_SPEED / VIDEO_FPS` simulated seconds."""
-
-    def __init__(self, mission: Mission, path: Path) -> None:
-        super().__init__()
-        self._composer = Composer(mission)
-        self._sink = self.enter_context(VideoSink(path, self._composer.size_px, VIDEO_FPS))
-        self._next_s = 0.0
-
-    def show(self, step: Step) -> None:
-        """Compose and write a frame, if it is time for one."""
-        if step.time_s >= self._next_s - 1e-9:
-            self._sink.write(self._composer.compose(step))
-            self._next_s += VIDEO_SPEED / VIDEO_FPS
+def _report_step(progress: Progress, mission: Mission, step: Step) -> None:
+    """Report the simulated time, V, and how many of the markers that are whole in an image were detected."""
+    name, duration_s = mission.scenario.name, mission.scenario.duration_s
+    sights = [frame.sight for frame in step.frames.values()]
+    found, whole = sum(s.found_ids.size for s in sights), sum(s.whole_ids.size for s in sights)
+    state = f"{step.time_s:.0f}/{duration_s:g} s  V {step.metrics.V:.3g} m²  found {found}/{whole}"
+    if step.time_s >= duration_s - TIME_TOLERANCE_S:
+        state = "drawing figures and page …"
+    progress.update(name, step.time_s, duration_s, state)
 
 
 def make_report(folder: Path, *, film: bool = True) -> dict[str, Any]:
-    """Make figures, summary and page from the recording in a folder; with `film`, a video of its images too.
+    """Make figures, summary and page from the recording in a folder, and return the summary.
+
+    Args:
+        folder: a run's folder.
+        film: make the video anew as well, if the recording has the cameras' images.
 
     Raises:
         InputError: the folder holds no readable recording.
+        OutputError: a file could not be written.
     """
     recording = read_recording(folder / RECORDING)
     if film and recording.has_images:
-        _film_again(recording.mission, folder)
+        with VideoRecorder(recording.mission, folder / VIDEO) as recorder:
+            for step in read_steps(folder / RECORDING):
+                recorder.write(step)
     history = make_history(recording.mission, recording.steps)
     summary = summarize(history, recording.wall_s)
     (folder / FIGURES).mkdir(exist_ok=True)
     figures = write_figures(history, folder / FIGURES)
     write_text(folder / SUMMARY, json.dumps(summary, indent=2) + "\n")
     scenario = json.dumps(recording.mission.scenario.model_dump(mode="json", exclude_none=True), indent=2)
-    write_page(folder, history, summary, figures, recording.versions, scenario)
+    write_page(
+        folder,
+        history=history,
+        summary=summary,
+        figures=figures,
+        versions=recording.versions,
+        scenario_text=scenario,
+    )
     return summary
-
-
-def _film_again(mission: Mission, folder: Path) -> None:
-    with Film(mission, folder / VIDEO) as film:
-        for step in read_steps(folder / RECORDING):
-            film.show(step)

@@ -9,7 +9,7 @@ from PIL import Image
 from skyherd.cli import main
 from skyherd.datasets import load_mission
 from skyherd.loop import run_steps
-from skyherd.recording.writer import Recorder
+from skyherd.recording.writer import McapRecorder
 
 
 def call(capsys, *arguments) -> tuple[int, str, str]:
@@ -23,7 +23,7 @@ def run(tmp_path_factory) -> Path:
     """The mission `failure` until a while after unit 0's death, on exact points."""
     folder = tmp_path_factory.mktemp("run")
     mission = load_mission("failure", ["perception=ideal", "duration_s=32.0"])
-    with Recorder(folder / "run.mcap", mission, images=False) as recorder:
+    with McapRecorder(folder / "run.mcap", mission, images=False) as recorder:
         for step in run_steps(mission):
             recorder.write(step)
         recorder.finish(32.0, 1.0)

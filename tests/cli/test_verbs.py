@@ -13,7 +13,7 @@ from command_line import assert_refused, call
 
 from skyherd import runner
 from skyherd.datasets import scenario_text
-from skyherd.recording.writer import Recorder
+from skyherd.recording.writer import McapRecorder
 
 SHORT = ["--perception", "ideal", "--no-video", "--set", "duration_s=1.0"]
 
@@ -127,7 +127,7 @@ def test_a_disk_that_fills_up_in_mid_run_is_one_line(tmp_path, capsys, monkeypat
     def full(self, step):
         raise OSError(errno.ENOSPC, "No space left on device", "run.mcap")
 
-    monkeypatch.setattr(Recorder, "write", full)
+    monkeypatch.setattr(McapRecorder, "write", full)
     out = tmp_path / "run"
     assert_refused(
         call(capsys, "run", "star", "--out", out, "--perception", "ideal", "--set", "duration_s=1.0"),

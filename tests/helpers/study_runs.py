@@ -1,4 +1,4 @@
-"""What tests of studies share: two small studies, a watcher that counts, a study made in this process."""
+"""What tests of studies share: two small studies, a study made in this process."""
 
 import contextlib
 from collections.abc import Iterator
@@ -10,7 +10,7 @@ import pytest
 
 from skyherd.cli import main
 from skyherd.study import conduct as conducting
-from skyherd.study.conduct import conduct
+from skyherd.study.conduct import StudyReport, conduct
 from skyherd.study.measure import measure
 from skyherd.study.plan import make_plan
 from skyherd.study.spec import load_study
@@ -42,19 +42,6 @@ random = { runs = 10, seed = 5, draw = { "units.0.yaw_deg" = [-180, 180], seed =
 """Ten runs of some tenths of a second, each with its own noise: long enough to be killed in the middle."""
 
 
-class Silent:
-    """A watcher that counts."""
-
-    def __init__(self) -> None:
-        self.missing = self.there = self.made = 0
-
-    def begin(self, missing: int, there: int) -> None:
-        self.missing, self.there = missing, there
-
-    def advance_runs(self, outcomes: list[dict[str, Any]]) -> None:
-        self.made += len(outcomes)
-
-
 def run_in_process(patch: pytest.MonkeyPatch) -> None:
     """Make runs in this process, one at a time, in place of a cluster."""
 
@@ -66,10 +53,9 @@ def run_in_process(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(conducting, "run_missions", run)
 
 
-def conduct_here(path: Path, folder: Path, **options: Any) -> tuple[pa.Table, Silent]:
-    watcher = Silent()
-    conduct(make_plan(load_study(str(path))), folder, watcher, **options)
-    return read_table(folder), watcher
+def conduct_here(path: Path, folder: Path, **options: Any) -> tuple[pa.Table, StudyReport]:
+    report = conduct(make_plan(load_study(str(path))), folder, **options)
+    return read_table(folder), report
 
 
 def call(capsys: Any, *arguments: Any) -> tuple[int, str, str]:

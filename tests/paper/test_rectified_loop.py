@@ -11,7 +11,7 @@ from skyherd.control import AerialController, Hover, Rectifier, SafetyRadius
 from skyherd.datasets import make_mission
 from skyherd.loop import Step, run_steps
 from skyherd.recording.reader import read_recording
-from skyherd.recording.writer import Recorder
+from skyherd.recording.writer import McapRecorder
 from skyherd.render import project
 from skyherd.sim.truth_metrics import fit_shape
 
@@ -132,7 +132,7 @@ def test_maps_are_recorded_and_read_back(scenario_tree, tmp_path):
     tree["robots"] = {"scatter": {"scale_m": 1.7, "jitter_m": 0.3, "spacing_m": 0.8}}
     mission = make_mission(tree)
     steps = list(run_steps(mission))
-    with Recorder(tmp_path / "run.mcap", mission) as recorder:
+    with McapRecorder(tmp_path / "run.mcap", mission) as recorder:
         for step in steps:
             recorder.write(step)
         recorder.finish(3.0, 1.0)

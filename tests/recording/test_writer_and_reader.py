@@ -15,7 +15,7 @@ from skyherd.datasets import load_mission
 from skyherd.errors import InputError
 from skyherd.loop import run_steps
 from skyherd.recording.reader import read_messages, read_recording, read_steps
-from skyherd.recording.writer import Recorder
+from skyherd.recording.writer import McapRecorder
 
 
 @pytest.fixture(scope="module")
@@ -29,7 +29,7 @@ def steps(mission):
 
 
 def record(path, mission, steps, *, images=False, wall_s=1.5):
-    with Recorder(path, mission, images=images) as recorder:
+    with McapRecorder(path, mission, images=images) as recorder:
         for step in steps:
             recorder.write(step)
         recorder.finish(steps[-1].time_s, wall_s)
@@ -144,13 +144,13 @@ def older_step(topic, record):
 def test_a_recording_of_another_version_is_refused_in_one_line(
     tmp_path, mission, steps, monkeypatch, change, at
 ):
-    put = Recorder._put
+    put = McapRecorder._put
 
     def put_changed(self, topic, time_s, record, *schema):
         change(topic, record)
         put(self, topic, time_s, record, *schema)
 
-    monkeypatch.setattr(Recorder, "_put", put_changed)
+    monkeypatch.setattr(McapRecorder, "_put", put_changed)
     path = record(tmp_path / "run.mcap", mission, steps[:3])
     with pytest.raises(InputError, match=f"another version of skyherd .*{at}") as refusal:
         read_recording(path)

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pytest
-from study_runs import Silent, run_in_process
+from study_runs import run_in_process
 
 from skyherd.analysis.history import make_history
 from skyherd.analysis.summary import summarize
@@ -16,7 +16,7 @@ from skyherd.loop import run_steps
 from skyherd.sim.perception import make_perception
 from skyherd.sim.physics import make_world
 from skyherd.study.conduct import conduct
-from skyherd.study.invariance import IDEAL, RENDERED, make_sweeps, own_key, predict
+from skyherd.study.invariance.measures import IDEAL, RENDERED, make_sweeps, own_key, predict
 from skyherd.study.plan import Plan, make_plan
 from skyherd.study.spec import load_study, study_text
 from skyherd.study.table import read_table
@@ -85,7 +85,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Plan, Path]:
     plan = make_plan(load_study(str(folder / "small.toml")))
     with pytest.MonkeyPatch.context() as patch:
         run_in_process(patch)
-        conduct(plan, folder / "out", Silent())
+        conduct(plan, folder / "out")
     return plan, folder / "out"
 
 

@@ -11,8 +11,8 @@ from study_runs import conduct_here
 
 from skyherd.datasets.configuration.robot_models import ScatterModel
 from skyherd.errors import InputError
-from skyherd.study.methods import make_methods
-from skyherd.study.methods_page import markdown
+from skyherd.study.methods.outcomes import make_methods
+from skyherd.study.methods.page import markdown
 from skyherd.study.plan import make_plan
 from skyherd.study.spec import load_study
 

@@ -42,8 +42,8 @@ def test_images_are_let_go_as_a_run_goes_on() -> None:
 def test_the_table_has_a_row_a_run_in_the_studys_order(
     write_study: Any, without_cluster: None, tmp_path: Path
 ) -> None:
-    table, watcher = conduct_here(write_study(), tmp_path / "out")
-    assert watcher.made == 6
+    table, report = conduct_here(write_study(), tmp_path / "out")
+    assert report.made == 6
     assert table.column_names == [
         "control.k",
         "units.0.yaw_deg",
@@ -66,15 +66,15 @@ def test_a_changed_study_reruns_only_what_changed(
 ) -> None:
     out = tmp_path / "out"
     first, _ = conduct_here(write_study(), out)
-    again, watcher = conduct_here(write_study(), out)
-    assert (watcher.made, watcher.there) == (0, 6)
+    again, report = conduct_here(write_study(), out)
+    assert (report.made, report.reused) == (0, 6)
     assert again.equals(first)
     wider = SMALL.replace("[0.1, 0.3]", "[0.3, 0.2]").replace('"V_end"', '"scale"')
-    table, watcher = conduct_here(write_study(wider), out)
-    assert (watcher.made, watcher.there) == (3, 3)
+    table, report = conduct_here(write_study(wider), out)
+    assert (report.made, report.reused) == (3, 3)
     assert table["shape_error"].to_pylist()[:3] == first["shape_error"].to_pylist()[3:]
-    _, watcher = conduct_here(write_study(), out)  # what a study does not ask for is not thrown away
-    assert watcher.made == 0
+    _, report = conduct_here(write_study(), out)  # what a study does not ask for is not thrown away
+    assert report.made == 0
 
 
 def test_arrays_over_time_are_kept_on_request_and_made_if_they_are_not_there(
@@ -83,8 +83,8 @@ def test_arrays_over_time_are_kept_on_request_and_made_if_they_are_not_there(
     out = tmp_path / "out"
     conduct_here(write_study(), out)
     asking = SMALL.replace('"converged"', '"history.times_s", "history.positions_m"')
-    table, watcher = conduct_here(write_study(asking), out)
-    assert watcher.made == 6
+    table, report = conduct_here(write_study(asking), out)
+    assert report.made == 6
     positions_m = np.array(table["history.positions_m"][0].as_py())
     assert positions_m.shape == (5, 6, 2)
     np.testing.assert_allclose(table["history.times_s"][0].as_py(), np.arange(5) * 0.1)
@@ -92,8 +92,8 @@ def test_arrays_over_time_are_kept_on_request_and_made_if_they_are_not_there(
 
 
 def test_runs_that_are_alike_are_made_once(write_study: Any, without_cluster: None, tmp_path: Path) -> None:
-    table, watcher = conduct_here(write_study(SMALL.replace("[0.1, 0.3]", "[0.1, 0.1]")), tmp_path / "out")
-    assert watcher.made == 3
+    table, report = conduct_here(write_study(SMALL.replace("[0.1, 0.3]", "[0.1, 0.1]")), tmp_path / "out")
+    assert report.made == 3
     assert table.slice(0, 3).equals(table.slice(3, 3))
 
 
@@ -160,8 +160,8 @@ def test_a_failing_run_is_recorded_and_the_study_goes_on(
     monkeypatch.setattr(
         conducting, "run_missions", lambda client, missions, curves: ([run(*m, curves)] for m in missions)
     )
-    table, watcher = conduct_here(write_study(), out)
-    assert watcher.made == 6
+    table, report = conduct_here(write_study(), out)
+    assert report.made == 6
     failed = [row for row in table.to_pylist() if row["error"]]
     assert [row["units.0.yaw_deg"] for row in failed] == [90.0, 90.0]
     assert all(row["shape_error"] is None and "AttributeError" in row["error"] for row in failed)
@@ -169,6 +169,6 @@ def test_a_failing_run_is_recorded_and_the_study_goes_on(
     assert "2 failed: AttributeError" in (out / "table.md").read_text()
     breaks = False
     assert conduct_here(write_study(), out)[1].made == 0  # the same input fails again
-    table, watcher = conduct_here(write_study(), out, retry=True)
-    assert watcher.made == 2
+    table, report = conduct_here(write_study(), out, retry=True)
+    assert report.made == 2
     assert table["error"].null_count == 6

@@ -56,12 +56,12 @@ def failure():
     return mission, list(run_steps(mission))
 
 
-def test_the_words_tell_the_pairs_that_are_in_fact_shared(failure) -> None:
+def test_the_snapshot_has_the_pairs_that_are_in_fact_shared(failure) -> None:
     """At every step: the pair of each mutual edge is what the two sets have in common."""
     mission, steps = failure
     watch, edges = TreeHistory(), 0
     for step in steps:
-        tree = watch.see(step, dead_units(mission.scenario, step.time_s))
+        tree = watch.add(step, dead_units(mission.scenario, step.time_s))
         for (j, k), link in tree.links.items():
             if link.is_mutual:
                 common = np.intersect1d(step.control_sets[j], step.control_sets[k])

@@ -1,1 +1,1 @@
-"""What is worked out from a run's steps: history, summary, and its topology judged."""
+"""What is computed from a run's steps: its history as arrays, its summary, and a report on its topology."""

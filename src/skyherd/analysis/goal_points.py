@@ -1,4 +1,8 @@
-"""Where units ask robots to be: in the image, and how far off that is on the ground, as only truth knows."""
+"""Where units ask robots to be in the image, and how far from the truth that is on the ground.
+
+The errors are the one place where goals are compared with the true cameras and the true places of the robots.
+They are for reports; nothing of the loop reads them.
+"""
 
 import numpy as np
 
@@ -11,10 +15,11 @@ from skyherd.render import Camera, CameraPose, homography_image_ground, undistor
 
 
 def rectified_goals_px(frame: UnitFrame) -> Array:
-    """Points (N, 2) of the rectified image where a unit wants the robots of its goals.
+    """Desired points (N, 2) of the robots of a unit's goals, px, in the unit's rectified image.
 
-    The robot hears a length rho and a bearing in its own frame, counter-clockwise from its heading;
-    in the image, whose angles are clockwise, rho points along `heading - bearing`.
+    A goal is a length rho and a bearing in the robot's own frame, counter-clockwise from its heading. Angles
+    of the image are clockwise seen from above, so that there rho points along `heading - bearing`. No rows
+    where the unit set no goals.
     """
     goals = frame.decision.goals
     if goals is None:
@@ -26,7 +31,7 @@ def rectified_goals_px(frame: UnitFrame) -> Array:
 
 
 def desired_points_px(frame: UnitFrame) -> Array:
-    """Image points (N, 2) where a unit wants the robots of its goals, back from the rectified image."""
+    """Desired points (N, 2) of the robots of a unit's goals, px, in the image as the camera took it."""
     desired_px = rectified_goals_px(frame)
     if frame.decision.ground_map.ideal:
         return desired_px
@@ -34,30 +39,36 @@ def desired_points_px(frame: UnitFrame) -> Array:
 
 
 def rows_of(robots: Detections, ids: IntArray) -> IntArray:
-    """Rows (N,) of the detections that are of robots `ids`, all of which were detected."""
+    """Rows (N,) of the detections that are of the robots `ids`, all of which must have been detected."""
     order = np.argsort(robots.ids)
     return np.asarray(order[np.searchsorted(robots.ids, ids, sorter=order)])
 
 
 def desired_on_ground(template: ComplexArray, positions: ComplexArray) -> ComplexArray:
-    """x^d (N,) as no camera but the truth has it: the template's similarity that fits positions (N,) best."""
+    """Desired points x^d (N,) on the ground for true positions (N,), both in the same sense of rotation.
+
+    x^d = a p + b, with the similarity (a, b) that minimises Σ |a p_i + b - x_i|² for the template's points p.
+
+    Raises:
+        DegenerateSetError: the template's or the robots' points are all one point.
+    """
     return np.asarray(fit_similarity(template, positions)(template))
 
 
 def goal_error_m(
     frame: UnitFrame, camera: Camera, pose: CameraPose, template: ComplexArray, positions: ComplexArray
 ) -> float:
-    """Largest distance on the ground from a unit's desired points to those of the truth.
+    """Largest distance on the ground, in metres, from a unit's desired points to those that the truth gives.
 
     Args:
         frame: the unit's image and decision.
-        camera: that took it.
-        pose: where it was.
-        template: (N,) points of the robots of the unit's goals, map sense.
-        positions: (N,) where these robots truly are.
+        camera: the camera that took the image.
+        pose: where the camera was.
+        template: (N,) the template's points of the robots of the unit's goals, in map sense (y up).
+        positions: (N,) true places of these robots, metres.
 
     Returns:
-        NaN where there are no goals, or where no ray of the camera leads.
+        NaN where there are no goals, or where a desired point is not on a ray of the camera.
     """
     if frame.decision.goals is None:
         return float("nan")

@@ -1,4 +1,4 @@
-"""A run as arrays over time: what the figures, the summary and the video's plots are drawn from."""
+"""A run as arrays over time, from which figures and summary are made."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -16,7 +16,12 @@ from skyherd.loop import Step, dead_units
 
 @dataclass(frozen=True)
 class ImageTrace:
-    """Where one unit saw the robots it controlled: (K,) times, (K, N) points `u + iv` or NaN."""
+    """Where one unit saw the robots that it controlled.
+
+    Attributes:
+        times_s: (K,) instants of its images.
+        points_px: (K, N) complex image points `u + iv`; NaN for robots that it did not see or not control.
+    """
 
     times_s: Array
     points_px: np.ndarray
@@ -24,7 +29,7 @@ class ImageTrace:
 
 @dataclass(frozen=True)
 class History:
-    """T steps of N robots and U units.
+    """A run of T steps with N robots, in ascending order of their ids, and U units.
 
     Attributes:
         mission: what was run.
@@ -50,8 +55,8 @@ class History:
         min_separation_m: (T,).
         roles: (T, N) row of the template's point that each robot goes to.
         conditions: (T, 5) whether TC1-TC5 hold.
-        controlled: (T, U, N) S_j^c.
-        commanded: (T, N) whether each robot follows a goal heard of late.
+        controlled: (T, U, N) whether unit j controls a robot: the set S_j^c.
+        commanded: (T, N) whether each robot follows a goal that it received within `robots.timeout_s`.
         trees: the tree of units at each step, None where sets come from the safety radius alone.
         traces: image traces by unit.
         frames: images taken.
@@ -93,17 +98,17 @@ class History:
 
     @property
     def ids(self) -> IntArray:
-        """(N,) robots."""
+        """Ids (N,) of the robots, ascending."""
         return self.mission.ids
 
     @property
     def shape(self) -> Template:
-        """What they form in the end, each robot with the point that is its own by then."""
+        """The shape at the end, each robot with the template's point that it has then."""
         return self.mission.shape_at(float(self.times_s[-1]), self.roles[-1])
 
     @property
     def ready_row(self) -> int | None:
-        """First step with the topology in place: the tree was ready; where none is built first, 0."""
+        """First step at which the tree of units was complete; 0 without a tree, None if it never was."""
         if self.mission.scenario.selection.kind != "tree":
             return 0
         return next((row for row, tree in enumerate(self.trees) if tree and tree.ready), None)
@@ -130,14 +135,22 @@ _COLUMNS = {
     "min_separation_m": "metrics.min_separation_m",
     "roles": "roles",
 }
-"""Field of the history: where a step has it."""
+"""Fields of the history that are stacked from the steps, and where a step has them."""
 
 CURVES = (*_COLUMNS, "goal_errors_m", "conditions", "controlled", "commanded")
-"""Fields of the history that are arrays over time."""
+"""Names of the fields of the history that are arrays over time, for studies that keep some."""
 
 
 def make_history(mission: Mission, steps: Iterable[Step]) -> History:
-    """Stack the steps of a run; there must be at least one. Images are let go as the steps come."""
+    """Stack the steps of a run into arrays over time.
+
+    Camera images are dropped step by step, so that a run as it goes on (`run_steps(mission)`) needs little
+    memory.
+
+    Args:
+        mission: what was run.
+        steps: at least one step, in the order of time.
+    """
     steps = [step.without_images() for step in steps]
     columns = {name: np.array([attrgetter(path)(step) for step in steps]) for name, path in _COLUMNS.items()}
     frames = [frame for step in steps for frame in step.frames.values()]
@@ -159,8 +172,8 @@ def make_history(mission: Mission, steps: Iterable[Step]) -> History:
 
 
 def _trees(mission: Mission, steps: list[Step]) -> list[TreeSnapshot | None]:
-    watch = TreeHistory()
-    return [watch.see(step, dead_units(mission.scenario, step.time_s)) for step in steps]
+    history = TreeHistory()
+    return [history.add(step, dead_units(mission.scenario, step.time_s)) for step in steps]
 
 
 def _goal_errors(mission: Mission, steps: list[Step]) -> Array:

@@ -1,4 +1,4 @@
-"""What a run came to, in numbers: the content of `summary.json`."""
+"""The summary of a run in numbers: the content of `summary.json`."""
 
 from typing import Any
 
@@ -10,31 +10,42 @@ from skyherd.analysis.shortest_paths import shortest_path
 from skyherd.datasets import Scenario
 from skyherd.geometry import ComplexArray, IntArray, to_complex, to_points
 
+TIME_TOLERANCE_S = 1e-9
+"""Instants nearer to each other than this are the same. Derived: times are multiples of the step, with a
+rounding error of 1e-12 s after an hour, and steps are milliseconds at least."""
+
 
 def held_to_the_end(history: History) -> bool:
-    """Whether the shape error stayed under the goal's threshold for its hold time, up to the last step."""
+    """Whether the shape error stayed under `goal.shape_error` for `goal.hold_s`, up to the last step.
+
+    A run that is shorter than the hold time has not reached it.
+    """
     goal, times = history.mission.scenario.goal, history.times_s
     if times[-1] - times[0] < goal.hold_s:
         return False
-    last = times >= times[-1] - goal.hold_s - 1e-9
+    last = times >= times[-1] - goal.hold_s - TIME_TOLERANCE_S
     return bool((history.shape_error[last] < goal.shape_error).all())
 
 
 def reached_s(history: History) -> float | None:
-    """From when on the shape error has stayed under the goal's threshold; None if it is not under it."""
+    """Since when, s, the shape error has stayed under `goal.shape_error`; None if it is above at the end."""
     above = np.flatnonzero(~(history.shape_error < history.mission.scenario.goal.shape_error))
     first = int(above[-1]) + 1 if above.size else 0
     return round(float(history.times_s[first]), 9) if first < history.times_s.size else None
 
 
 def summarize(history: History, wall_s: float | None) -> dict[str, Any]:
-    """Summary of a run; `wall_s` is None for one that was cut short.
+    """Make the summary of a run: plain values by key, ready for JSON.
 
     Keys carry their units; `shape_error` is the RMS distance to the best-fitting similarity of the template
     over the formation's RMS radius, `scale` is in metres a template unit, both from truth. Violations count
     from `ready_s` on, when the tree of units is complete; from the start, if it never is. `min_separation_m`
     is between the middles of robots, `min_gap_m` between bodies, obstacles' too; both, and collisions, are
     judged at the steps.
+
+    Args:
+        history: the run.
+        wall_s: wall time that it took; None for a run that was cut short, whose rates then are None.
     """
     scenario = history.mission.scenario
     return {
@@ -142,7 +153,7 @@ def _shortest_path_m(history: History) -> float:
         classes = None if given is None else np.array(given)
     length_m = 0.0
     for from_s in (0.0, *(at_s for at_s, _ in mission.later)):
-        row = int(np.searchsorted(history.times_s, from_s - 1e-9))
+        row = int(np.searchsorted(history.times_s, from_s - TIME_TOLERANCE_S))
         if row == history.times_s.size:
             break
         template = mission.schedule.at(from_s).points_of(history.ids).conj()
@@ -162,7 +173,7 @@ def _spacing_m(scenario: Scenario, template: ComplexArray) -> tuple[float, float
 
 
 def _tree(history: History) -> dict[str, Any]:
-    """How the tree of units stands; nothing where sets come from the safety radius alone."""
+    """State of the tree of units at the end; no keys where units select robots by the safety radius alone."""
     tree, ready = history.trees[-1], history.ready_row
     if tree is None:
         return {}

@@ -1,16 +1,26 @@
-"""The report's tables: the summary's keys in plain words, and their values as people read them."""
+"""The keys of the summary in plain words, and how their values are written for people."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import degrees, isfinite
 
 UNKNOWN = "not known"
+"""Text of a value that is None or not a finite number."""
+
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 @dataclass(frozen=True)
 class Field:
-    """A summary key as the report shows it; `kind` says how its value is written."""
+    """A key of the summary as reports show it.
+
+    Attributes:
+        key: the key in `summary.json`.
+        label: what it is called, a few words.
+        unit: written behind the value; empty for none.
+        meaning: a sentence.
+        kind: how the value is written: `plain`, `angle` (degrees and radians), `share` (per cent) or `ids`.
+    """
 
     key: str
     label: str
@@ -27,8 +37,10 @@ TC_MEANINGS = (
     "The units and their neighbours make a tree, without cycles.",
 )
 
+"""What the conditions TC1 to TC5 of the paper demand of a topology, in this order."""
+
 TREE = "Tree of units"
-"""Group of the keys that only missions with a tree of units have."""
+"""Name of the group of the keys that only missions with a tree of units have."""
 
 GROUPS: Mapping[str, tuple[Field, ...]] = {
     "Outcome": (
@@ -166,7 +178,7 @@ GROUPS: Mapping[str, tuple[Field, ...]] = {
 
 
 def value_text(field: Field, value: object) -> str:
-    """A value with its unit, as people write it."""
+    """A value with its unit as text, as its field's kind says; `not known` for None, NaN and infinity."""
     if value is None or (isinstance(value, float) and not isfinite(value)):
         return UNKNOWN
     if isinstance(value, bool):
@@ -183,7 +195,7 @@ def value_text(field: Field, value: object) -> str:
 
 
 def number_text(value: float) -> str:
-    """A finite number: an integer in full, else four digits, as `0.01235` or `1.887 × 10⁻⁸`."""
+    """A finite number as text: an integer in full, else four digits, as `0.01235` or `1.887 × 10⁻⁸`."""
     mantissa, _, exponent = (str(value) if isinstance(value, int) else f"{value:.4g}").partition("e")
     power = f" × 10{str(int(exponent)).translate(_SUPERSCRIPTS)}" if exponent else ""
     return mantissa.replace("-", "−") + power

@@ -1,4 +1,4 @@
-"""A topology judged: its graph, which of TC1-TC5 it breaks and by whom, and how fast it should converge."""
+"""A report on a topology: its graph, which of TC1-TC5 are violated and why, and how fast it converges."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -22,15 +22,28 @@ from skyherd.control import (
 from skyherd.geometry import Array, ComplexArray, IntArray
 
 Edge = tuple[int, int]
+"""Two units that share robots, the lower one first."""
+
 FLAT = 0.25
-"""An error whose logarithm falls less than this in the last third, over the middle third, is at its floor."""
+"""An error is at its floor if its logarithm falls in the last third of the time by less than this share of
+what it falls in the middle third. Chosen: 1 for a steady fall, 0 at rest; larger values take a slow mode for
+a floor."""
+
+FLOOR_FACTOR = 3.0
+"""An error below this multiple of its least value counts as at its floor. Chosen: the noise about a floor
+stays below."""
 
 LEAST_SAMPLES = 20
+"""Fewest steps from which a rate is estimated. Chosen: with half as many the slope is mostly noise."""
+
+LEAST_RATE = 1e-9
+"""Eigenvalues of the Laplacian below this are zero: rounding, of about 1e-15 times the number of robots,
+stays below."""
 
 
 @dataclass(frozen=True)
 class Breach:
-    """One way in which a condition is violated: which, and by what units and robots."""
+    """One way in which a condition is violated: the condition's number, and a sentence that says why."""
 
     condition: int
     what: str
@@ -45,8 +58,8 @@ class TopologyReport:
         shared: the robots that two units have in common, for each edge of G_c.
         conditions: TC1-TC5.
         breaches: why those that are violated are.
-        slowest: λ_3 of L, the slowest mode's rate in units of the gain k
-        (control/topology/convergence_rate.py).
+        slowest: λ_3 of L, the rate of the slowest mode in units of the gain k; see
+            `skyherd.control.topology.convergence_rate`.
     """
 
     sets: ControlSets
@@ -57,7 +70,7 @@ class TopologyReport:
 
 
 def judge_topology(sets: ControlSets, template: Template) -> TopologyReport:
-    """Judge the sets of all living units over the template's robots."""
+    """Report on the sets of all living units, by unit, over the robots of a template."""
     shared = {edge: _common(sets, *edge) for edge in graph_edges(sets)}
     rows = _rows(sets, template)
     return TopologyReport(
@@ -112,7 +125,7 @@ def _parts(units: list[int], links: list[Edge]) -> list[list[int]]:
 
 
 def _on_cycles(links: list[Edge]) -> list[int]:
-    """Units left when those with a single neighbour are taken away again and again: none in a forest."""
+    """Units that remain when those with a single neighbour are removed again and again: none in a forest."""
     while links:
         ends = [unit for link in links for unit in link]
         kept = [link for link in links if min(ends.count(unit) for unit in link) > 1]
@@ -125,22 +138,22 @@ def _on_cycles(links: list[Edge]) -> list[int]:
 def predicted_time_s(
     sets: ControlSets, template: Template, positions: ComplexArray, gain_ps: float, error: float
 ) -> float | None:
-    """When the shape error reaches `error` under `dp/dt = -k L p` from positions (N,); None if never.
+    """Time, s, until the shape error is `error` under `dp/dt = -k L p` from positions (N,); None if never.
 
     In L's modes `p = Σ_i c_i v_i` each `c_i` falls as `exp(-k λ_i t)`, those of `λ = 0`, the similarities of
     the template, stay: `error(t)² = Σ_{i ≥ 3} |c_i|² exp(-2 k λ_i t) / |p - mean|²`. Positions are in map
     sense. It is without limits of speed, and as if robots could move sideways.
     """
     values, modes = np.linalg.eigh(laplacian(template.points_px, _rows(sets, template)))
-    if positions.size < 3 or values[2] < 1e-9:
+    if positions.size < 3 or values[2] < LEAST_RATE:
         return None
     image_sense = (positions - positions.mean()).conj()
     parts = np.abs(modes.conj().T @ image_sense) ** 2
     rigid = parts[:2].sum()
 
     def excess(time_s: float) -> float:
-        left = parts[2:] @ np.exp(-2 * gain_ps * values[2:] * time_s)
-        return float(np.log(left / (left + rigid)) / 2 - np.log(error))
+        residual = parts[2:] @ np.exp(-2 * gain_ps * values[2:] * time_s)
+        return float(np.log(residual / (residual + rigid)) / 2 - np.log(error))
 
     if excess(0.0) <= 0:
         return 0.0
@@ -151,7 +164,7 @@ def predicted_time_s(
 
 
 def resting_error(slowest: float, threshold: float) -> float:
-    """How far from the shape robots may come to rest that stop below a threshold: RMS, in its unit.
+    """Largest RMS distance from the shape at which robots may rest that stop below a threshold, in its unit.
 
     At rest `|(L p)_i| < b` for each of N robots, so that `|L p| < b sqrt(N)`; the part of p that is no
     similarity of the template is shrunk by λ_3 at most, and so less than `b sqrt(N) / λ_3`: RMS `b / λ_3`.
@@ -160,13 +173,13 @@ def resting_error(slowest: float, threshold: float) -> float:
 
 
 def measured_rate_ps(times_s: Array, errors: Array) -> float | None:
-    """Rate at which a shape error (T,) falls late in a stretch, 1/s; None if there is too little to see.
+    """Rate, 1/s, at which a shape error (T,) falls towards the end; None if there are too few steps.
 
     Minus the least-squares slope of log error over the second half of the stretch before the error reaches
     its floor, three times its least value, if it stops falling at all.
     """
     if errors.size >= LEAST_SAMPLES and _is_flat(np.log(errors)):
-        above = np.flatnonzero(errors > 3 * errors.min())
+        above = np.flatnonzero(errors > FLOOR_FACTOR * errors.min())
         times_s, errors = (values[: above[-1] + 1 if above.size else 0] for values in (times_s, errors))
     late = slice(errors.size // 2, None)
     if errors[late].size < LEAST_SAMPLES:
@@ -181,7 +194,7 @@ def _is_flat(logs: Array) -> bool:
 
 
 def last_stretch(history: History) -> slice:
-    """Steps from the last change of the topology on, and not before it was in place."""
+    """Steps since the last change of the topology, and since the tree of units was complete."""
     changes = np.flatnonzero((history.controlled[1:] != history.controlled[:-1]).any(axis=(1, 2))) + 1
     ready = history.ready_row
     first = max(int(changes[-1]) if changes.size else 0, 0 if ready is None else ready)

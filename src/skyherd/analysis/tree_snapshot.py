@@ -1,4 +1,8 @@
-"""The tree of units as their last words tell it: for pictures and reports; no unit knows all of it."""
+"""The whole tree of units, put together from the last status of each: for pictures and reports.
+
+No unit knows all of the tree. Statuses arrive at different times, so that the two ends of an edge may
+disagree for a while; then the one with more turns taken is right.
+"""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -13,12 +17,13 @@ Ends = tuple[int, int]
 
 @dataclass(frozen=True)
 class Link:
-    """An edge, by the newer word of its two ends.
+    """An edge of the tree, by the newer status of its two ends.
 
     Attributes:
         ends: its units.
         turn: turns taken so far.
-        pair: the robots that it shares, ascending; none while it is but granted.
+        pair: ids of the robots that its units share, ascending; empty while the edge is granted but not yet
+            used.
         is_mutual: whether both ends name it.
     """
 
@@ -29,7 +34,7 @@ class Link:
 
     @property
     def holder(self) -> int:
-        """The unit that has the turn, or is about to hear that it has: the lower one has the even turns."""
+        """The unit that may change the pair now: after an even number of turns the lower one."""
         return self.ends[self.turn % 2]
 
 
@@ -43,7 +48,7 @@ class TreeSnapshot:
         unjoined: living units that do not.
         dead: units in an outage.
         asks: the unit that each unjoined one asks to be admitted by, if any.
-        heirs: the unit that would take over, by unit.
+        heirs: the unit that would take over its place, by unit.
         missing_ids: robots that their units have not seen for long.
         ready: whether a unit knows the tree to be complete, so that robots may move.
     """
@@ -58,45 +63,50 @@ class TreeSnapshot:
     ready: bool
 
 
-def tree_snapshot(words: Mapping[int, TreeStatus], dead: Iterable[int] = ()) -> TreeSnapshot:
-    """The tree from the last word of each living unit."""
-    members = frozenset(unit for unit, word in words.items() if word.tree_id != NO_ID)
+def tree_snapshot(statuses: Mapping[int, TreeStatus], dead: Iterable[int] = ()) -> TreeSnapshot:
+    """Put the tree together from the last status of each living unit, by unit, and the units in an outage."""
+    members = frozenset(unit for unit, status in statuses.items() if status.tree_id != NO_ID)
     return TreeSnapshot(
-        links=_links(words),
+        links=_links(statuses),
         members=members,
-        unjoined=frozenset(words) - members,
+        unjoined=frozenset(statuses) - members,
         dead=frozenset(dead),
-        asks={unit: word.asks_id for unit, word in words.items() if word.asks_id != NO_ID},
-        heirs={unit: word.heir_id for unit, word in words.items() if word.heir_id != NO_ID},
-        missing_ids=frozenset(robot for word in words.values() for robot in word.missing_ids.tolist()),
-        ready=any(word.ready for word in words.values()),
+        asks={unit: status.asks_id for unit, status in statuses.items() if status.asks_id != NO_ID},
+        heirs={unit: status.heir_id for unit, status in statuses.items() if status.heir_id != NO_ID},
+        missing_ids=frozenset(robot for status in statuses.values() for robot in status.missing_ids.tolist()),
+        ready=any(status.ready for status in statuses.values()),
     )
 
 
-def _links(words: Mapping[int, TreeStatus]) -> dict[Ends, Link]:
+def _links(statuses: Mapping[int, TreeStatus]) -> dict[Ends, Link]:
     links: dict[Ends, Link] = {}
-    for unit, word in sorted(words.items()):
-        rows = zip(word.neighbor_ids.tolist(), word.turns.tolist(), word.pairs.tolist(), strict=True)
+    for unit, status in sorted(statuses.items()):
+        rows = zip(status.neighbor_ids.tolist(), status.turns.tolist(), status.pairs.tolist(), strict=True)
         for neighbor, turn, pair in rows:
             ends = min(unit, neighbor), max(unit, neighbor)
-            told = Link(ends, turn, tuple(sorted(robot for robot in pair if robot != NO_ID)), False)
+            own = Link(
+                ends=ends,
+                turn=turn,
+                pair=tuple(sorted(robot for robot in pair if robot != NO_ID)),
+                is_mutual=False,
+            )
             other = links.get(ends)
-            newer = told if other is None or told.turn > other.turn else other
-            links[ends] = Link(ends, newer.turn, newer.pair, other is not None)
+            newer = own if other is None or own.turn > other.turn else other
+            links[ends] = Link(ends=ends, turn=newer.turn, pair=newer.pair, is_mutual=other is not None)
     return links
 
 
 @dataclass
 class TreeHistory:
-    """Keeps the last word of each unit from step to step."""
+    """Keeps the last status of each unit from step to step, since a unit has no new one at most steps."""
 
-    _words: dict[int, TreeStatus] = field(default_factory=dict, init=False)
+    _statuses: dict[int, TreeStatus] = field(default_factory=dict, init=False)
 
-    def see(self, step: Step, dead: Iterable[int]) -> TreeSnapshot | None:
-        """The tree after a step; None where sets come from the safety radius alone."""
+    def add(self, step: Step, dead: Iterable[int]) -> TreeSnapshot | None:
+        """The tree after a step with these units in an outage; None where units form no tree."""
         for unit, frame in step.frames.items():
-            if (word := frame.decision.report.tree) is not None:
-                self._words[unit] = word
+            if (status := frame.decision.report.tree) is not None:
+                self._statuses[unit] = status
         for unit in dead:
-            self._words.pop(unit, None)
-        return tree_snapshot(self._words, dead) if self._words else None
+            self._statuses.pop(unit, None)
+        return tree_snapshot(self._statuses, dead) if self._statuses else None

@@ -1,4 +1,4 @@
-"""Axes of the benchmark's figures: sides, ratios to the bound, shares."""
+"""Axes of the benchmark's figures: marker sides, ratios to the bound, shares."""
 
 from collections.abc import Iterable, Sequence
 
@@ -9,11 +9,20 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 from skyherd.drawing.palette import INK, MUTED
 
 AIM = 1.2
+"""Ratio of RMSE to bound that the detectors aim at; a dotted line in the figures."""
+
 SIDE_TICKS = (8, 12, 16, 20, 30, 40, 60, 100)
+"""Marker sides, px, that have a tick."""
+
+RATIO_TICKS = (1, 2, 5, 10, 20, 50, 100, 200, 500)
+"""Ratios that have a tick."""
+
+MARGIN = 1.15
+"""Factor by which logarithmic axes reach beyond the least and the greatest value."""
 
 
 def side_axis(axes: Axes, sides_px: Iterable[float]) -> None:
-    """A log axis of marker sides, with plain numbers."""
+    """Make the horizontal axis one of marker sides, px: logarithmic, with ticks in plain numbers."""
     sides = sorted(set(sides_px))
     axes.set_xscale("log")
     ticks = [side for side in SIDE_TICKS if sides[0] <= side <= sides[-1]]
@@ -23,15 +32,15 @@ def side_axis(axes: Axes, sides_px: Iterable[float]) -> None:
 
 
 def span(panels: Sequence[Axes], low: float, high: float) -> tuple[float, float]:
-    """Limits of log axes that show all lines, and `low` and `high` at least."""
+    """Limits of logarithmic axes that show all lines of some panels, and the values `low` and `high`."""
     lines = [line for axes in panels for line in axes.lines]
     drawn = np.concatenate([[low, high], *(np.asarray(line.get_ydata(), float) for line in lines)])
     shown = drawn[np.isfinite(drawn) & (drawn > 0)]
-    return float(shown.min() / 1.15), float(shown.max() * 1.15)
+    return float(shown.min() / MARGIN), float(shown.max() * MARGIN)
 
 
 def ratio_axes(panels: Sequence[Axes]) -> None:
-    """Log axes of ratios, all alike, with the bound and the aim."""
+    """Make the vertical axes ratios to the bound: logarithmic, all alike, with lines at 1 and at `AIM`."""
     low, high = span(panels, 0.9, 3.0)
     for axes in panels:
         _ratio_axis(axes, low, high)
@@ -40,9 +49,7 @@ def ratio_axes(panels: Sequence[Axes]) -> None:
 def _ratio_axis(axes: Axes, low: float, high: float) -> None:
     axes.set_yscale("log")
     axes.set_ylim(low, high)
-    axes.yaxis.set_major_locator(
-        FixedLocator([t for t in (1, 2, 5, 10, 20, 50, 100, 200, 500) if low <= t <= high])
-    )
+    axes.yaxis.set_major_locator(FixedLocator([tick for tick in RATIO_TICKS if low <= tick <= high]))
     axes.yaxis.set_minor_locator(NullLocator())
     axes.yaxis.set_major_formatter(FuncFormatter(lambda ratio, _: f"{ratio:g}"))
     axes.axhline(1.0, color=INK, lw=1.0, zorder=1)
@@ -50,6 +57,6 @@ def _ratio_axis(axes: Axes, low: float, high: float) -> None:
 
 
 def share_axes(panels: Sequence[Axes]) -> None:
-    """Axes from nothing to all."""
+    """Make the vertical axes shares from 0 to 1."""
     for axes in panels:
         axes.set_ylim(-0.03, 1.03)

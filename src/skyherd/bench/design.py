@@ -1,7 +1,8 @@
-"""What is measured: cells, each one condition under which every detector sees the same frames.
+"""What is measured: cells, each one condition under which every detector is given the same frames.
 
-A grid of side by noise, and around its base cell (30 px, noise 5) sweeps of one factor at a time. Where a
-cell does not fix the blur, each camera has its own, spread over 0.5 to 1.5 px and told to nobody.
+The design is a grid of marker side by noise, and sweeps of one factor at a time around the base cell (30 px,
+noise 5). Where a cell does not fix the blur, each camera has its own, spread over 0.5 to 1.5 px, which no
+detector is given.
 """
 
 from collections.abc import Iterable
@@ -10,20 +11,22 @@ from dataclasses import asdict, dataclass, replace
 import numpy as np
 
 BLURS_PX = (0.5, 1.5)
-"""Least and greatest standard deviation of the lens's blur, where a cell leaves it to the camera."""
+"""Least and greatest standard deviation of the lens's blur, px, where a cell leaves it to the camera."""
 
 MIDDLE_GREY = 130.0
-"""Half-way between a marker's black and white; at full contrast, 200, they are 30 and 230."""
+"""Mean of a marker's black and white, grey levels: 30 and 230 at full contrast, 200, so that noise is not
+clipped."""
 
 MOST_MARKERS = 16
+"""Most markers in an image: a grid of four by four."""
 
 SMALL_IMAGES_PX = 40.0
-"""Markers up to this side are shown in images of 640x480, larger ones in 1280x960."""
+"""Markers up to this side, px, are shown in images of 640x480, larger ones in 1280x960."""
 
 
 @dataclass(frozen=True)
 class Cell:
-    """One condition.
+    """One condition of the benchmark.
 
     Attributes:
         sweep: the series it belongs to; `base` belongs to all of them.
@@ -67,17 +70,17 @@ class Cell:
 
     @property
     def size_px(self) -> tuple[int, int]:
-        """Width and height of the images: small markers have small images, for the sake of time."""
+        """Width and height of the images, px; small markers have small images, which take less time."""
         return (640, 480) if self.side_px <= SMALL_IMAGES_PX else (1280, 960)
 
     def blur_of(self, camera: int) -> float:
-        """Blur of one camera: the cell's, or an even spread over all cameras."""
+        """Blur of one camera, px: the cell's, or one of an even spread over `BLURS_PX`."""
         if self.blur_px is not None:
             return self.blur_px
         return float(np.interp((camera + 0.5) / self.cameras, (0, 1), BLURS_PX))
 
     def factors(self) -> dict[str, float | int | str]:
-        """What a row of the result says of its cell."""
+        """The factors of the cell by name, as the result's rows have them."""
         keys = (
             "sweep",
             "side_px",
@@ -95,7 +98,14 @@ class Cell:
 
 @dataclass(frozen=True)
 class Sweep:
-    """One factor, and the values that it takes beside its value in the base cell."""
+    """One factor of the design and its values, beside the one that it has in the base cell.
+
+    Attributes:
+        name: of the sweep.
+        key: field of `Cell` that is varied.
+        label: of the factor on axes, with its unit.
+        values: of the factor.
+    """
 
     name: str
     key: str
@@ -112,6 +122,8 @@ SWEEPS = (
     Sweep("occlusion", "occlusion", "share of the marker covered", (0.005, 0.02, 0.05)),
     Sweep("clutter", "clutter", "dark quadrilaterals in view", (50, 150)),
 )
+"""The sweeps of the full design, a series of cells each."""
+
 QUICK_SWEEPS = tuple(
     replace(sweep, values=values)
     for sweep, values in zip(
@@ -119,30 +131,35 @@ QUICK_SWEEPS = tuple(
     )
 )
 
+"""The same sweeps with fewer values, for `--quick`."""
+
 SIDES_PX = (8, 10, 12, 14, 16, 18, 20, 24, 30, 40, 60, 80, 100)
 NOISES = (2.0, 5.0, 10.0)
 QUICK_SIDES_PX = (12, 16, 20, 30, 60)
+"""Marker sides, px, and noises, grey levels, of the grid; with `--quick` only the noise 5."""
+
 GRID, EMPTY = "side x noise", "empty clutter"
+"""Names of the series that are no sweeps: the grid, and the images of clutter without a marker."""
 
 QUADS = 150
-"""Dark quadrilaterals in each image of the search for false positives."""
+"""Number of dark quadrilaterals in each image of the search for false positives."""
 
 PER_CLUTTER = 4
-"""Images of one clutter: they differ in their noise alone."""
+"""Images of the same clutter, which differ in their noise alone. Chosen: clutter is slow to make."""
 
 
 def full_design(clutter_images: int = 240) -> list[Cell]:
-    """All cells; `clutter_images` images of clutter without a marker look for false positives."""
+    """All cells, with this many images of clutter and no marker in which false positives are counted."""
     return _design(Cell(), SIDES_PX, NOISES, SWEEPS, clutter_images)
 
 
 def quick_design(clutter_images: int = 12) -> list[Cell]:
-    """Few cells of few frames: to see that all works, and roughly how well."""
+    """Few cells of few frames, to see that everything works and roughly how well; as `full_design`."""
     return _design(Cell(cameras=2, frames=3), QUICK_SIDES_PX, (5.0,), QUICK_SWEEPS, clutter_images)
 
 
 def _frames(base: Cell, side_px: float) -> int:
-    """Images of a camera; fewer of the large ones, which take longer and have less to show in recall."""
+    """Images of a camera; a third of them if large, since they take longer and hardly differ in recall."""
     return base.frames if side_px <= SMALL_IMAGES_PX else -(-base.frames // 3)
 
 

@@ -1,4 +1,4 @@
-"""The detectors that enter: by name, ours and the peers, or anybody's as `module:factory`."""
+"""The detectors that are measured: by name skyherd's own and the peers, or any other as `module:factory`."""
 
 import os
 import sys
@@ -10,30 +10,44 @@ from skyherd.vision import Detector, create_detector, detector_names
 from skyherd.vision.detectors.peers import FAMILIES, REFINEMENTS
 
 DEFAULT_DICTIONARY = "4X4_50"
+"""Marker dictionary of the frames if none is asked for."""
+
 APRILTAG_DICTIONARY = "APRILTAG_36h11"
+"""Dictionary of the frames of AprilTag 3, which knows no other than its own families."""
+
 REFERENCE = "opencv"
 """Times are given as ratios to this one: `cv2.aruco` at its defaults."""
 
 
 class EntrantError(SkyherdError):
-    """A detector that entered broke down; exit code 2, as for any bad input."""
+    """A detector raised an exception or crashed while it was measured; exit code 2, as for any bad input."""
 
     exit_code = 2
 
 
 def default_entrants() -> list[str]:
-    """All detectors that there are, the reference first; AprilTag 3 only where it is installed."""
+    """Names of all detectors, the reference first; AprilTag 3 only where it is installed."""
     names = [REFERENCE, *(name for name in detector_names() if name != REFERENCE)]
     return [name for name in names if name != "apriltag3" or _installed("pupil_apriltags")]
 
 
 def dictionary_for(name: str, dictionary: str) -> str:
-    """Dictionary of a detector's frames: the one asked for, but for AprilTag 3, which has its own."""
+    """Dictionary of the frames for a detector: the one asked for, but for AprilTag 3 one that it knows."""
     return APRILTAG_DICTIONARY if name == "apriltag3" and dictionary not in FAMILIES else dictionary
 
 
 def make_entrant(name: str, dictionary: str, *, corrected: bool = True) -> Detector:
-    """A new detector; InputError if there is none of that name or it cannot be made."""
+    """Make a new detector.
+
+    Args:
+        name: as `skyherd.vision.create_detector` knows it, or `module:factory` with a function of the
+            dictionary that returns a detector; the module is imported from the current folder as well.
+        dictionary: of the markers.
+        corrected: take the constant biases off that the peers are known to have.
+
+    Raises:
+        InputError: there is no detector of that name, or it cannot be made.
+    """
     if ":" not in name:
         return create_detector(name, dictionary=dictionary, corrected=corrected)
     module_name, _, factory_name = name.partition(":")
@@ -51,7 +65,7 @@ def make_entrant(name: str, dictionary: str, *, corrected: bool = True) -> Detec
 
 
 def is_ours(name: str) -> bool:
-    """Whether a detector is neither a peer nor a stranger."""
+    """Whether a detector is skyherd's own: neither a peer nor a `module:factory`."""
     return ":" not in name and name not in REFINEMENTS and name != "apriltag3"
 
 

@@ -1,6 +1,6 @@
-"""The measurement: every detector on the same frames, cell by cell, on all cores."""
+"""The measurement of accuracy: every detector on the same frames, cell by cell, on several processes."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
@@ -18,20 +18,25 @@ from skyherd.bench.frames import Frame, FrameSource, rendered_frames
 from skyherd.bench.scorer import Scorer
 from skyherd.errors import SkyherdError
 from skyherd.messages import Detections
+from skyherd.progress import NO_PROGRESS, Progress
 from skyherd.vision import Detector
 
 Row = dict[str, Any]
+"""A row of the result: the factors of a cell, and what one detector achieved in it."""
+
+TASK = "accuracy"
+"""Name of this part of the benchmark in progress reports."""
 
 
 @dataclass(frozen=True)
 class Plan:
-    """Who is measured, on what.
+    """Which detectors are measured, and on which frames.
 
     Attributes:
         detectors: names, or `module:factory`.
         dictionary: of the markers, where a detector knows it.
-        seed: of all frames.
-        corrected: whether constant biases of the peers are taken off.
+        seed: seed of all frames.
+        corrected: whether the constant biases of the peers are taken off.
         source: makes the frames.
     """
 
@@ -43,13 +48,16 @@ class Plan:
 
 
 def measure_cells(
-    plan: Plan, cells: Sequence[Cell], *, jobs: int = 1, on_cell: Callable[[Cell], None] = lambda cell: None
+    plan: Plan, cells: Sequence[Cell], *, jobs: int = 1, progress: Progress = NO_PROGRESS
 ) -> list[Row]:
-    """Rows of all cells, in their order: one for each detector and cell; `jobs` cells at a time.
+    """Measure all cells, `jobs` of them at a time, each on one thread.
+
+    Returns:
+        the rows in the order of the cells, one for each detector and cell.
 
     Raises:
         InputError: a detector cannot be made.
-        EntrantError: a detector broke down.
+        EntrantError: a detector raised an exception or crashed its process.
     """
     for name in plan.detectors:
         make_entrant(name, dictionary_for(name, plan.dictionary), corrected=plan.corrected)
@@ -57,7 +65,7 @@ def measure_cells(
     if jobs == 1:
         for index, cell in enumerate(cells):
             rows[index] = measure_cell(plan, cell, index)
-            on_cell(cell)
+            progress.update(TASK, len(rows), len(cells))
     else:
         with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
             futures = {
@@ -66,7 +74,7 @@ def measure_cells(
             try:
                 for future in as_completed(futures):
                     rows[futures[future]] = future.result()
-                    on_cell(cells[futures[future]])
+                    progress.update(TASK, len(rows), len(cells))
             except BrokenProcessPool:
                 raise EntrantError(
                     "a detector crashed its process; measure one at a time to see which"
@@ -78,7 +86,16 @@ def measure_cells(
 
 
 def measure_cell(plan: Plan, cell: Cell, index: int) -> list[Row]:
-    """A cell's rows; frames of the same seed for each dictionary, so that only the markers' bits differ."""
+    """Measure one cell: a row for each detector, in the plan's order.
+
+    Detectors of different dictionaries get frames of the same seed, so that only the bits of the markers
+    differ.
+
+    Args:
+        plan: detectors and frames.
+        cell: the condition.
+        index: number of the cell, from which the seed of its frames follows.
+    """
     dictionaries = {name: dictionary_for(name, plan.dictionary) for name in plan.detectors}
     rows: dict[str, Row] = {}
     with one_thread():
@@ -92,7 +109,7 @@ def measure_cell(plan: Plan, cell: Cell, index: int) -> list[Row]:
             for frame in plan.source(cell, dictionary, plan.seed + 1000 * index):
                 blurs_px.append(frame.blur_px)
                 for entrant in entrants.values():
-                    entrant.take(frame)
+                    entrant.measure(frame)
             for name, entrant in entrants.items():
                 about = {"blur_px": float(np.mean(blurs_px)), "blur_given": cell.blur_px is not None}
                 rows[name] = {
@@ -102,7 +119,7 @@ def measure_cell(plan: Plan, cell: Cell, index: int) -> list[Row]:
 
 
 class Entrant:
-    """One detector with its score and its times."""
+    """One detector in one cell, with its score and its times so far."""
 
     def __init__(self, name: str, dictionary: str, corrected: bool = True) -> None:
         self.name = name
@@ -110,15 +127,15 @@ class Entrant:
         self.scorer = Scorer()
         self.times_ms: list[float] = []
 
-    def take(self, frame: Frame) -> None:
-        """Detect in one frame, timed and scored."""
+    def measure(self, frame: Frame) -> None:
+        """Detect in one frame, take the time and score the detections; EntrantError if the detector fails."""
         start = perf_counter()
         detections = self._detect(frame)
         self.times_ms.append(1e3 * (perf_counter() - start))
         self.scorer.add(frame, detections)
 
     def row(self) -> Row:
-        """Score and times so far."""
+        """Score and times so far, as a row of the result."""
         return {**asdict(self.scorer.score()), **time_row(self.times_ms)}
 
     def _detect(self, frame: Frame) -> Detections:
@@ -131,7 +148,7 @@ class Entrant:
 
 
 def time_row(times_ms: Sequence[float]) -> Row:
-    """Median and 99th percentile."""
+    """Median and 99th percentile of times, ms, as a part of a row; None without any."""
     if not times_ms:
         return {"ms_median": None, "ms_p99": None}
     return {"ms_median": float(np.median(times_ms)), "ms_p99": float(np.percentile(times_ms, 99))}
@@ -139,7 +156,7 @@ def time_row(times_ms: Sequence[float]) -> Row:
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """OpenCV on one thread while this lasts."""
+    """Let OpenCV use one thread only while the context lasts, so that times are those of one core."""
     before = cv2.getNumThreads()
     cv2.setNumThreads(1)
     try:

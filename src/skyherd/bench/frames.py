@@ -1,6 +1,6 @@
-"""Frames with truth, made by our renderer: what every detector is shown.
+"""Frames with their truth, rendered by `skyherd.render`: the images that every detector is given.
 
-Any other source will do that gives `Frame`s for a cell, a dictionary and a seed.
+Any other source can take its place that yields `Frame`s for a cell, a dictionary and a seed (`FrameSource`).
 """
 
 from collections.abc import Iterator
@@ -30,8 +30,11 @@ from skyherd.render import (
 )
 
 EXPOSURE_S = 0.01
+"""Exposure of images with motion blur. The length of the streak is the cell's; this sets the camera's speed
+alone."""
+
 COVER_LEVEL = 40.0
-"""Grey level of the discs that cover markers."""
+"""Grey level of the discs that cover markers: dark, and neither a marker's black nor its white."""
 
 QUAD_SIDES = (0.4, 1.2)
 """Least and greatest side of clutter, in marker sides."""
@@ -49,7 +52,7 @@ class Frame:
         centers_px: (N, 2) images of their centres.
         headings_rad: (N,) directions of their forward axes there.
         sides_px: (N,) their sides.
-        whole: (N,) whether they are asked for: the marker and its card inside the image.
+        whole: (N,) whether the marker and its card are inside the image, so that a detector should find it.
         bounds: (N, 3, 3) Cramér–Rao bound of (u, v, heading).
         blur_px: standard deviation of the lens's blur.
     """
@@ -67,20 +70,26 @@ class Frame:
 
 
 class FrameSource(Protocol):
-    """Makes the frames of a cell; the same arguments give the same frames."""
+    """A function that makes the frames of a cell; the same arguments give the same frames, to the bit."""
 
     def __call__(self, cell: Cell, dictionary: str, seed: int) -> Iterator[Frame]:
-        """Frames of all cameras of the cell, each camera's in the order of time."""
+        """Yield the frames of all cameras of the cell, one camera after the other, each in the order of time.
+
+        Args:
+            cell: the condition.
+            dictionary: of the markers.
+            seed: of everything random.
+        """
         ...
 
 
 def rendered_frames(cell: Cell, dictionary: str, seed: int) -> Iterator[Frame]:
-    """Frames of a cell from `skyherd.render`."""
+    """Yield the frames of a cell, rendered; a `FrameSource`."""
     for unit in range(cell.cameras):
         layout, rng, noise = (np.random.default_rng([seed, unit, use]) for use in range(3))
         toward = rng.uniform(-np.pi, np.pi)
         light = Illumination(gradient=cell.uneven, gradient_rad=toward)
-        # As much light less as the brightest border has more: white stays within 8 bits.
+        # The gain takes off what the brightest border has in excess, so that white stays within 8 bits.
         sensor = Sensor(cell.noise, noise, gain=1.0 / (1.0 + cell.uneven / 2.0), illumination=light)
         renderer: Renderer | None = None
         for shot in camera_shots(cell, dictionary, unit, layout):
@@ -107,7 +116,7 @@ def _renderer(cell: Cell, dictionary: str, shot: Shot, sensor: Sensor) -> Render
 
 @lru_cache(maxsize=6)
 def _ground(seed: int, sigma_px: float, clutter: Clutter | None) -> Ground:
-    """Grounds are dear to make, and the same cameras come back in every cell."""
+    """The ground of a camera; it is slow to make, and the same cameras come back in every cell."""
     return Ground(seed, sigma_px=sigma_px, clutter=clutter)
 
 
@@ -131,7 +140,10 @@ def _expose(cell: Cell, shot: Shot, renderer: Renderer, rng: np.random.Generator
 
 
 def make_frame(shot: Shot, image: npt.NDArray[np.uint8], truth: FrameTruth, bounds: Array) -> Frame:
-    """A frame of a shot; markers that something covers are asked for all the same."""
+    """Put a frame together of a shot, its image, its truth, and the bounds (N, 3, 3) of its markers.
+
+    Markers that something covers count as whole all the same: a detector should find them.
+    """
     return Frame(
         image=image,
         unit_id=shot.unit_id,
@@ -147,7 +159,11 @@ def make_frame(shot: Shot, image: npt.NDArray[np.uint8], truth: FrameTruth, boun
 
 
 def marker_bounds(cell: Cell, dictionary: str, blur_px: float, truth: FrameTruth) -> Array:
-    """Bound (N, 3, 3) at a cell's noise and levels; a streak L px long adds L² / 24 of variance."""
+    """Cramér–Rao bounds (N, 3, 3) on u, v (px) and heading (rad) of the markers of an image.
+
+    Rounding to grey levels adds a variance of 1/12 to the noise. A streak of length L has the variance L² /
+    12 along its direction; over both axes that is L² / 24 of the variance of the blur.
+    """
     noise = float(np.hypot(cell.noise, UNIFORM_VARIANCE**0.5))
     return pose_covariances(
         dictionary,
@@ -161,14 +177,14 @@ def marker_bounds(cell: Cell, dictionary: str, blur_px: float, truth: FrameTruth
 
 
 def _shake(cell: Cell, shot: Shot, rng: np.random.Generator) -> Motion:
-    """A camera that shakes, so that a point makes a streak of `motion_px` in a random direction."""
+    """A motion of the camera by which a point makes a streak of `motion_px` in a random direction."""
     toward = rng.uniform(-np.pi, np.pi)
     speed = cell.motion_px / EXPOSURE_S * shot.pose.height_m / shot.camera.focal_px
     return Motion(camera_mps=(float(speed * np.cos(toward)), float(speed * np.sin(toward)), 0.0))
 
 
 def _covers(cell: Cell, shot: Shot, rng: np.random.Generator) -> list[Disc]:
-    """A disc about a random corner of each marker: its quarter covers the share of the square asked for."""
+    """A disc about a random corner of each marker; a quarter of it covers `cell.occlusion` of the square."""
     if not cell.occlusion:
         return []
     radius = float(np.sqrt(4.0 * cell.occlusion / np.pi))

@@ -1,19 +1,19 @@
-"""The benchmark's page, and its Markdown."""
+"""The benchmark's page, its Markdown and its figures: `bench.html`, `bench.md` and `figures/`."""
 
-from html import escape
 from pathlib import Path
 
 from skyherd.bench.plots import write_plots
 from skyherd.bench.result import Result
 from skyherd.bench.tables import Table, make_tables, short
 from skyherd.files.atomic import write_text
-from skyherd.report.pages import figure_card, html_page, tile, wide_table
+from skyherd.report.pages import Tile, figure_card, render_page
 
 PAGE, MARKDOWN = "bench.html", "bench.md"
+"""File names in the result's folder."""
 
 
 def write_outputs(result: Result, folder: Path) -> Path:
-    """Write figures, Markdown and page of a result into a folder; returns the page.
+    """Write figures, Markdown and page of a result into a folder, and return the path of the page.
 
     Raises:
         OutputError: a file could not be written.
@@ -21,32 +21,32 @@ def write_outputs(result: Result, folder: Path) -> Path:
     figures = write_plots(result, folder / "figures")
     tables = make_tables(result)
     write_text(folder / MARKDOWN, markdown(result, tables))
-    page = html_page(
+    page = render_page(
         "skyherd.bench",
-        "bench",
-        "Marker detectors",
-        tiles="\n".join(tile(value, label) for value, label in _tiles(result)),
-        figures="\n".join(figure_card(figure) for figure in figures),
-        tables="\n".join(_table(table) for table in tables),
-        environment="\n".join(_entry(key, value) for key, value in result.environment.items()),
+        PAGE,
+        title="Marker detectors",
+        tiles=_tiles(result),
+        figures=[figure_card(figure) for figure in figures],
+        tables=tables,
+        environment=[(key.replace("_", " "), _text(value)) for key, value in result.environment.items()],
     )
     return write_text(folder / PAGE, page)
 
 
 def markdown(result: Result, tables: list[Table]) -> str:
-    """The tables in Markdown, with what they were measured on."""
+    """The tables in Markdown, and below them the programs and the machine that they were measured with."""
     about = ", ".join(f"{key} {value}" for key, value in result.environment.items() if value is not None)
     return "\n\n".join([*(table.markdown() for table in tables), f"Measured with: {about}."]) + "\n"
 
 
-def _tiles(result: Result) -> list[tuple[str, str]]:
-    """The run in a few numbers."""
+def _tiles(result: Result) -> list[Tile]:
+    """The run in a few numbers: how much was measured, and the best accuracy in the base cell."""
     images = sum(row["images"] for row in result.cells[:: max(len(result.detectors), 1)])
     markers = sum(row["markers"] for row in result.cells[:: max(len(result.detectors), 1)])
     tiles = [
-        (str(len(result.detectors)), "detectors"),
-        (f"{images:,}".replace(",", " "), "images a detector"),
-        (f"{markers:,}".replace(",", " "), "markers in them"),
+        Tile(str(len(result.detectors)), "detectors"),
+        Tile(f"{images:,}".replace(",", " "), "images a detector"),
+        Tile(f"{markers:,}".replace(",", " "), "markers in them"),
     ]
     best = [
         (row["ratio_px"], row["detector"])
@@ -55,18 +55,11 @@ def _tiles(result: Result) -> list[tuple[str, str]]:
     ]
     if best:
         ratio, name = min(best)
-        tiles.append((f"{short(ratio)} ({name})", "least position RMSE over bound, 30 px, noise 5"))
+        label = "least position RMSE over bound, 30 px, noise 5"
+        tiles.append(Tile(f"{short(ratio)} ({name})", label))
     return tiles
 
 
-def _entry(key: str, value: object) -> str:
-    text = "not installed" if value is None else ", ".join(value) if isinstance(value, list) else str(value)
-    return f'<tr><th scope="row">{escape(key.replace("_", " "))}</th><td>{escape(text)}</td></tr>'
-
-
-def _table(table: Table) -> str:
-    return f"""<section class="measured">
-<h3>{escape(table.title)}</h3>
-<p class="hint">{escape(table.note)}</p>
-{wide_table(table.title, table.header, table.rows)}
-</section>"""
+def _text(value: object) -> str:
+    """An entry of the environment as text; None stands for a program that is not there."""
+    return "not installed" if value is None else ", ".join(value) if isinstance(value, list) else str(value)

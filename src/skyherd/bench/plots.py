@@ -1,4 +1,4 @@
-"""The result as figures: PNG and SVG."""
+"""The result of the benchmark as figures, PNG and SVG."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -15,19 +15,25 @@ from skyherd.bench.axes import AIM, ratio_axes, share_axes, side_axis, span
 from skyherd.bench.design import SWEEPS
 from skyherd.bench.entrants import is_ours
 from skyherd.bench.result import Result, Row
+from skyherd.bench.tables import MIDDLE_NOISE
 from skyherd.drawing.palette import INK, MUTED, UNIT_COLORS
 from skyherd.plots.panels import FigureFile, save_figure
 from skyherd.plots.style import drawing_style, legend_above, new_figure
 
 OUR_COLORS = (UNIT_COLORS[0], UNIT_COLORS[1], INK, UNIT_COLORS[2])
 OTHER_COLORS = (UNIT_COLORS[7], UNIT_COLORS[4], UNIT_COLORS[5], UNIT_COLORS[3], UNIT_COLORS[2], MUTED)
+"""Colours of skyherd's own detectors and of the others, in the result's order."""
+
 MARKS = "osD^vPX<>*"
-HONEST = (0.8, 1.25)
+"""Matplotlib markers of the detectors."""
+
+NEES_BAND = (0.8, 1.25)
+"""Band of NEES in which reported variances count as right: off by at most a quarter."""
 
 
 @dataclass(frozen=True)
 class Plot:
-    """A figure of a result; `draw` returns None where there is nothing to show."""
+    """A figure of a result: name, title, caption; `draw` returns None where there are no rows for it."""
 
     name: str
     title: str
@@ -36,7 +42,7 @@ class Plot:
 
 
 def write_plots(result: Result, folder: Path) -> list[FigureFile]:
-    """Draw all figures that the result has rows for.
+    """Draw all figures that the result has rows for into a folder, which is made if need be.
 
     Raises:
         OutputError: a file could not be written.
@@ -52,9 +58,9 @@ def write_plots(result: Result, folder: Path) -> list[FigureFile]:
 
 
 def detector_style(result: Result, name: str) -> dict[str, Any]:
-    """Colour, line and mark of a detector, the same in all figures: ours solid, the others' dashed.
+    """Style of a detector's line, the same in all figures: solid for skyherd's own, dashed for the others.
 
-    Where ours coincide, the wider line of the one before shows beneath the next.
+    Lines of own detectors become narrower one by one, so that lines that coincide all show.
     """
     same = [other for other in result.detectors if is_ours(other) == is_ours(name)]
     index, ours = same.index(name), is_ours(name)
@@ -104,7 +110,7 @@ def _grid_figure(
 
 
 def draw_accuracy(result: Result) -> Figure | None:
-    """RMSE over bound by side."""
+    """Draw RMSE over bound by marker side, a column for each noise: the position above, the heading below."""
     made = _grid_figure(
         result, (("ratio_px", "position: RMSE / bound"), ("ratio_deg", "heading: RMSE / bound")), 6.6
     )
@@ -117,7 +123,7 @@ def draw_accuracy(result: Result) -> Figure | None:
 
 
 def draw_recall(result: Result) -> Figure | None:
-    """Recall by side."""
+    """Draw recall by marker side, a column for each noise."""
     made = _grid_figure(result, (("recall", "recall"),), 3.9)
     if made is None:
         return None
@@ -151,47 +157,47 @@ def _sweep_figure(
 
 
 def draw_factors(result: Result) -> Figure | None:
-    """Position's RMSE over bound along each sweep."""
+    """Draw the position's RMSE over its bound along each sweep."""
     return _sweep_figure(result, "ratio_px", "position: RMSE / bound", ratio_axes)
 
 
 def draw_factor_recall(result: Result) -> Figure | None:
-    """Recall along each sweep."""
+    """Draw recall along each sweep."""
     return _sweep_figure(result, "recall", "recall", share_axes)
 
 
-def draw_honesty(result: Result) -> Figure | None:
-    """NEES by side of detectors that report a covariance."""
+def draw_nees(result: Result) -> Figure | None:
+    """Draw NEES of u, v and heading by marker side, of detectors that report a covariance."""
     noises = result.noises()
-    telling = [
+    reporting = [
         name
         for name in result.detectors
         if any(row["nees"] is not None for noise in noises for row in result.by_side(name, noise))
     ]
-    if not telling:
+    if not reporting:
         return None
     figure = new_figure(3.7, 10.0)
     panels = figure.subplots(1, 3, sharey=True)
-    noise = min(noises, key=lambda level: abs(level - 5.0))
+    noise = min(noises, key=lambda level: abs(level - MIDDLE_NOISE))
     for axis, axes in zip(("u", "v", "heading"), panels, strict=True):
-        for name in telling:
+        for name in reporting:
             rows: list[Row] = result.by_side(name, noise)
             _line(axes, [(row["side_px"], row[f"nees_{axis}"]) for row in rows], detector_style(result, name))
-        axes.axhspan(*HONEST, color=MUTED, alpha=0.18, lw=0)
+        axes.axhspan(*NEES_BAND, color=MUTED, alpha=0.18, lw=0)
         axes.axhline(1.0, color=INK, lw=1.0)
         axes.set(title=axis, xlabel="marker side (px)", yscale="log")
-        side_axis(axes, (row["side_px"] for name in telling for row in result.by_side(name, noise)))
+        side_axis(axes, (row["side_px"] for name in reporting for row in result.by_side(name, noise)))
         axes.yaxis.set_major_locator(FixedLocator([0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 1000]))
         axes.yaxis.set_minor_locator(NullLocator())
         axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     panels[0].set_ylim(span(panels, 0.5, 2.0))
     panels[0].set_ylabel("error² / variance reported")
-    _legend(figure, result, telling)
+    _legend(figure, result, reporting)
     return figure
 
 
 def draw_times(result: Result) -> Figure | None:
-    """Median time by resolution, with a whisker to the 99th percentile."""
+    """Draw the median time per frame, ms, by image size, with a whisker to the 99th percentile."""
     noises = sorted({row["noise"] for row in result.timing})
     if not noises:
         return None
@@ -216,10 +222,10 @@ def draw_times(result: Result) -> Figure | None:
         axes.set_yscale("log")
         axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         axes.yaxis.set_minor_locator(NullLocator())
-        axes.yaxis.set_major_formatter(FuncFormatter(lambda ms, _: f"{ms:g}"))
+        axes.yaxis.set_major_formatter("{x:g}")
         axes.set_xticks(range(len(sizes)), [f"{width}x{height}" for width, height in sizes])
-        axes.set_title("clean" if noise == 0 else f"noise {noise:g} grey levels")
-        axes.set_xlabel("image (px)")
+        title = "clean" if noise == 0 else f"noise {noise:g} grey levels"
+        axes.set(title=title, xlabel="image (px)")
     panels[0].set_ylabel("time per frame (ms)")
     _legend(figure, result, result.detectors)
     return figure
@@ -230,7 +236,7 @@ PLOTS = (
         "accuracy",
         "Accuracy",
         "RMSE of the markers found over the Cramér–Rao bound, by marker side; the line at 1 is the bound, "
-        f"the dotted one {AIM:g}. Blur from 0.5 to 1.5 px, told to no detector.",
+        f"the dotted one {AIM:g}. Blur from 0.5 to 1.5 px, which no detector is given.",
         draw_accuracy,
     ),
     Plot(
@@ -249,10 +255,10 @@ PLOTS = (
     Plot("factor_recall", "Recall, one factor at a time", "Recall in the same cells.", draw_factor_recall),
     Plot(
         "honesty",
-        "Honesty of the covariance",
-        "Mean of error² over the variance that the detector reports; 1 is honest, the band is 0.8 to 1.25, "
-        "more is too sure. Detectors that report none are left out.",
-        draw_honesty,
+        "Covariance compared with the errors",
+        "Mean of error² over the variance that the detector reports; 1 is right, the band is 0.8 to 1.25, "
+        "more means variances that are too small. Detectors that report none are left out.",
+        draw_nees,
     ),
     Plot(
         "times",
@@ -262,3 +268,4 @@ PLOTS = (
         draw_times,
     ),
 )
+"""The figures of the benchmark's page, in the order shown."""

@@ -1,4 +1,4 @@
-"""The result of a run: its rows, what made them, and the questions that tables and plots ask of them."""
+"""The result of a benchmark: its rows, with what they were measured, and selections for tables and plots."""
 
 import json
 import os
@@ -15,8 +15,14 @@ from skyherd.errors import InputError
 from skyherd.files.atomic import write_text
 
 RESULT = "bench.json"
+"""File name of a result in its folder."""
+
 Row = dict[str, Any]
+"""One detector in one cell: the cell's factors, and the fields of `skyherd.bench.scorer.Score` and its
+times."""
+
 PACKAGES = {"opencv": ("opencv-python-headless", "opencv-python"), "pupil-apriltags": ("pupil-apriltags",)}
+"""Names of a program's packages, of which one is installed, by the name that the result has."""
 
 
 @dataclass(frozen=True)
@@ -24,7 +30,7 @@ class Result:
     """What `bench.json` holds.
 
     Attributes:
-        environment: programs, machine, and how the run was asked for.
+        environment: versions of programs, the machine, and the options of the run.
         cells: a row for each detector and cell.
         timing: a row for each detector and resolution, clean and noisy.
     """
@@ -35,21 +41,21 @@ class Result:
 
     @property
     def detectors(self) -> list[str]:
-        """Names, ours first, each in the order entered."""
+        """Names of the detectors, skyherd's own first, else in the order measured."""
         names = list(dict.fromkeys(row["detector"] for row in [*self.cells, *self.timing]))
         return sorted(names, key=lambda name: not is_ours(name))
 
     def noises(self) -> list[float]:
-        """Noise levels of the grid."""
+        """Noises of the grid, grey levels, ascending."""
         return sorted({row["noise"] for row in self.cells if row["sweep"] == GRID})
 
     def by_side(self, detector: str, noise: float) -> list[Row]:
-        """A detector's rows of the grid at one noise level, by side."""
+        """A detector's rows of the grid at one noise, ascending by marker side."""
         rows = [r for r in self.cells if (r["sweep"], r["detector"], r["noise"]) == (GRID, detector, noise)]
         return sorted(rows, key=lambda row: float(row["side_px"]))
 
     def along(self, sweep: Sweep, detector: str) -> list[tuple[float, Row]]:
-        """A detector's rows along a sweep, the base cell's among them where it fixes the factor."""
+        """A detector's rows along a sweep, ascending by value; the base cell's too if it has one."""
         rows = [row for row in self.cells if row["detector"] == detector]
         found = [(float(row[sweep.key]), row) for row in rows if row["sweep"] == sweep.name]
         if getattr(Cell(), sweep.key) is not None:
@@ -57,17 +63,17 @@ class Result:
         return sorted(found, key=lambda pair: pair[0])
 
     def empty_clutter(self, detector: str) -> Row | None:
-        """A detector's row of the images in which there is no marker."""
+        """A detector's row of the images of clutter without a marker; None if there is none."""
         return next((r for r in self.cells if (r["sweep"], r["detector"]) == (EMPTY, detector)), None)
 
     def write(self, folder: Path) -> Path:
-        """Write `bench.json`; OutputError if it cannot be."""
+        """Write `bench.json` into a folder and return its path; OutputError if it cannot be written."""
         content = {"environment": self.environment, "rows": self.cells, "timing": self.timing}
         return write_text(folder / RESULT, json.dumps(content, indent=1) + "\n")
 
 
 def read_result(folder: Path) -> Result:
-    """Read a run's `bench.json`; InputError if it is not there or not one."""
+    """Read `bench.json` of a folder; InputError if it is not there or is no result."""
     path = folder / RESULT
     try:
         content = json.loads(path.read_text("utf-8"))
@@ -79,7 +85,7 @@ def read_result(folder: Path) -> Result:
 
 
 def environment(**asked: object) -> dict[str, Any]:
-    """Programs and machine, and what was asked for."""
+    """Versions of programs and the machine, as a result has them, below the options `asked` of the run."""
     programs = {name: _first_version(packages) for name, packages in PACKAGES.items()}
     return {
         **asked,
@@ -104,7 +110,7 @@ def _first_version(packages: Iterable[str]) -> str | None:
 
 
 def _processor() -> str:
-    """The processor's name, as far as the system tells."""
+    """The processor's name; `not known` if the system does not give it."""
     try:
         lines = Path("/proc/cpuinfo").read_text("utf-8").splitlines()
         return next(line.partition(":")[2].strip() for line in lines if line.startswith("model name"))

@@ -1,4 +1,4 @@
-"""Where a cell's cameras and markers are: teams on smooth paths, slow enough for trackers to track."""
+"""Where a cell's cameras and markers are: markers on smooth paths, slow enough for trackers to follow."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -11,14 +11,17 @@ from skyherd.markers.dictionary import card_side, dictionary_size
 from skyherd.render import Camera, CameraPose, homography_image_ground
 
 FRAME_RATE_HZ = 30.0
+"""Images a second of each camera."""
+
 SPEED_PX, TURN_RAD = 3.0, 0.07
-"""Most that a marker moves and turns from one image to the next: 90 px/s and 2 rad/s."""
+"""Most that a marker moves, px, and turns, rad, from one image to the next: 90 px/s and 2 rad/s."""
 
 FOCAL_SHARE = 1.0
-"""Focal length in image widths: a field of view of 53 deg."""
+"""Focal length in image widths: a horizontal field of view of 53 deg."""
 
 MOST_IDS = 50
-"""Markers are the first so many of any dictionary, so that the same are there in all."""
+"""Only this many first markers of a dictionary are shown, so that the ids are the same in all
+dictionaries."""
 
 
 @dataclass(frozen=True)
@@ -28,7 +31,7 @@ class Team:
     Attributes:
         ids: (N,) ascending.
         homes_px: (N, 2) points of the grid.
-        room_px: amplitude of the paths.
+        room_px: amplitude of the paths along u and v.
         phases_rad: (N, 2) where on their path they begin.
         headings_rad: (N,) at the beginning, on the ground.
         turns_rad: (N,) turn from one frame to the next.
@@ -42,14 +45,14 @@ class Team:
     turns_rad: Array
 
     def at(self, index: int) -> tuple[Array, Array]:
-        """Image points (N, 2) to stand at in a frame, and headings (N,) on the ground."""
+        """Image points (N, 2), px, of the markers in a frame, and headings (N,), rad, on the ground."""
         pace = np.array([1.0, 1.31]) * SPEED_PX / (2.0 * max(self.room_px, SPEED_PX))
         swing = np.sin(self.phases_rad + pace * index)
         return self.homes_px + self.room_px * swing, self.headings_rad + self.turns_rad * index
 
 
 def make_team(cell: Cell, dictionary: str, rng: np.random.Generator) -> Team:
-    """As many markers as fit the image without ever touching, up to `cell.markers`."""
+    """Place as many markers as fit the image without ever touching, up to `cell.markers`, at random."""
     width, height = cell.size_px
     # Under tilt the near half of the image shows larger markers.
     largest = cell.side_px * (1.0 + 2.0 * np.tan(np.radians(cell.tilt_deg)) * 0.5)
@@ -70,22 +73,27 @@ def make_team(cell: Cell, dictionary: str, rng: np.random.Generator) -> Team:
 
 
 def make_view(cell: Cell, rng: np.random.Generator) -> tuple[Camera, CameraPose]:
-    """A camera that sees a marker of side 1 m at the image's centre with `cell.side_px`."""
+    """A camera at a random place that sees a marker of side 1 m at its centre with `cell.side_px`."""
     camera = Camera(cell.size_px, focal_px=FOCAL_SHARE * cell.size_px[0])
     tilt, toward = np.radians(cell.tilt_deg), rng.uniform(-np.pi, np.pi)
     # At the centre a tilted view shrinks by cos for the distance and by sqrt cos for the slant.
     height_m = camera.focal_px / cell.side_px * np.cos(tilt) ** 1.5
     about = (float(tilt * np.cos(toward)), float(tilt * np.sin(toward)))
     position = (float(rng.uniform(-20, 20)), float(rng.uniform(-20, 20)))
-    return camera, CameraPose(position, float(height_m), float(rng.uniform(-np.pi, np.pi)), about)
+    return camera, CameraPose(
+        position_m=position,
+        height_m=float(height_m),
+        yaw_rad=float(rng.uniform(-np.pi, np.pi)),
+        tilt_rad=about,
+    )
 
 
 @dataclass(frozen=True)
 class Shot:
-    """What one image is of; markers have sides of 1 m.
+    """What one image shows; markers have sides of 1 m.
 
     Attributes:
-        unit_id: the camera.
+        unit_id: number of the camera.
         time_s: when it is taken.
         camera: its intrinsics.
         pose: where it is.
@@ -106,7 +114,7 @@ class Shot:
 
 
 def camera_shots(cell: Cell, dictionary: str, unit: int, rng: np.random.Generator) -> Iterator[Shot]:
-    """All shots of one camera of a cell, in the order of time; the camera stands still."""
+    """Iterate over the shots of one camera of a cell, in the order of time; the camera stands still."""
     camera, pose = make_view(cell, rng)
     team = make_team(cell, dictionary, rng)
     ground_image: Array = np.asarray(np.linalg.inv(homography_image_ground(camera, pose)), dtype=np.float64)

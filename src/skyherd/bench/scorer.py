@@ -1,7 +1,8 @@
-"""What a detector's answers are worth: recall, false positives, bias, RMSE against the bound, and NEES.
+"""The score of a detector: recall, false positives, bias, RMSE compared with the bound, and NEES.
 
-A detection is right if its id is in the image and its centre within half a side of that marker's; each
-marker counts once. All else is a false positive, but for markers that are not whole: they are not asked for.
+A detection is right if its id is in the image and its centre is within half a side of that marker's; each
+marker counts once. Everything else is a false positive. Markers that are not whole in the image count in
+neither way.
 """
 
 from dataclasses import dataclass
@@ -15,22 +16,23 @@ from skyherd.messages import Detections
 
 @dataclass(frozen=True)
 class Score:
-    """A detector's figures over some frames; None where nothing was there to be measured.
+    """A detector's score over some frames; a figure is None where there was nothing to measure it by.
 
     Attributes:
         images: frames seen.
         markers: whole markers in them.
-        found: of which found.
+        found: how many of these were found.
         recall: found over markers.
-        false_positives_per_image: detections of what is not there.
+        false_positives_per_image: detections that are of no marker, an image.
         bias_px: length of the mean error of (u, v).
         bias_deg: mean error of the heading.
         rmse_px: root of the mean square of the errors of u and v, per axis, bias included.
         rmse_deg: the same of the heading.
         crb_px, crb_deg: what the Cramér–Rao bound gives for the same markers.
         ratio_px, ratio_deg: RMSE over bound.
-        nees_u, nees_v, nees_heading: mean of error² over the variance reported; 1 if that is honest. None if
-            the detector reports none.
+        nees_u, nees_v, nees_heading: normalised estimation error squared, the mean of error² over the
+            variance
+            that was reported: 1 if the variances are right. None if the detector reports none.
         nees: mean of the three.
     """
 
@@ -54,7 +56,7 @@ class Score:
 
 
 class Scorer:
-    """Gathers a detector's answers frame by frame."""
+    """Collects the errors of a detector frame by frame."""
 
     def __init__(self) -> None:
         self._images, self._markers, self._false = 0, 0, 0
@@ -64,7 +66,7 @@ class Scorer:
         self._missed: list[Array] = []
 
     def add(self, frame: Frame, detections: Detections) -> None:
-        """Compare one frame's detections with its truth."""
+        """Compare the detections of one frame with its truth, and count them in."""
         answers, rows = match(frame, detections)
         wanted = frame.whole[rows]
         self._images += 1
@@ -79,7 +81,7 @@ class Scorer:
         self._missed.append(_variances(np.delete(frame.bounds, rows, axis=0)))
 
     def score(self) -> Score:
-        """The figures so far."""
+        """The score over all frames so far."""
         errors = np.concatenate([np.zeros((0, 3)), *self._errors])
         found = len(errors)
         bounds = np.concatenate([np.zeros((0, 3)), *(self._bounds if found else self._missed)])
@@ -109,9 +111,9 @@ class Scorer:
 
 
 def match(frame: Frame, detections: Detections) -> tuple[IntArray, IntArray]:
-    """Rows of the detections that are right, and of the markers that they are of, (K,) each.
+    """Rows (K,) of the detections that are right, and rows (K,) of the markers that they are of.
 
-    Of several that could be of one marker the nearest is right, and the others are not.
+    Of several detections of one marker the nearest is right, and the others are false positives.
     """
     if not len(frame.ids) or not len(detections.ids):
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)

@@ -1,4 +1,4 @@
-"""The result as tables of words, for the page and for Markdown alike."""
+"""The result as tables of texts, for the page and for Markdown alike."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -7,13 +7,25 @@ from skyherd.bench.design import SWEEPS
 from skyherd.bench.result import Result, Row
 
 NONE = "–"
+"""Text of a cell where nothing was measured."""
+
 SHOWN_SIDES_PX = (10, 12, 14, 16, 18, 20, 30, 60, 100)
+"""Marker sides, px, that have a column; the figures show all of them."""
+
 MIDDLE_NOISE = 5.0
+"""The table of NEES is of the noise nearest to this one, grey levels: that of the base cell."""
 
 
 @dataclass(frozen=True)
 class Table:
-    """A table of texts: the first column names the row."""
+    """A table of texts.
+
+    Attributes:
+        title: heading.
+        note: a sentence below it that says what is shown.
+        header: names of the columns.
+        rows: cells, as many as the header has; the first of each names the row.
+    """
 
     title: str
     note: str
@@ -27,14 +39,14 @@ class Table:
 
 
 def make_tables(result: Result) -> list[Table]:
-    """All tables that the result has rows for."""
+    """Make all tables for which the result has rows, in the order shown."""
     noises = result.noises()
     middle = min(noises, key=lambda noise: abs(noise - MIDDLE_NOISE), default=MIDDLE_NOISE)
     tables = [
         *(_ratios(result, noise) for noise in noises),
         *(_recalls(result, noise) for noise in noises),
         _factors(result),
-        _honesty(result, middle),
+        _nees(result, middle),
         _false_positives(result),
         *(_times(result, noise) for noise in sorted({row["noise"] for row in result.timing})),
     ]
@@ -48,14 +60,14 @@ def _pair(row: Row) -> str:
 
 
 def short(value: float | None) -> str:
-    """Two digits after the point below ten, one below a hundred, none above."""
+    """A number in three digits or so: two decimals below 10, one below 100, none above; `–` for None."""
     if value is None:
         return NONE
     return f"{value:.0f}" if value >= 99.95 else f"{value:.1f}" if value >= 9.995 else f"{value:.2f}"
 
 
 def share(value: float | None) -> str:
-    """A share in per cent; 100 only where nothing is missing."""
+    """A share in per cent; 0.0 and 100.0 only where it is exactly none or all; `–` for None."""
     if value is None:
         return NONE
     return f"{100 * value:.1f} %" if value in (0.0, 1.0) else f"{min(max(100 * value, 0.1), 99.9):.1f} %"
@@ -118,17 +130,18 @@ def _with_recall(row: Row | None) -> str:
     return NONE if row is None else f"{_pair(row)}, {share(row['recall'])}"
 
 
-def _honesty(result: Result, noise: float) -> Table:
+def _nees(result: Result, noise: float) -> Table:
     table = _by_side(
         result,
         noise,
         f"NEES of the covariance, noise {noise:g}",
-        "Mean of error² over the variance reported, for u / v / heading; 1 is honest, more is too sure. "
+        "Mean of error² over the variance reported, for u / v / heading; 1 is right, more means variances "
+        "too small. "
         "Detectors that report no covariance are left out.",
         lambda row: " / ".join(short(row[f"nees_{axis}"]) for axis in ("u", "v", "heading")),
     )
-    told = tuple(row for row in table.rows if any(any(c.isdigit() for c in cell) for cell in row[1:]))
-    return Table(table.title, table.note, table.header, told)
+    rows = tuple(row for row in table.rows if any(any(c.isdigit() for c in cell) for cell in row[1:]))
+    return Table(table.title, table.note, table.header, rows)
 
 
 def _false_positives(result: Result) -> Table:
@@ -140,10 +153,10 @@ def _false_positives(result: Result) -> Table:
             continue
         total = sum(round(row["false_positives_per_image"] * row["images"]) for row in rows)
         images = sum(row["images"] for row in rows)
-        told = (NONE, NONE)
+        in_clutter = (NONE, NONE)
         if empty is not None:
-            told = (f"{empty['false_positives_per_image']:.3g}", f"{empty['images']}")
-        body.append((name, *told, f"{total}", f"{images}"))
+            in_clutter = (f"{empty['false_positives_per_image']:.3g}", f"{empty['images']}")
+        body.append((name, *in_clutter, f"{total}", f"{images}"))
     return Table(
         "False positives",
         "An id that is not in the image, or one more than half a side from its marker.",

@@ -1,11 +1,12 @@
-"""Time per frame, one thread: consecutive frames of moving markers, clean and noisy, at four resolutions.
+"""The measurement of time per frame, on one thread: moving markers, clean and noisy, at four resolutions.
 
-All detectors take each frame in turn, so that whatever else the machine does hits them alike; ratios are to
-`cv2.aruco` at its defaults in the same run. A slow detector leaves once it has spent its time; trackers see
-every frame, so that their scheduled passes over the full frame are in the figures.
+All detectors process a frame one after the other before the next one comes, so that other load of the machine
+affects all of them alike. Ratios are to `cv2.aruco` at its defaults in the same run. A slow detector is left
+out once it has used up its time. Trackers get every frame, so that their scheduled searches of the whole
+image count.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,30 +14,39 @@ import numpy as np
 from skyherd.bench.design import Cell
 from skyherd.bench.entrants import REFERENCE, dictionary_for
 from skyherd.bench.execution import Entrant, Plan, Row, one_thread, time_row
+from skyherd.progress import NO_PROGRESS, Progress
 
 WARM_UP = 3
-"""First frames that are not counted: there patterns are made, memory is claimed, and trackers acquire."""
+"""Number of first frames that do not count: caches are filled, memory is allocated, and trackers find their
+markers."""
 
 FEWEST = 6
+"""Fewest frames that count, however slow a detector is. Chosen: the median of fewer depends on single
+frames."""
+
+TASK = "time per frame"
+"""Name of this part of the benchmark in progress reports."""
+
 SIZES_PX = ((640, 480), (1280, 960), (1920, 1080), (3840, 2160))
 NOISES = (0.0, 5.0)
 SIDE_PX = 30.0
+"""Sizes of the images, px, noises, grey levels, and side of the markers, px."""
 
 
 @dataclass(frozen=True)
 class TimingCell(Cell):
-    """A condition at a resolution of its own."""
+    """A condition whose image size, px, does not follow from the side of its markers."""
 
     image_px: tuple[int, int] = (640, 480)
 
     @property
     def size_px(self) -> tuple[int, int]:
-        """Width and height of the images."""
+        """Width and height of the images, px."""
         return self.image_px
 
 
 def timing_cells(frames: int, sizes_px: Sequence[tuple[int, int]] = SIZES_PX) -> list[TimingCell]:
-    """Sixteen markers of 30 px, clean and noisy, one camera."""
+    """Cells of sixteen markers of 30 px and one camera at each size, clean and noisy."""
     base = TimingCell(sweep="timing", side_px=SIDE_PX, blur_px=0.8, cameras=1, frames=frames)
     return [replace(base, image_px=size, noise=noise) for size in sizes_px for noise in NOISES]
 
@@ -46,13 +56,23 @@ def measure_times(
     cells: Sequence[TimingCell],
     budget_s: float,
     *,
-    on_cell: Callable[[Cell], None] = lambda cell: None,
+    progress: Progress = NO_PROGRESS,
 ) -> list[Row]:
-    """Rows of all cells: one for each detector; none takes more than about `budget_s` in a cell."""
+    """Measure the time per frame in all cells.
+
+    Args:
+        plan: detectors and frames.
+        cells: the conditions.
+        budget_s: time after which a detector is left out of the rest of a cell, but for `FEWEST` frames.
+        progress: is told the number of cells done.
+
+    Returns:
+        a row for each cell and detector.
+    """
     rows = []
     for index, cell in enumerate(cells):
         rows += _measure(plan, cell, index, budget_s)
-        on_cell(cell)
+        progress.update(TASK, index + 1, len(cells))
     return rows
 
 
@@ -65,10 +85,10 @@ def _measure(plan: Plan, cell: TimingCell, index: int, budget_s: float) -> list[
     }
     with one_thread():
         for _ in range(cell.frames):
-            taking = [name for name, entrant in entrants.items() if not _spent(entrant, budget_s)]
-            shown = {wanted: next(streams[wanted]) for wanted in {dictionaries[name] for name in taking}}
-            for name in taking:
-                entrants[name].take(shown[dictionaries[name]])
+            active = [name for name, entrant in entrants.items() if not _spent(entrant, budget_s)]
+            shown = {wanted: next(streams[wanted]) for wanted in {dictionaries[name] for name in active}}
+            for name in active:
+                entrants[name].measure(shown[dictionaries[name]])
     return [_row(cell, entrant, dictionaries[name], entrants) for name, entrant in entrants.items()]
 
 

@@ -1,19 +1,18 @@
 """`skyherd bench`: measure marker detectors against the Cramér–Rao bound, and against each other."""
 
 import os
-from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from skyherd.bench.design import Cell, full_design, quick_design
+from skyherd.bench.design import full_design, quick_design
 from skyherd.bench.entrants import DEFAULT_DICTIONARY, default_entrants
 from skyherd.bench.execution import Plan, measure_cells
 from skyherd.bench.page import write_outputs
 from skyherd.bench.result import Result, environment
 from skyherd.bench.timing import measure_times, timing_cells
-from skyherd.cli.console import CountBar, out, warn
+from skyherd.cli.console import ProgressReporter, out, warn
 from skyherd.errors import InputError
 from skyherd.files.atomic import write_text
 
@@ -63,9 +62,10 @@ def detectors(
     plan = Plan(tuple(chosen), dictionary, seed, corrected=not uncorrected)
     out_dir.mkdir(parents=True, exist_ok=True)
     write_text(out_dir / PROBE, "").unlink()  # better now than after a quarter of an hour
-    with _Watcher(len(cells), len(timed)) as watcher:
-        rows = measure_cells(plan, cells, jobs=jobs or os.cpu_count() or 1, on_cell=watcher.accuracy)
-        times = measure_times(plan, timed, QUICK_BUDGET_S if quick else FULL_BUDGET_S, on_cell=watcher.timing)
+    budget_s = QUICK_BUDGET_S if quick else FULL_BUDGET_S
+    with ProgressReporter() as progress:
+        rows = measure_cells(plan, cells, jobs=jobs or os.cpu_count() or 1, progress=progress)
+        times = measure_times(plan, timed, budget_s, progress=progress)
     result = Result(
         environment(quick=quick, dictionary=dictionary, seed=seed, corrected=not uncorrected), rows, times
     )
@@ -83,16 +83,3 @@ def _check(chosen: list[str], jobs: int | None, clutter_images: int | None) -> N
         raise InputError("--jobs", str(jobs), "1 or more")
     if clutter_images is not None and clutter_images < 0:
         raise InputError("--clutter-images", str(clutter_images), "0 or more")
-
-
-class _Watcher(CountBar):
-    """Progress bars of the two parts."""
-
-    def __init__(self, cells: int, timed: int) -> None:
-        super().__init__()
-        self.accuracy: Callable[[Cell], None] = self._bar("accuracy", cells)
-        self.timing: Callable[[Cell], None] = self._bar("time per frame", timed)
-
-    def _bar(self, name: str, total: int) -> Callable[[Cell], None]:
-        task = self.add_task(name, total=total)
-        return lambda cell: self.advance(task)

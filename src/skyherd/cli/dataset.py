@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
-from skyherd.cli.console import CountBar, complain, out
+from skyherd.cli.console import ProgressReporter, complain, out
 from skyherd.datasets import (
     DatasetSpec,
     Verdict,
@@ -37,14 +37,8 @@ def make(
     file = load_spec(spec, seed=seed, images=images)
     folder = out_dir or Path("labelled") / Path(spec).stem
     try:
-        with CountBar() as progress:
-            task = progress.add_task("images", total=file.spec.images)
-            dataset = make_dataset(
-                file,
-                folder,
-                jobs=jobs or os.cpu_count() or 1,
-                on_images=lambda count: progress.advance(task, count),
-            )
+        with ProgressReporter() as progress:
+            dataset = make_dataset(file, folder, jobs=jobs or os.cpu_count() or 1, progress=progress)
     except KeyboardInterrupt:
         complain("interrupted; images that are there are whole, and the same command goes on from here")
         return 130

@@ -4,10 +4,9 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from skyherd.cli.console import complain, err, out, warn
+from skyherd.cli.console import ProgressReporter, complain, out, warn
 from skyherd.errors import InputError
 from skyherd.inspection.inspector import DETECTIONS, FileResult, Inspector
 from skyherd.inspection.table import FORMATS
@@ -38,13 +37,13 @@ def detect(
     if kind not in FORMATS:
         raise InputError("--format", f"no format {kind!r}", f"one of {', '.join(FORMATS)}")
     folder = out_dir or Path("detections") / (target.resolve().stem or "root")
-    with Watcher() as watcher:
+    with ProgressReporter() as progress:
         inspector = Inspector(
             detector,
             dictionary,
             explained=explained,
             kind="jsonl" if kind == "jsonl" else "csv",
-            on_frame=watcher.frame,
+            progress=progress,
         )
         try:
             results = inspector.inspect(target, folder, force=force)
@@ -58,30 +57,6 @@ def detect(
     if any(result.trouble for result in results):
         return 2
     return 1 if require and not all(result.ids for result in results) else 0
-
-
-class Watcher(Progress):
-    """Progress bar over the frames of a video or the files of a folder."""
-
-    def __init__(self) -> None:
-        super().__init__(
-            TextColumn("{task.description}"),
-            BarColumn(),
-            TextColumn("{task.completed:.0f}/{task.total:.0f}"),
-            TimeRemainingColumn(),
-            console=err,
-            disable=not err.is_terminal,
-            transient=True,
-        )
-        self._bars: dict[Path, TaskID] = {}
-
-    def frame(self, file: Path, done: int, count: int) -> None:
-        """Show that `done` of `count` frames of a file are done."""
-        if file not in self._bars:
-            for bar in self._bars.values():
-                self.update(bar, visible=False)
-            self._bars[file] = self.add_task(file.name)
-        self.update(self._bars[file], completed=done, total=max(count, done))
 
 
 def _tell(results: list[FileResult]) -> None:

@@ -5,9 +5,8 @@ from typing import Annotated, Any
 
 import numpy as np
 import typer
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from skyherd.cli.console import err, out, warn
+from skyherd.cli.console import ProgressReporter, out, warn
 from skyherd.datasets import Mission, load_mission
 from skyherd.loop import Step
 from skyherd.report.run_page import PAGE, VIDEO
@@ -37,52 +36,40 @@ def run(
     chosen = [*(settings or []), *([f"perception={perception}"] if perception else [])]
     mission = load_mission(scenario, chosen, seed=seed)
     folder = out_dir or Path("runs") / mission.scenario.name
-    with Watcher(mission) as watcher:
+    _warn_of_slow_cameras(mission)
+    with ProgressReporter() as progress:
         summary = run_mission(
             mission,
             folder,
             force=force,
             video=not no_video,
             record_images=record_images,
-            on_step=watcher.step,
+            progress=progress,
+            on_step=_FirstImages(mission).check,
         )
     _tell(summary, folder)
     return 0 if summary["converged"] else 1
 
 
-class Watcher(Progress):
-    """Progress bar with simulated time, V and detections; warns once of cameras that see no robot."""
+def _warn_of_slow_cameras(mission: Mission) -> None:
+    """Warn of units whose robots stop between two images, since a goal is followed for `robots.timeout_s`."""
+    for unit, model in enumerate(mission.scenario.units):
+        if mission.scenario.robots.timeout_s * model.frame_rate_hz < 1:
+            warn(f"unit {unit} takes an image less often than robots.timeout_s: its robots stop and go")
+
+
+class _FirstImages:
+    """Warns of each unit whose first image shows no robot."""
 
     def __init__(self, mission: Mission) -> None:
-        super().__init__(
-            TextColumn("{task.description}"),
-            BarColumn(),
-            TextColumn("{task.fields[state]}"),
-            TimeRemainingColumn(),
-            console=err,
-            disable=not err.is_terminal,
-            transient=True,
-        )
-        self._started: set[int] = set()
-        self._robots = mission.ids
-        for unit, model in enumerate(mission.scenario.units):
-            if mission.scenario.robots.timeout_s * model.frame_rate_hz < 1:
-                warn(f"unit {unit} takes an image less often than robots.timeout_s: its robots stop and go")
-        self._duration_s = mission.scenario.duration_s
-        self._bar = self.add_task(mission.scenario.name, total=self._duration_s, state="")
+        self._robots, self._started = mission.ids, set[int]()
 
-    def step(self, step: Step) -> None:
-        """Show one step."""
+    def check(self, step: Step) -> None:
+        """Look at the first images among those of one step."""
         for unit, frame in step.frames.items():
             if unit not in self._started and not np.isin(frame.sight.whole_ids, self._robots).any():
                 warn(f"unit {unit} sees no robot at the start")
             self._started.add(unit)
-        seen = sum(frame.sight.found_ids.size for frame in step.frames.values())
-        whole = sum(frame.sight.whole_ids.size for frame in step.frames.values())
-        state = f"{step.time_s:.0f}/{self._duration_s:g} s  V {step.metrics.V:.3g} m²  found {seen}/{whole}"
-        if step.time_s >= self._duration_s - 1e-9:
-            state = "drawing figures and page …"
-        self.update(self._bar, completed=step.time_s, state=state)
 
 
 def _tell(summary: dict[str, Any], folder: Path) -> None:

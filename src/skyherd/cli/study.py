@@ -3,20 +3,11 @@
 import json
 from importlib import import_module
 from pathlib import Path
-from time import monotonic
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
 
-from skyherd.cli.console import complain, err, out
+from skyherd.cli.console import ProgressReporter, complain, out
 from skyherd.errors import InputError
 from skyherd.study.plan import Plan, make_plan
 from skyherd.study.spec import StudySpec, load_study, study_names, study_text
@@ -94,11 +85,11 @@ def _preview(plan: Plan, folder: Path, retry: bool) -> int:
 
 
 def _conduct(plan: Plan, folder: Path, scheduler: str | None, jobs: int | None, retry: bool) -> int:
-    from skyherd.study.conduct import conduct
+    from skyherd.study.conduct import conduct, runs_per_s
 
     try:
-        with _Watcher(plan.study.name) as watcher:
-            report = conduct(plan, folder, watcher, scheduler=scheduler, jobs=jobs, retry=retry)
+        with ProgressReporter() as progress:
+            report = conduct(plan, folder, progress, scheduler=scheduler, jobs=jobs, retry=retry)
     except KeyboardInterrupt:
         complain("interrupted; runs that are done are kept, and the same command goes on from here")
         return 130
@@ -107,43 +98,11 @@ def _conduct(plan: Plan, folder: Path, scheduler: str | None, jobs: int | None, 
         if report.failed
         else ""
     )
-    out.print(f"{folder}: {report.runs} runs{watcher.pace}{failed}", markup=False)
+    made = (
+        f", {report.made} made at {runs_per_s(report.made, report.elapsed_s):.3g} a second"
+        if report.made
+        else ""
+    )
+    out.print(f"{folder}: {report.runs} runs{made}{failed}", markup=False)
     out.print("see " + "  ".join(str(path) for path in [*report.pages, report.table]), markup=False)
     return 1 if report.failed else 0
-
-
-class _Watcher(Progress):
-    """Progress over the runs, with throughput and time left; nothing where stderr is no terminal."""
-
-    def __init__(self, name: str) -> None:
-        super().__init__(
-            TextColumn("{task.description}"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TextColumn("{task.fields[state]}"),
-            TimeElapsedColumn(),
-            TextColumn("left:"),
-            TimeRemainingColumn(),
-            console=err,
-            disable=not err.is_terminal,
-            transient=True,
-        )
-        self._task = self.add_task(name, total=None, state="starting …")
-        self._made = self._failed = 0
-        self._began_s = monotonic()
-        self.pace = ""
-
-    def begin(self, missing: int, there: int) -> None:
-        """So many runs are to be made; so many are there already."""
-        state = f"{there} were there" if there else ""
-        self.update(self._task, total=missing, state=state)
-        self._began_s = monotonic()
-
-    def advance_runs(self, outcomes: list[dict[str, Any]]) -> None:
-        """These are made."""
-        self._made += len(outcomes)
-        self._failed += sum(outcome["error"] is not None for outcome in outcomes)
-        rate = self._made / max(monotonic() - self._began_s, 1e-9)
-        self.pace = f", {self._made} made at {rate:.3g} a second"
-        failed = f", {self._failed} failed" if self._failed else ""
-        self.update(self._task, completed=self._made, state=f"{rate:.3g} runs/s{failed}")

@@ -1,7 +1,6 @@
 """Detection on files: pictures, folders of them and videos in; annotated ones and tables out."""
 
 from collections import Counter
-from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from fractions import Fraction
@@ -30,6 +29,7 @@ from skyherd.inspection.table import (
 )
 from skyherd.markers.dictionary import load_dictionary
 from skyherd.messages import Detections
+from skyherd.progress import NO_PROGRESS, Progress
 from skyherd.vision import Detector, create_detector
 from skyherd.vision.diagnosis.explain import Rejection, explain
 from skyherd.vision.diagnosis.suggestions import suggest
@@ -40,8 +40,6 @@ FEW = 3
 """With fewer detections in a picture something is likely wrong with it, and a hint is looked for."""
 
 Grey = npt.NDArray[np.uint8]
-OnFrame = Callable[[Path, int, int], None]
-"""Told of the file, the frames done in it, and how many it has, 0 if that is not known."""
 
 
 @dataclass
@@ -77,7 +75,7 @@ class Inspector:
         dictionary: name of the dictionary.
         explained: also say why candidates were rejected.
         kind: of the tables.
-        on_frame: watches.
+        progress: is told how many frames of each file are done.
 
     Raises:
         InputError: there is no such detector or dictionary.
@@ -90,12 +88,12 @@ class Inspector:
         *,
         explained: bool = False,
         kind: Format = "csv",
-        on_frame: OnFrame = lambda file, done, count: None,
+        progress: Progress = NO_PROGRESS,
     ) -> None:
         load_dictionary(dictionary)
         create_detector(detector, dictionary=dictionary)
         self.detector, self.dictionary, self.explained, self.kind = detector, dictionary, explained, kind
-        self._on_frame = on_frame
+        self._progress = progress
 
     def inspect(self, target: Path, folder: Path, *, force: bool = False) -> list[FileResult]:
         """Look at a picture, a video, or all in a folder; a file that cannot be read is a trouble of its own.
@@ -131,7 +129,7 @@ class Inspector:
         return result
 
     def _inspect_picture(self, result: FileResult, picture: Path, tables: list[Table]) -> None:
-        self._on_frame(result.file, 0, 1)
+        self._progress.update(result.file.name, 0, 1)
         image = read_grey(result.file)
         detector = create_detector(self.detector, dictionary=self.dictionary)
         found = self._look(detector, image, Place(result.file.name), result, tables)
@@ -140,7 +138,7 @@ class Inspector:
         result.picture = write_whole(picture, lambda part: drawn.save(part, format="PNG", compress_level=2))
         if len(found) < FEW:
             result.hint = suggest(image, self.dictionary)
-        self._on_frame(result.file, 1, 1)
+        self._progress.update(result.file.name, 1, 1)
 
     def _inspect_video(self, result: FileResult, picture: Path, tables: list[Table]) -> None:
         clip = open_clip(result.file)
@@ -157,7 +155,8 @@ class Inspector:
                     size_px = (shown.shape[1], shown.shape[0])
                     sink = stack.enter_context(VideoSink(picture, size_px, Fraction(clip.rate_hz)))
                 sink.write(shown)
-                self._on_frame(result.file, frame.index + 1, clip.count)
+                done = frame.index + 1
+                self._progress.update(result.file.name, done, max(clip.count, done) if clip.count else None)
                 if frame.index == 0 and len(found) < FEW:
                     result.hint = suggest(frame.image, self.dictionary)
         result.picture = picture

@@ -1,4 +1,4 @@
-"""Figures of what changes over time: velocities, cost, scales, rotations, heights, the shape's error."""
+"""Figures over time: velocities, cost, scales, rotations, heights, and the shape error."""
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -18,11 +18,14 @@ from skyherd.plots.style import (
 )
 
 ONE_ROW_IN = 3.2
+"""Height of a figure of one panel, inches."""
+
 TWO_ROWS_IN = 5.0
+"""Height of a figure of two panels, one below the other, inches."""
 
 
 def draw_robot_velocities(history: History) -> Figure:
-    """Forward speed and turn rate that every robot's wheels were given."""
+    """Draw the forward speed, m/s, and the turn rate, rad/s, that were commanded to every robot's wheels."""
     figure = new_figure(TWO_ROWS_IN)
     axes = time_axes(figure, ["forward speed v (m/s)", "turn rate ω (rad/s)"])
     colors = robot_colors(history.ids.size)
@@ -35,7 +38,11 @@ def draw_robot_velocities(history: History) -> Figure:
 
 
 def draw_cost(history: History) -> Figure:
-    """V and its shares V^j, on a linear and on a logarithmic axis (paper, eq. 9)."""
+    """Draw the cost V = Σ_j V^j and each unit's share V^j, m², on a linear and on a logarithmic axis.
+
+    V^j is half the sum of the squared distances of unit j's robots to their desired points (the paper's eq.
+    9).
+    """
     figure = new_figure(TWO_ROWS_IN)
     axes = time_axes(figure, ["V (m²)", "V (m²), log"])
     for ax in axes:
@@ -48,7 +55,7 @@ def draw_cost(history: History) -> Figure:
 
 
 def draw_scales(history: History) -> Figure:
-    """Scale of each unit's partial formation and of the whole one."""
+    """Draw the scale, metres a template unit, of the best-fitting shape of each unit's robots, and of all."""
     figure = new_figure(ONE_ROW_IN)
     (axes,) = time_axes(figure, ["scale (m per template unit)"])
     draw_unit_lines(axes, history.times_s, history.scales)
@@ -57,7 +64,7 @@ def draw_scales(history: History) -> Figure:
 
 
 def draw_rotations(history: History) -> Figure:
-    """Rotation of each unit's partial formation and of the whole one."""
+    """Draw the rotation, degrees, of the best-fitting shape of each unit's robots, and of all robots."""
     figure = new_figure(ONE_ROW_IN)
     (axes,) = time_axes(figure, ["rotation (°)"])
     whole = unwrap(history.shape_rotation_rad)
@@ -68,7 +75,7 @@ def draw_rotations(history: History) -> Figure:
 
 
 def draw_heights(history: History) -> Figure:
-    """Height of each camera and, where one changes, the zooms."""
+    """Draw the height of each camera, m, and the zoom factors in a second panel if one of them changes."""
     zooming = bool((np.ptp(history.zooms, axis=0) > 0).any())
     figure = new_figure(TWO_ROWS_IN if zooming else ONE_ROW_IN)
     axes = time_axes(figure, ["height (m)", "zoom factor"] if zooming else ["height (m)"])
@@ -80,7 +87,7 @@ def draw_heights(history: History) -> Figure:
 
 
 def draw_yaws(history: History) -> Figure:
-    """Rotation of each camera about the vertical."""
+    """Draw the yaw of each camera, degrees, counter-clockwise seen from above, without jumps of a turn."""
     figure = new_figure(ONE_ROW_IN)
     (axes,) = time_axes(figure, ["camera yaw (°)"])
     yaws_rad = np.apply_along_axis(unwrap, 0, history.yaws_rad)
@@ -90,7 +97,7 @@ def draw_yaws(history: History) -> Figure:
 
 
 def draw_camera_speeds(history: History) -> Figure:
-    """Norm of each camera's velocity in space."""
+    """Draw the speed of each camera in space, m/s, horizontal and vertical motion together."""
     figure = new_figure(ONE_ROW_IN)
     (axes,) = time_axes(figure, ["camera speed (m/s)"])
     draw_unit_lines(axes, history.times_s[1:], camera_speeds_mps(history))
@@ -102,7 +109,7 @@ def draw_camera_speeds(history: History) -> Figure:
 
 
 def draw_shape_error(history: History) -> Figure:
-    """How far the team is from the nearest copy of the shape, and the goal."""
+    """Draw the shape error, as a share of the formation's RMS radius, and the threshold of the goal."""
     figure = new_figure(ONE_ROW_IN)
     (axes,) = time_axes(figure, ["shape error, log"])
     goal = history.mission.scenario.goal.shape_error
@@ -114,14 +121,14 @@ def draw_shape_error(history: History) -> Figure:
 
 
 def camera_speeds_mps(history: History) -> Array:
-    """(T - 1, U) speeds over each step, from finite differences of position and height."""
+    """Speeds (T - 1, U) of the cameras over each step, m/s, by differences of position and height."""
     points_m = np.concatenate([history.unit_positions_m, history.heights_m[..., None]], axis=-1)
     moved_m = np.linalg.norm(np.diff(points_m, axis=0), axis=-1)
     return np.asarray(moved_m / np.diff(history.times_s)[:, None])
 
 
 def unwrap(angles_rad: Array) -> Array:
-    """Angles (T,) without jumps of a turn; NaN stays NaN and does not spread."""
+    """Angles (T,), rad, without jumps of a turn; values that are NaN stay so and do not affect the others."""
     smooth_rad = angles_rad.copy()
     known = np.isfinite(angles_rad)
     smooth_rad[known] = np.unwrap(angles_rad[known])

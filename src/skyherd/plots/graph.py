@@ -1,4 +1,4 @@
-"""The figure of the topology as a graph: units, the robots each controls, and the pairs that bind units."""
+"""The figure of the topology as a graph: units, the robots that each controls, and the pairs they share."""
 
 from typing import Any
 
@@ -15,13 +15,17 @@ from skyherd.geometry import Array, IntArray
 from skyherd.plots.style import frame_square, legend_above, new_figure
 
 SIDE_IN = 7.2
+"""Width and height of the figure, inches."""
+
 UNIT_SIZE, ROBOT_SIZE = 300, 110
+"""Areas of the markers of units and of robots, square points, as Matplotlib's `scatter` takes them."""
+
 MOST_LABELS = 120
-"""With more robots than this their ids are left out."""
+"""Largest number of robots whose ids are written. Chosen: with more the numbers overlap."""
 
 
 def draw_graph(history: History) -> Figure:
-    """The graph at the end of a run."""
+    """Draw the topology at the end of a run on the ground, without units that are in an outage then."""
     last = history.controlled[-1]
     sets = {unit: history.ids[mine] for unit, mine in enumerate(last) if unit not in _dead(history)}
     figure = new_figure(SIDE_IN, SIDE_IN)
@@ -32,12 +36,13 @@ def draw_graph(history: History) -> Figure:
 
 
 def _dead(history: History) -> frozenset[int]:
+    """Units that are in an outage at the end."""
     tree = history.trees[-1]
     return frozenset() if tree is None else tree.dead
 
 
 def graph_handles() -> list[Line2D]:
-    """Legend entries for what a graph is drawn with."""
+    """Legend entries of a graph: a unit, an edge, a robot."""
     unit: dict[str, Any] = {"ls": "", "marker": "s", "mfc": MUTED, "mec": PAPER, "ms": 11}
     robot: dict[str, Any] = {"ls": "", "marker": "o", "mfc": PAPER, "mec": unit_color(0), "mew": 2}
     return [
@@ -48,7 +53,15 @@ def graph_handles() -> list[Line2D]:
 
 
 def draw_sets(axes: Axes, sets: ControlSets, ids: IntArray, robots_m: Array, units_m: Array) -> None:
-    """Draw robots (N, 2) and units (U, 2) on the ground, and what holds them together."""
+    """Draw robots and units on the ground, and who controls whom.
+
+    Args:
+        axes: in metres; they are framed to show everything.
+        sets: the robots that each unit controls, by unit.
+        ids: (N,) all robots, ascending.
+        robots_m: (N, 2) their places.
+        units_m: (U, 2) the units' places, a row for each unit of the mission.
+    """
     for unit, mine in sets.items():
         spokes = robots_m[np.searchsorted(ids, mine)]
         for x, y in spokes.tolist():

@@ -1,4 +1,4 @@
-"""Figures of where things are: paths on the ground, traces in the images, the template, the topology."""
+"""Figures of where things are: paths on the ground, traces in the images, and the template."""
 
 from typing import Any
 
@@ -14,60 +14,38 @@ from skyherd.geometry import Array, ComplexArray, IntArray, to_complex, to_point
 from skyherd.plots.style import frame_square, legend_above, new_figure, unit_handles
 from skyherd.render import CameraPose, footprint_m
 
-LEAST_GAP = 0.3
-"""Points nearer than this to the same direction, in shares of the mean gap, make no outline by angle."""
-
 MOST_LABELS = 60
-"""More robots than this go without their ids in the figures."""
+"""Largest number of robots whose ids are written in a figure. Chosen: with more the numbers overlap."""
 
 STONE: dict[str, Any] = {"facecolor": "#e3e5e8", "edgecolor": INK, "linewidth": 0.9, "hatch": "///"}
-"""How an obstacle looks."""
+"""Matplotlib style of an obstacle: grey and hatched."""
 
 DASHES = (0, (4, 3))
+"""Line style of the outline of a shape: dashes of 4 and gaps of 3 line widths."""
+
 TRACE_SIDE_IN = {1: 4.8, 2: 4.0, 3: 3.4}
-"""Side of an image's panel by the number of panels in a row."""
+"""Side of a camera image's panel, inches, by the number of panels in a row. Chosen: a row fills the page."""
 
 FAR = 1.5
-"""Fields of view are shown up to this many spans of the team and the cameras away."""
+"""Fields of view are shown up to this many times the extent of all paths away from them. Chosen: a strongly
+tilted camera sees the ground far away; with twice as much the paths would shrink to a spot."""
 
 
 def formation_order(points: ComplexArray) -> IntArray:
-    """Order (N,) in which to join points into a closed outline of their shape.
+    """Order (N,) that joins points (N,) into a closed outline of their shape: by angle around their mean.
 
-    By angle around the centroid, if no two lie in nearly the same direction from there. Else a short tour:
-    the shorter of those found from two beginnings, by that angle and as numbered.
+    No two sides of the outline cross: the mean of the points lies among them, so that neighbours in this
+    order are less than half a turn apart.
     """
-    angles_rad = np.angle(points - points.mean())
-    around: IntArray = np.argsort(angles_rad, kind="stable")
-    gaps_rad = np.diff(angles_rad[around], append=angles_rad[around[0]] + 2 * np.pi)
-    if points.size < 4 or gaps_rad.min() > LEAST_GAP * gaps_rad.mean():
-        return around
-    tours = [_shorten(points, order) for order in (around, np.arange(points.size))]
-    return min(tours, key=lambda order: float(_sides(points, order).sum()))
-
-
-def _shorten(points: ComplexArray, order: IntArray) -> IntArray:
-    """2-opt: while it makes the tour shorter, cross-connect the ends of the two sides that gain most."""
-    first, second = np.triu_indices(order.size, 1)
-    while True:
-        here, sides = points[order], _sides(points, order)
-        after = np.roll(here, -1)
-        crossed = np.abs(here[first] - here[second]) + np.abs(after[first] - after[second])
-        gain = sides[first] + sides[second] - crossed
-        best = int(np.argmax(gain))
-        if gain[best] <= 1e-9 * sides.sum():
-            return order
-        between = slice(int(first[best]) + 1, int(second[best]) + 1)
-        order = np.concatenate([order[: between.start], order[between][::-1], order[between.stop :]])
-
-
-def _sides(points: ComplexArray, order: IntArray) -> Array:
-    """Lengths (N,) of a closed tour's sides."""
-    return np.asarray(np.abs(points[order] - points[np.roll(order, -1)]))
+    return np.argsort(np.angle(points - points.mean()), kind="stable")
 
 
 def draw_paths(history: History) -> Figure:
-    """Paths of robots and cameras over the ground, and the final fields of view."""
+    """Draw the paths of robots and cameras over the ground in metres, and the fields of view at the end.
+
+    Robots begin at small squares and end at numbered circles, which dashed lines join into the shape.
+    Obstacles and bodies are drawn where the mission has any.
+    """
     figure = new_figure(7.1, 6.8)
     axes = figure.subplots()
     positions = to_complex(history.positions_m)
@@ -90,7 +68,11 @@ def draw_paths(history: History) -> Figure:
 
 
 def draw_image_traces(history: History) -> Figure:
-    """What each unit saw of the robots it controlled."""
+    """Draw for each unit the paths in its image, in pixels, of the robots that it controlled.
+
+    Two circles around the image's centre are the safety radius, inside which a unit takes a robot over, and
+    the leaving radius, beyond which it may give the robot up.
+    """
     units = len(history.traces)
     columns = min(units, 3)
     rows = -(-units // columns)
@@ -110,7 +92,7 @@ def draw_image_traces(history: History) -> Figure:
 
 
 def draw_template(history: History) -> Figure:
-    """The template image: the shape to form, the last one if there are several."""
+    """Draw the shape to form as points of the template image; the last one if there are several in turn."""
     figure = new_figure(4.8, 5.2)
     axes = figure.subplots()
     points = history.shape.points_of(history.ids)

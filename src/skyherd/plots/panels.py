@@ -16,7 +16,15 @@ from skyherd.plots.topology import draw_topology
 
 @dataclass(frozen=True)
 class FigureFile:
-    """A figure on disk: what it is called, what it shows, and where it lies."""
+    """A figure on disk.
+
+    Attributes:
+        name: file name without ending, and HTML id.
+        title: a heading of a few words.
+        caption: a sentence or two on what is shown.
+        png: path of the picture in pixels.
+        svg: path of the vector graphics.
+    """
 
     name: str
     title: str
@@ -27,7 +35,7 @@ class FigureFile:
 
 @dataclass(frozen=True)
 class Panel:
-    """A figure that can be drawn of any run."""
+    """A figure that can be drawn of any run: name, title and caption as in `FigureFile`, and the function."""
 
     name: str
     title: str
@@ -35,7 +43,7 @@ class Panel:
     draw: Callable[[History], Figure]
 
 
-PANELS = (
+PANELS: tuple[Panel, ...] = (
     Panel(
         "paths",
         "Paths on the ground",
@@ -124,26 +132,42 @@ PANELS = (
         draw_graph,
     ),
 )
+"""The figures of a run's page, in the order shown."""
 
 
 def write_figures(history: History, folder: Path) -> list[FigureFile]:
-    """Draw all panels of a run into `folder` as PNG and SVG; the same run gives the same bytes.
+    """Draw all panels of a run into a folder, which is made if need be, as PNG and SVG.
+
+    The same run gives the same bytes. Matplotlib's style is changed while this lasts and restored after it.
+
+    Returns:
+        the files, in the order of `PANELS`.
 
     Raises:
         OutputError: a file could not be written.
     """
     folder.mkdir(parents=True, exist_ok=True)
     with drawing_style():
-        return [_write_panel(panel, history, folder) for panel in PANELS]
-
-
-def _write_panel(panel: Panel, history: History, folder: Path) -> FigureFile:
-    return save_figure(panel.draw(history), folder, panel.name, panel.title, panel.caption)
+        return [
+            save_figure(panel.draw(history), folder, panel.name, panel.title, panel.caption)
+            for panel in PANELS
+        ]
 
 
 def save_figure(figure: Figure, folder: Path, name: str, title: str, caption: str) -> FigureFile:
-    """Write a figure as PNG and SVG; OutputError if a file could not be written."""
+    """Write a figure as PNG and SVG into a folder that exists.
+
+    Args:
+        figure: what to write.
+        folder: where to.
+        name: file name without ending.
+        title: heading of the figure on pages.
+        caption: text below it on pages.
+
+    Raises:
+        OutputError: a file could not be written.
+    """
     png, svg = folder / f"{name}.png", folder / f"{name}.svg"
     write_whole(png, lambda part: figure.savefig(part, format="png", dpi=DPI))
     write_whole(svg, lambda part: figure.savefig(part, format="svg", metadata={"Date": None}))
-    return FigureFile(name, title, caption, png, svg)
+    return FigureFile(name=name, title=title, caption=caption, png=png, svg=svg)

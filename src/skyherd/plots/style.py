@@ -1,4 +1,4 @@
-"""What every figure is drawn with: the style, the axes, the lines, the legends."""
+"""What every figure is drawn with: style, axes, lines and legends."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -20,12 +20,22 @@ from skyherd.drawing.palette import INK, MUTED, PAPER, unit_color
 from skyherd.geometry import Array, IntArray
 
 WIDTH_IN = 7.2
+"""Width of a figure, inches, where none is given."""
+
 DPI = 130
+"""Resolution of PNG files, pixels an inch. Chosen: text stays legible where two figures share a page's width;
+files grow with the square."""
+
 FEW_DECADES = 1.0
-"""A log axis that spans less than this needs labels between the powers of ten."""
+"""A logarithmic axis over fewer decades than this has labels between the powers of ten as well, since it
+might show no power of ten otherwise."""
+
+LEAST_EXTENT = 1e-9
+"""Least extent that axes around points are given, in the points' unit, so that a single point has axes at
+all."""
 
 MOST_TICKS = 20
-"""About as many robots are named beside the bar of their colours."""
+"""About as many robots are named beside the colour bar; of more, every second, third, … has a label."""
 
 _STYLE: Any = {
     "axes.axisbelow": True,
@@ -60,7 +70,11 @@ _STYLE: Any = {
 
 @contextmanager
 def drawing_style() -> Iterator[None]:
-    """Matplotlib's own defaults and the style above, whatever the user's settings; restored on leaving."""
+    """Use skyherd's style for figures while the context lasts, over Matplotlib's defaults.
+
+    The user's own settings have no effect inside, so that figures look the same everywhere, and are restored
+    on leaving.
+    """
     with mpl.rc_context():
         mpl.rcdefaults()
         mpl.rcParams.update(_STYLE)
@@ -68,12 +82,12 @@ def drawing_style() -> Iterator[None]:
 
 
 def new_figure(height_in: float, width_in: float = WIDTH_IN) -> Figure:
-    """An empty figure whose parts make room for each other."""
+    """An empty figure whose axes, labels and legends make room for each other (constrained layout)."""
     return Figure(figsize=(width_in, height_in), layout=ConstrainedLayoutEngine(w_pad=0.08, h_pad=0.08))
 
 
 def time_axes(figure: Figure, labels: Sequence[str]) -> list[Axes]:
-    """Axes below each other on one time axis, one for each label of a vertical axis."""
+    """Axes one below the other that share a time axis in seconds, one for each label of a vertical axis."""
     rows: npt.NDArray[Any] = figure.subplots(len(labels), 1, sharex=True, squeeze=False)
     column: list[Axes] = list(rows[:, 0])
     for axes, label in zip(column, labels, strict=True):
@@ -85,29 +99,29 @@ def time_axes(figure: Figure, labels: Sequence[str]) -> list[Axes]:
 
 
 def frame_square(axes: Axes, points: Array) -> None:
-    """Equal axes over a square around points (K, 2), with a margin."""
+    """Set equal scales and limits that show a square around points (K, 2), with a margin of 4 %."""
     low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
-    center, half = (low + high) / 2, 0.54 * max(float((high - low).max()), 1e-9)
+    center, half = (low + high) / 2, 0.54 * max(float((high - low).max()), LEAST_EXTENT)
     axes.set(
         xlim=(center[0] - half, center[0] + half), ylim=(center[1] - half, center[1] + half), aspect="equal"
     )
 
 
 def draw_line(axes: Axes, times_s: Array, values: Array, **style: Any) -> Line2D:
-    """A line over time, with gaps where values are NaN; one that is a single point shows as a dot."""
+    """Draw values (T,) over time, with gaps where they are NaN; a single finite value is drawn as a dot."""
     lone = np.isfinite(values).sum() == 1
     (line,) = axes.plot(times_s, values, marker="o" if lone else "", markersize=4, **style)
     return line
 
 
 def draw_unit_lines(axes: Axes, times_s: Array, values: Array) -> None:
-    """A line for each column of values (T, U), in the units' colours."""
+    """Draw a line for each unit's column of values (T, U), in its colour, labelled for the legend."""
     for unit, column in enumerate(values.T):
         draw_line(axes, times_s, column, color=unit_color(unit), label=f"unit {unit}")
 
 
 def use_log_scale(axes: Axes) -> None:
-    """Make the vertical axis logarithmic if its lines have anything to show there; else leave it linear."""
+    """Make the vertical axis logarithmic if its lines have a value above 0; leave it linear otherwise."""
     drawn = np.concatenate([np.asarray(line.get_ydata(), dtype=float) for line in axes.lines])
     shown = drawn[np.isfinite(drawn) & (drawn > 0)]
     if not shown.size:
@@ -121,7 +135,7 @@ def use_log_scale(axes: Axes) -> None:
 
 
 def legend_above(figure: Figure, handles: Sequence[Artist] | None = None, columns: int = 6) -> None:
-    """A legend above all axes, where it covers nothing; of the first axes' labelled lines by default."""
+    """Put a legend above all axes; by default of the labelled lines of the first axes."""
     if handles is None:
         handles = figure.axes[0].get_legend_handles_labels()[0]
     if handles:
@@ -134,12 +148,12 @@ def unit_handles(units: int) -> list[Line2D]:
 
 
 def robot_colors(count: int) -> Array:
-    """(N, 4) RGBA for robots by rank, dark to light, none too pale for white paper."""
+    """RGBA colours (N, 4) of robots in ascending order, dark to light, none too pale for white paper."""
     return np.asarray(mpl.colormaps["viridis"](np.linspace(0.0, 0.88, count)))
 
 
 def robot_colorbar(figure: Figure, axes: Sequence[Axes], ids: IntArray) -> None:
-    """A bar beside the axes that tells robots' colours."""
+    """Put a bar beside the axes that shows which robot (N,) has which colour of `robot_colors`."""
     colors = ScalarMappable(Normalize(-0.5, ids.size - 0.5), ListedColormap(robot_colors(ids.size).tolist()))
     bar = figure.colorbar(colors, ax=list(axes), pad=0.02, aspect=40, label="robot", drawedges=False)
     every = max(1, round(ids.size / MOST_TICKS))

@@ -1,4 +1,4 @@
-"""The figure of the control topology: who controls whom, and which of the paper's conditions hold."""
+"""The figure of the control topology over time: who controls whom, and which of TC1-TC5 hold."""
 
 from collections.abc import Iterator
 from itertools import pairwise
@@ -18,21 +18,30 @@ from skyherd.geometry import Array, BoolArray
 from skyherd.plots.style import legend_above, new_figure
 
 HOLDS, BROKEN = "#d5dae1", INK
+"""Colours of the time in which a condition holds, and in which it does not."""
+
 BAR = 0.76
-"""Height of a bar; the rest of its row is a gap."""
+"""Height of a bar, as a share of its row; the rest is a gap."""
 
 WIDE_IN = 10.2
+"""Width of the figure, inches."""
+
+ROW_IN = 0.14
+"""Height of a robot's or a unit's row, inches. Chosen: labels of 8 points just do not touch."""
+
 MOST_ROWS_LABELLED = 24
+"""With more robots than this every fifth one's row is labelled."""
 
 
 def draw_topology(history: History) -> Figure:
-    """A row a robot in the colours of the units that control it, and a row for each of TC1-TC5.
+    """Draw over time which units control each robot, and when the conditions TC1-TC5 hold.
 
-    Where units form a tree there is a row a unit, too: when it was in the tree, and when it was dead.
+    Every robot has a row in the colours of its units. Where units form a tree, every unit has a row as well,
+    filled while it belongs to the tree, and a dashed line marks the instant at which the tree was complete.
     """
     robots, units = history.ids.size, history.controlled.shape[1]
     members = np.array([_in_tree(tree, units) for tree in history.trees])
-    heights = [0.14 * robots, *([0.14 * units] if members.any() else []), 0.8]
+    heights = [ROW_IN * robots, *([ROW_IN * units] if members.any() else []), 0.8]
     figure = new_figure(1.5 + sum(heights), WIDE_IN)
     rows = figure.subplots(len(heights), 1, sharex=True, height_ratios=heights)
     upper, lower = rows[0], rows[-1]
@@ -64,7 +73,7 @@ def _draw_members(axes: Axes, members: BoolArray, edges_s: Array) -> None:
     for unit, column in enumerate(members.T):
         for start, end in runs(column[:, None]):
             if column[start]:
-                bar = _rectangle(edges_s[start], edges_s[end], unit - BAR / 2, BAR)
+                bar = _rectangle(left=edges_s[start], right=edges_s[end], bottom=unit - BAR / 2, height=BAR)
                 axes.add_collection(PolyCollection([bar], facecolor=unit_color(unit), linewidth=0))
     axes.set_yticks(range(members.shape[1]), labels=[str(unit) for unit in range(members.shape[1])])
     _finish_rows(axes, members.shape[1])
@@ -79,7 +88,12 @@ def _draw_control(axes: Axes, history: History, edges_s: Array) -> None:
             units: list[int] = np.flatnonzero(history.controlled[start, :, row]).tolist()
             for share, unit in enumerate(units):
                 height = BAR / len(units)
-                bar = _rectangle(edges_s[start], edges_s[end], row - BAR / 2 + share * height, height)
+                bar = _rectangle(
+                    left=edges_s[start],
+                    right=edges_s[end],
+                    bottom=row - BAR / 2 + share * height,
+                    height=height,
+                )
                 bars.setdefault(unit, []).append(bar)
     for unit, rectangles in bars.items():
         axes.add_collection(PolyCollection(rectangles, facecolor=unit_color(unit), linewidth=0))
@@ -92,7 +106,7 @@ def _draw_control(axes: Axes, history: History, edges_s: Array) -> None:
 def _draw_conditions(axes: Axes, history: History, edges_s: Array) -> None:
     for row, holds in enumerate(history.conditions.T):
         for start, end in runs(holds[:, None]):
-            bar = _rectangle(edges_s[start], edges_s[end], row - BAR / 2, BAR)
+            bar = _rectangle(left=edges_s[start], right=edges_s[end], bottom=row - BAR / 2, height=BAR)
             color = HOLDS if holds[start] else BROKEN
             axes.add_collection(PolyCollection([bar], facecolor=color, linewidth=0))
     axes.set_yticks(range(5), labels=[f"TC{row + 1}" for row in range(5)])
@@ -108,7 +122,7 @@ def _finish_rows(axes: Axes, rows: int) -> None:
 
 
 def runs(states: BoolArray) -> Iterator[tuple[int, int]]:
-    """Stretches `start:end` over which rows (T, K) stay the same."""
+    """Index ranges (start, end), end excluded, over which the rows of states (T, K) stay the same."""
     changes = np.flatnonzero((states[1:] != states[:-1]).any(axis=1)) + 1
     bounds = [0, *changes.tolist(), len(states)]
     yield from pairwise(bounds)

@@ -1,1 +1,1 @@
-"""Runs written to MCAP files and read back."""
+"""Runs written to MCAP files while they go on, and read back."""

@@ -1,4 +1,4 @@
-"""Messages as plain values, for JSON: dataclasses and arrays to objects and lists, and back."""
+"""Messages to JSON and back: dataclasses become objects, arrays become lists."""
 
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
@@ -11,16 +11,22 @@ T = TypeVar("T")
 
 # By itself the encoder writes all attributes of a dataclass, those too that are no fields.
 OPTIONS = orjson.OPT_SERIALIZE_NUMPY | orjson.OPT_NON_STR_KEYS | orjson.OPT_PASSTHROUGH_DATACLASS
+"""How orjson writes: NumPy arrays as lists, keys that are no strings as strings, dataclasses by `_plain`."""
+
 _TYPES = {int: "integer", float: "number", bool: "boolean", str: "string"}
 
 
 def to_json(value: Any) -> bytes:
-    """A value as JSON: dataclasses as objects, arrays as lists; NaN, which JSON lacks, as null."""
+    """A value as JSON: dataclasses as objects, arrays as lists, NaN (which JSON does not have) as null.
+
+    Raises:
+        orjson.JSONEncodeError: it holds something that is none of this.
+    """
     return orjson.dumps(value, default=_plain, option=OPTIONS)
 
 
 def _plain(value: Any) -> Any:
-    """What is left to us: the fields of dataclasses, arrays not in one piece, mappings that are no dict."""
+    """What orjson does not write itself: dataclasses, arrays that are not contiguous, other mappings."""
     if is_dataclass(value):
         return {field.name: getattr(value, field.name) for field in fields(value)}
     if isinstance(value, np.ndarray):
@@ -31,7 +37,16 @@ def _plain(value: Any) -> Any:
 
 
 def from_plain(kind: type[T], record: Mapping[str, Any], **made: Any) -> T:
-    """A dataclass from what is read back of it; `made` holds fields to take as they are."""
+    """A dataclass from its JSON object, lists as arrays, and in arrays null as NaN.
+
+    Args:
+        kind: the dataclass. Fields that the record lacks have their default.
+        record: the object as orjson returns it: dict, list, str, int, float, bool, None.
+        **made: fields that are given here as they are, such as nested dataclasses.
+
+    Raises:
+        TypeError: the record lacks a field without a default.
+    """
     values = {}
     for field in fields(kind):  # type: ignore[arg-type]
         if field.name not in made and field.name not in record:
@@ -49,7 +64,7 @@ def _array(value: list[Any]) -> np.ndarray:
 
 
 def json_schema(kind: type) -> dict[str, Any]:
-    """JSON schema of a dataclass of scalars and arrays."""
+    """JSON schema of a dataclass; fields that are no int, float, bool or str may have any type."""
     properties = {
         field.name: {"type": _TYPES[field.type]} if field.type in _TYPES else {} for field in fields(kind)
     }

@@ -1,4 +1,4 @@
-"""Recordings read back: a run's mission and steps, as far as its file goes."""
+"""Recordings read back: a run's mission and steps, up to where its file ends or breaks off."""
 
 import base64
 import struct
@@ -36,10 +36,10 @@ class Recording:
 
     Attributes:
         mission: what was run.
-        versions: of skyherd and the libraries that made it.
-        steps: all steps that are whole in the file.
+        versions: versions of skyherd and of the libraries that ran it, by name.
+        steps: all steps that are whole in the file, without camera images.
         wall_s: wall time of the run, None if it was cut short.
-        has_images: whether camera images were recorded.
+        has_images: whether camera images were recorded; `read_steps` has them.
     """
 
     mission: Mission
@@ -50,9 +50,10 @@ class Recording:
 
 
 def read_messages(path: Path) -> Iterator[tuple[str, float, Any]]:
-    """Topic, time (s) and content of each message, up to where the file ends or breaks off.
+    """Iterate over the topic, the time (s) and the content of each message, up to where the file breaks off.
 
-    Metadata comes as topic `#name`, at time 0.
+    A record of metadata has the topic `#name` and time 0. The topics are listed in
+    `skyherd.recording.writer`.
 
     Raises:
         InputError: there is no such file, or it is damaged within.
@@ -85,7 +86,7 @@ def _next_whole(records: Iterator[Any]) -> Any:
 
 
 def read_recording(path: Path) -> Recording:
-    """Read a run back, whole or cut short, without its images: `read_steps` has them, one step at a time.
+    """Read a run back, whole or cut short, without its images, which `read_steps` has one step at a time.
 
     Raises:
         InputError: the file holds no mission, or not one whole step, or is of another version of skyherd.
@@ -97,7 +98,7 @@ def read_recording(path: Path) -> Recording:
     pending: dict[str, Any] = {}
     has_images = ended = False
     for topic, time_s, record in read_messages(path):
-        # The wall time stands before the last or only chunk: that the run is whole its end tells.
+        # Metadata of the wall time may precede the last chunk: /end alone says that the run is whole.
         ended |= topic == "/end"
         has_images |= topic.endswith("/image")
         if topic == "#wall":
@@ -106,10 +107,10 @@ def read_recording(path: Path) -> Recording:
             if topic != "/mission":
                 break
             versions = {name: str(record.get(name, "?")) for name in ("version", "opencv", "numpy")}
-            with _understood(path):
+            with _version_checked(path):
                 mission = _read_mission(record)
         elif topic == "/metrics":
-            with _understood(path):
+            with _version_checked(path):
                 steps.append(_read_step(time_s, pending | {topic: record}))
             pending = {}
         elif not topic.endswith("/image"):
@@ -122,11 +123,21 @@ def read_recording(path: Path) -> Recording:
         )
     if not steps:
         raise InputError(str(path), "no whole step in it", "a run that went on for at least one chunk")
-    return Recording(mission, versions, steps, wall_s if ended else None, has_images)
+    return Recording(
+        mission=mission,
+        versions=versions,
+        steps=steps,
+        wall_s=wall_s if ended else None,
+        has_images=has_images,
+    )
 
 
 def read_steps(path: Path) -> Iterator[Step]:
-    """The steps of a recording with their images, one at a time."""
+    """Iterate over the steps of a recording with their camera images, which are too large to keep all.
+
+    Raises:
+        InputError: there is no such file, or it is damaged within.
+    """
     pending: dict[str, Any] = {}
     for topic, time_s, record in read_messages(path):
         pending[topic] = record
@@ -136,8 +147,8 @@ def read_steps(path: Path) -> Iterator[Step]:
 
 
 @contextmanager
-def _understood(path: Path) -> Iterator[None]:
-    """Says in one line that a record of a whole file has another content than this skyherd writes."""
+def _version_checked(path: Path) -> Iterator[None]:
+    """Turn the errors of records that another version wrote into an InputError of one line."""
     try:
         yield
     except (KeyError, TypeError, ValueError) as error:  # pydantic's and our messages' errors too

@@ -1,19 +1,35 @@
-"""One MCAP file a run: every message as it passed, written as the run goes.
+"""What records a run while it goes on: the interface of recorders, and the one that writes MCAP files.
 
-A topic for each vehicle and kind of message, JSON with a schema, so that any MCAP viewer opens it. A run
-that is killed leaves a file that reads up to its last whole chunk.
+An MCAP file holds every message of a run as it passed. There is a topic for each vehicle and kind of message,
+as JSON with a schema, so that any MCAP viewer opens it. The file is written in chunks as the run goes: a run
+that is killed leaves a file that can be read up to its last whole chunk. Everything else (figures, summary,
+page) is made from this file, never from the run itself.
 
-Topics: `/mission` (first), `/unit/J/detections`, `/unit/J/goals`, `/unit/J/proximity` (where robots
-keep apart), `/unit/J/report`, `/unit/J/flight`,
-`/unit/J/map` (of a unit that rectifies), `/unit/J/truth`, `/unit/J/image` (on request),
-`/robots/command`, `/world`, `/metrics` (last of a step), `/end` (of a run that came to its end).
+Topics, J being the number of a unit:
+
+    /mission            first: the scenario, the template, the robots' start, and the versions that ran it
+    /unit/J/detections  what the unit's detector found in an image
+    /unit/J/goals       to the robots that it controls; missing while it has none
+    /unit/J/proximity   where robots keep apart: what else is near them; missing without bodies
+    /unit/J/report      to the other units
+    /unit/J/flight      to its own autopilot
+    /unit/J/map         its map from the image to the ground, of a unit that rectifies
+    /unit/J/truth       which markers were whole in the image, and which of them were detected
+    /unit/J/image       the image, on request
+    /robots/command     the velocities that the wheels were given
+    /world              where robots and units truly are
+    /metrics            judged from the truth, and last of a step
+    /end                of a run that came to its end
+
+The same scenario and seed give the same messages, to the byte. The wall time, which differs, therefore is
+metadata of the file and no message.
 """
 
 import base64
 from dataclasses import fields
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, Protocol, Self
 
 import cv2
 import numpy as np
@@ -27,9 +43,16 @@ from skyherd.sim.truth_metrics import TruthMetrics
 from skyherd.version import __version__
 
 CHUNK_BYTES = 1 << 16
+"""Size at which a chunk of messages is compressed and written. Chosen: a run that is killed loses less than
+one chunk; smaller chunks compress worse."""
+
 JPEG_QUALITY = 90
+"""Quality of recorded images, in per cent. Chosen: a video made of them looks like one of the originals; they
+are not for measuring, since JPEG moves edges."""
 
 OBJECT = {"type": "object"}
+"""JSON schema of messages that are no dataclass."""
+
 IMAGE_SCHEMA = {
     "type": "object",
     "title": "foxglove.CompressedImage",
@@ -45,8 +68,47 @@ IMAGE_SCHEMA = {
 }
 
 
-class Recorder:
-    """Writes a run to `path`; use it as a context manager, and `finish` a run that came to its end."""
+class Recorder(Protocol):
+    """Whatever keeps the steps of a run; `skyherd.runner.run_mission` takes any number of them.
+
+    A recorder is a context manager, whose context the run enters before its first step and leaves after its
+    last. `write` is called once a step, in the order of time, from one thread, and the run waits for it. A
+    step is what `skyherd.loop.run_steps` yields: it may be kept as it is, but for the camera images in
+    `step.frames[unit].sight.image`, which take much memory (`step.without_images()` is the same step without
+    them). A recorder must not change a step.
+
+    If the context is left without an exception, whatever is recorded must be whole and closed. If it is left
+    with one (the run was interrupted, a file could not be written), the recorder closes its files and lets
+    the exception pass; whether a part of a recording is useful is its own decision. An exception that `write`
+    raises ends the run: `skyherd.errors.OutputError` or OSError where something cannot be written.
+    """
+
+    def write(self, step: Step) -> None:
+        """Record one step."""
+
+    def __enter__(self) -> Any:
+        """The run begins."""
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None, /
+    ) -> bool | None:
+        """The run is over: close all files. Returns nothing true, since exceptions pass."""
+
+
+class McapRecorder:
+    """A `Recorder` that writes a run's messages to an MCAP file.
+
+    Leaving the context closes the file, and `finish`, called before that, marks a run that came to its end:
+    without it the file reads as a run that was cut short.
+
+    Args:
+        path: the file to make; one that is there is replaced.
+        mission: what is run.
+        images: record the cameras' images as well, as JPEG.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
 
     def __init__(self, path: Path, mission: Mission, *, images: bool = False) -> None:
         self.images = images
@@ -58,7 +120,7 @@ class Recorder:
         self._put("/mission", 0.0, _mission_record(mission), "skyherd.Mission")
 
     def write(self, step: Step) -> None:
-        """Append all messages of one step."""
+        """Append all messages of one step, and flush what is a whole chunk by then."""
         for unit, frame in step.frames.items():
             self._write_frame(f"/unit/{unit}", step.time_s, frame)
         self._put_value("/robots/command", step.time_s, step.command)
@@ -77,7 +139,12 @@ class Recorder:
         self._file.flush()  # a killed run keeps all chunks that were whole by then
 
     def finish(self, time_s: float, wall_s: float) -> None:
-        """Mark the run as complete; its wall time is metadata, since messages repeat with the seed."""
+        """Mark the run as complete.
+
+        Args:
+            time_s: simulated time of the last step.
+            wall_s: wall time that the run took.
+        """
         self._put("/end", time_s, {}, "skyherd.End")
         self._writer.add_metadata("wall", {"wall_s": repr(wall_s)})
 
@@ -110,11 +177,13 @@ class Recorder:
             self._put(f"{topic}/image", time_s, record, "foxglove.CompressedImage", IMAGE_SCHEMA)
 
     def _put_value(self, topic: str, time_s: float, value: Any) -> None:
+        """Append a dataclass, whose name and fields give the schema."""
         self._put(topic, time_s, value, f"skyherd.{type(value).__name__}", type(value))
 
     def _put(
         self, topic: str, time_s: float, record: Any, schema: str, kind: type | dict[str, Any] = OBJECT
     ) -> None:
+        """Append a message; the first one of a topic makes its channel, the first of a schema its record."""
         if topic not in self._channels:
             if schema not in self._schemas:
                 text = to_json(kind if isinstance(kind, dict) else json_schema(kind))

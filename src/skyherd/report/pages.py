@@ -1,69 +1,103 @@
-"""What all pages share: one HTML file each, that needs no other file, no network and no script."""
+"""What all pages share: the template engine, and the parts that more than one page shows.
+
+A page is one HTML file that needs no other file, no network and no script: pictures and videos are inside it
+as data URIs. Markup is in templates alone. Every page extends `report/templates/base.html`, which has the
+style sheet `page.css` in it, and imports the macros of `parts.html`; packages above this one have a folder
+`templates/` of their own. The template engine escapes whatever is inserted, so that no text of a scenario, a
+study or a detector's name can become markup.
+"""
 
 from base64 import b64encode
-from collections.abc import Sequence
-from html import escape
-from importlib.resources import files
+from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
-from string import Template
 
+from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 from PIL import Image
 
 from skyherd.plots.panels import FigureFile
 
 WIDE_PX = 1000
-"""Figures wider than this take the page's full width."""
+"""Figures wider than this, in pixels of the PNG, take the page's full width. Chosen: figures of the width
+that `skyherd.plots` draws by default (936 px) stay in one of the two columns, those with several panels do
+not."""
 
-TALL = 0.85
-"""Figures of a greater height over width take the place of two below each other."""
-
-
-def html_page(package: str, name: str, title: str, /, **parts: str) -> str:
-    """A page: a package's template `name`.html, its parts filled in, in the shell that all pages have."""
-    body = _template(package, f"{name}.html").substitute(parts)
-    style = _template("skyherd.report", "page.css").template
-    return _template("skyherd.report", "page.html").substitute(title=escape(title), style=style, body=body)
+TALL_RATIO = 0.85
+"""Figures whose height over width is greater than this take two rows of the grid of figures. Chosen: two
+figures of the usual ratio, 0.45 to 0.7, with their captions are about as high."""
 
 
-def _template(package: str, name: str) -> Template:
-    return Template(files(package).joinpath("templates", name).read_text("utf-8"))
+@dataclass(frozen=True)
+class Tile:
+    """A number that stands out on a page, as text with its unit, and what it is."""
+
+    value: str
+    label: str
 
 
-def tile(value: str, label: str) -> str:
-    """A number that stands out, and what it is."""
-    return f'<div class="tile"><b>{escape(value)}</b><span>{escape(label)}</span></div>'
+@dataclass(frozen=True)
+class FigureCard:
+    """A figure as the macro `figure_grid` of `parts.html` shows it.
+
+    Attributes:
+        shape: CSS class that says how much room it takes: `plain`, `tall` or `wide`.
+        name: HTML id, unique in the page.
+        title: heading.
+        caption: what the figure shows.
+        source: the picture, as a data URI.
+        width_px: width of the picture.
+        height_px: height of the picture.
+    """
+
+    shape: str
+    name: str
+    title: str
+    caption: str
+    source: str
+    width_px: int
+    height_px: int
 
 
-def wide_table(label: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A table that scrolls where the page is narrow; the first cell of a row is its head."""
-    top = "".join(f'<th scope="col">{escape(cell)}</th>' for cell in head)
-    body = "\n".join(
-        f'<tr><th scope="row">{escape(row[0])}</th>'
-        + "".join(f"<td>{escape(cell)}</td>" for cell in row[1:])
-        + "</tr>"
-        for row in rows
+def render_page(package: str, template: str, **values: object) -> str:
+    """Fill in a template, and return the whole page as HTML.
+
+    Args:
+        package: Python package whose folder `templates/` has the template.
+        template: file name of the template.
+        **values: what the template refers to, unescaped. A value that the template needs and that is not
+            given raises `jinja2.UndefinedError`; it is never an empty string on the page.
+    """
+    return _environment(package).get_template(template).render(values)
+
+
+@lru_cache
+def _environment(package: str) -> Environment:
+    """Templates of a package, read as package resources, and below them those that all pages share."""
+    packages = dict.fromkeys((package, "skyherd.report"))
+    return Environment(
+        loader=ChoiceLoader([PackageLoader(name, "templates") for name in packages]),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
     )
-    return f"""<div class="scroll" tabindex="0" role="region" aria-label="{escape(label)}">
-<table><thead><tr>{top}</tr></thead>
-<tbody>
-{body}
-</tbody></table>
-</div>"""
 
 
-def figure_card(figure: FigureFile) -> str:
-    """A figure as HTML, its picture inside, that opens in full width."""
+def figure_card(figure: FigureFile) -> FigureCard:
+    """A figure on disk as a card of a page, its PNG embedded."""
     with Image.open(figure.png) as image:
         width, height = image.size
-    shape = "wide" if width > WIDE_PX else "tall" if height > TALL * width else "plain"
-    title, caption = escape(figure.title), escape(figure.caption)
-    return f"""<figure class="{shape}" id="{escape(figure.name)}">
-<details><summary><img src="{data_uri(figure.png, "image/png")}" alt="{title}: {caption}" \
-width="{width}" height="{height}"></summary></details>
-<figcaption><h3>{title}</h3><p>{caption}</p></figcaption>
-</figure>"""
+    return FigureCard(
+        shape="wide" if width > WIDE_PX else "tall" if height > TALL_RATIO * width else "plain",
+        name=figure.name,
+        title=figure.title,
+        caption=figure.caption,
+        source=data_uri(figure.png, "image/png"),
+        width_px=width,
+        height_px=height,
+    )
 
 
-def data_uri(path: Path, kind: str) -> str:
-    """A file's bytes, as what a page can hold."""
-    return f"data:{kind};base64,{b64encode(path.read_bytes()).decode('ascii')}"
+def data_uri(path: Path, media_type: str) -> str:
+    """A file's bytes as a data URI, such as `data:image/png;base64,…`, for the `src` of an image or video."""
+    return f"data:{media_type};base64,{b64encode(path.read_bytes()).decode('ascii')}"

@@ -1,17 +1,37 @@
-"""The page on a run."""
+"""The page of one run: how it went, its video, its figures, its summary in plain words, and its scenario."""
 
 from collections.abc import Mapping
-from html import escape
+from dataclasses import dataclass
 from pathlib import Path
 
 from skyherd.analysis.history import History
 from skyherd.analysis.summary_fields import GROUPS, Field, number_text, value_text
 from skyherd.files.atomic import write_text
 from skyherd.plots.panels import FigureFile
-from skyherd.report.pages import data_uri, figure_card, html_page, tile
+from skyherd.report.pages import Tile, data_uri, figure_card, render_page
 
 PAGE, VIDEO = "report.html", "video.mp4"
+"""Files in a run's folder: the page, and the video that is embedded in it."""
+
 TILES = ("shape_error", "scale", "min_separation_m", "detection_recall", "simulated_s", "real_time_factor")
+"""Keys of the summary that stand out at the top of the page, in this order."""
+
+
+@dataclass(frozen=True)
+class SummaryRow:
+    """One value of the summary: what it is called, its text with the unit, and what it means."""
+
+    label: str
+    value: str
+    meaning: str
+
+
+@dataclass(frozen=True)
+class SummaryTable:
+    """A group of the summary's values under one name."""
+
+    name: str
+    rows: list[SummaryRow]
 
 
 def write_page(
@@ -32,89 +52,59 @@ def write_page(
         versions: of the programs that made the run, by name.
         scenario_text: the whole scenario, as TOML or JSON.
 
+    Returns:
+        the path of the page.
+
     Raises:
         OutputError: the page could not be written.
     """
     scenario = history.mission.scenario
-    status_class, status = _status(summary, scenario.duration_s)
-    page = html_page(
+    fields = {field.key: field for group in GROUPS.values() for field in group}
+    video = folder / VIDEO
+    positions_m = summary.get("final_positions_m")
+    page = render_page(
         "skyherd.report",
-        "report",
-        scenario.name,
-        name=escape(scenario.name),
-        description=escape(scenario.description),
-        status_class=status_class,
-        status=escape(status),
-        video=_video(folder / VIDEO),
-        tiles="\n".join(
-            tile(value_text(field, summary.get(field.key)), field.label)
-            for key in TILES
-            for field in _fields()
-            if field.key == key
-        ),
-        figures="\n".join(figure_card(figure) for figure in figures),
+        "report.html",
+        title=scenario.name,
+        description=scenario.description,
+        is_good=summary["complete"] and summary["converged"],
+        status=_status(summary, scenario.duration_s),
+        video=data_uri(video, "video/mp4") if video.exists() else None,
+        tiles=[Tile(value_text(fields[key], summary.get(key)), fields[key].label) for key in TILES],
+        figures=[figure_card(figure) for figure in figures],
         tables=_tables(summary),
-        scenario=escape(scenario_text),
-        versions=" · ".join(escape(f"{name} {version}") for name, version in versions.items()),
+        positions=[
+            {"robot": robot, "x_m": x_m, "y_m": y_m}
+            for robot, (x_m, y_m) in (positions_m if isinstance(positions_m, Mapping) else {}).items()
+        ],
+        scenario=scenario_text,
+        versions=versions,
     )
     return write_text(folder / PAGE, page)
 
 
-def _status(summary: Mapping[str, object], planned_s: float) -> tuple[str, str]:
-    """Class and words of the line that says how the run went."""
+def _status(summary: Mapping[str, object], planned_s: float) -> str:
+    """The sentence at the top of the page that says how the run went."""
     formed = "the shape was formed and held" if summary["converged"] else "the shape was not formed and held"
     if not summary["complete"]:
         lasted = value_text(Field("simulated_s", "", "s"), summary["simulated_s"])
-        return "bad", f"Cut short after {lasted} of {number_text(planned_s)} s; until then, {formed}."
-    if summary["converged"]:
-        return "good", f"Converged: {formed} to the end."
-    return "bad", f"Not converged: {formed} to the end."
+        return f"Cut short after {lasted} of {number_text(planned_s)} s; until then, {formed}."
+    return f"{'Converged' if summary['converged'] else 'Not converged'}: {formed} to the end."
 
 
-def _video(path: Path) -> str:
-    if not path.exists():
-        return ""
-    source = data_uri(path, "video/mp4")
-    return (
-        '<video controls muted playsinline preload="auto" aria-label="Video of the run" '
-        f'src="{source}"></video>'
-    )
-
-
-def _fields() -> list[Field]:
-    return [field for group in GROUPS.values() for field in group]
-
-
-def _tables(summary: Mapping[str, object]) -> str:
-    """A table for each group of fields, and one for keys that no group has."""
-    groups = dict(GROUPS)
-    known = {field.key for field in _fields()} | {"final_positions_m"}
-    if others := tuple(Field(key, key) for key in summary if key not in known):
-        groups["Other"] = others
-    shown = {name: fields for name, fields in groups.items() if any(field.key in summary for field in fields)}
-    tables = [_table(name, fields, summary) for name, fields in shown.items()]
-    return "\n".join([*tables, _positions(summary.get("final_positions_m"))])
-
-
-def _table(name: str, fields: tuple[Field, ...], summary: Mapping[str, object]) -> str:
-    rows = [
-        f'<tr><th scope="row">{escape(field.label)}</th>'
-        f"<td>{escape(value_text(field, summary[field.key]))}</td><td>{escape(field.meaning)}</td></tr>"
-        for field in fields
-        if field.key in summary
+def _tables(summary: Mapping[str, object]) -> list[SummaryTable]:
+    """A table for each group of fields that the summary has values of, and one for keys that no group has."""
+    known = {field.key for group in GROUPS.values() for field in group} | {"final_positions_m"}
+    groups = {**GROUPS, "Other": tuple(Field(key, key) for key in summary if key not in known)}
+    tables = [
+        SummaryTable(
+            name,
+            [
+                SummaryRow(field.label, value_text(field, summary[field.key]), field.meaning)
+                for field in fields
+                if field.key in summary
+            ],
+        )
+        for name, fields in groups.items()
     ]
-    return f"<table><caption>{escape(name)}</caption><tbody>\n" + "\n".join(rows) + "\n</tbody></table>"
-
-
-def _positions(positions_m: object) -> str:
-    """Where each robot ended, folded away."""
-    if not isinstance(positions_m, Mapping):
-        return ""
-    items = "\n".join(
-        f"<li>{escape(str(robot))}: ({x_m:.3f}, {y_m:.3f}) m</li>"
-        for robot, (x_m, y_m) in positions_m.items()
-    )
-    return (
-        '<details class="block"><summary>Final positions of the robots (x, y)</summary>'
-        f'<ul class="positions">\n{items}\n</ul></details>'
-    )
+    return [table for table in tables if table.rows]

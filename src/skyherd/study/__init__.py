@@ -1,1 +1,1 @@
-"""Studies: one scenario run many times, with parameters on a grid or drawn at random."""
+"""Studies: a scenario run many times with other parameters, on all cores or a cluster, into one table."""

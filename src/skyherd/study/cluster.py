@@ -1,4 +1,8 @@
-"""Runs on many processes through Dask: those of this machine, or of a cluster that is there already."""
+"""Runs on many processes through Dask: those of this machine, or those of a cluster that exists already.
+
+A worker makes one run at a time on one thread, without any file (`skyherd.study.measure`), and sends back its
+outcome. Local workers listen to this machine alone and have no dashboard.
+"""
 
 import logging
 import signal
@@ -20,18 +24,20 @@ from skyherd.study.measure import Outcome, failure, measure
 from skyherd.version import __version__
 
 WINDOW = 4
-"""Runs under way for each thread of the cluster: none of them waits, and few wait for an interrupt."""
+"""Runs that are submitted at a time for each thread of the cluster. Chosen: with 1 threads wait between two
+runs; larger values make more missions before they are needed."""
 
 TIMEOUT_S = 5.0
-"""For a scheduler to answer, and to have a worker."""
+"""Time, s, in which a scheduler must answer, and have a worker."""
 
 WORKER_DEATHS = 2
-"""A run that was under way in more workers than this when they died is taken as what killed them."""
+"""A run that was on more workers than this when they died is taken as the reason, and counts as failed."""
 
 GONE = "the scheduler is gone; the same command goes on from here"
+"""Message of the error when the cluster stops answering."""
 
 LOGGERS = ("distributed", "distributed.client", "distributed.utils", "tornado", "asyncio")
-"""What goes wrong with a cluster is told once, in our words."""
+"""Loggers that are silenced: an error of the cluster is reported once, as an exception of skyherd."""
 
 _SETTINGS = {
     "distributed.scheduler.http.routes": [],
@@ -47,10 +53,15 @@ _SETTINGS = {
 
 @contextmanager
 def open_client(scheduler: str | None = None, jobs: int | None = None) -> Iterator[Client]:
-    """A client of a scheduler, or of as many local processes of one thread, all cores by default.
+    """Open a Dask client, and close it and its local workers at the end of the context.
+
+    Args:
+        scheduler: address of a scheduler, such as `tcp://192.168.1.2:8786`; local processes if None.
+        jobs: number of local processes of one thread; one a core if None.
 
     Raises:
-        InputError: nothing answers there, it has no workers, or they have another skyherd.
+        InputError: nothing answers there, it has no workers, or their version of skyherd is another.
+        OutputError: local processes could not be started.
     """
     for name in LOGGERS:
         logging.getLogger(name).setLevel(logging.CRITICAL)
@@ -59,7 +70,7 @@ def open_client(scheduler: str | None = None, jobs: int | None = None) -> Iterat
             with _connect(scheduler) as client:
                 yield client
             return
-        with _interrupts_held():
+        with _interrupts_delayed():
             cluster = _local_cluster(jobs or CPU_COUNT)
         with cluster, Client(cluster) as client:
             yield client
@@ -68,7 +79,14 @@ def open_client(scheduler: str | None = None, jobs: int | None = None) -> Iterat
 def run_missions(
     client: Client, missions: Iterable[tuple[str, Mission]], curves: Sequence[str]
 ) -> Iterator[list[Outcome]]:
-    """Outcomes as they come, in batches of what is there; missions are made when there is room for them.
+    """Run missions, and yield their outcomes in batches as they come, in no particular order.
+
+    Missions are taken from the iterable only when a worker will soon be free, so that there may be very many.
+
+    Args:
+        client: of the cluster.
+        missions: key and mission of each run.
+        curves: fields of the history that are kept as arrays over time.
 
     Raises:
         OutputError: the cluster is gone.
@@ -84,7 +102,7 @@ def run_missions(
 
 
 def _threads(client: Client) -> int:
-    """Threads that the cluster has now; the first that notices a scheduler that went between two batches."""
+    """Threads that the cluster has now, 1 at least; OutputError if the scheduler went between two batches."""
     try:
         threads: int = sum(client.nthreads().values())
     except OSError:
@@ -106,29 +124,30 @@ def _outcome(future: Any) -> Outcome:
 
 
 @contextmanager
-def _interrupts_held() -> Iterator[None]:
-    """Hold Ctrl-C back while workers start: half-started ones cannot be closed.
+def _interrupts_delayed() -> Iterator[None]:
+    """Delay an interrupt (Ctrl-C) until workers have started, since half-started ones cannot be closed.
 
-    Workers inherit this thread's mask, those that are started anew too: an interrupt is the parent's to obey.
+    Workers inherit the signal mask of this thread, also those that are started later: only this process
+    reacts to an interrupt.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    held: list[int] = []
+    delayed: list[int] = []
     resource_tracker.ensure_running()  # started later, it would take the mask away
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    handler = signal.signal(signal.SIGINT, lambda number, frame: held.append(number))
+    handler = signal.signal(signal.SIGINT, lambda number, frame: delayed.append(number))
     try:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, mask)
         signal.signal(signal.SIGINT, handler)
-    if held:
+    if delayed:
         raise KeyboardInterrupt
 
 
 def _local_cluster(jobs: int) -> LocalCluster:
-    """Workers of one thread that listen to nobody but this machine; no dashboard."""
+    """Start workers of one thread that listen to this machine alone, without a dashboard."""
     try:
         return LocalCluster(
             n_workers=jobs,
@@ -165,7 +184,7 @@ def _connect(address: str) -> Iterator[Client]:
 
 
 def _version() -> str:
-    """Of a worker's skyherd."""
+    """Version of skyherd where this is called: on a worker."""
     return __version__
 
 

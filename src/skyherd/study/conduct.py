@@ -1,52 +1,91 @@
 """A study from start to finish: plan, runs that are not there yet, table, pages.
 
+Studies are built of these parts: `spec.py` reads the file, `plan.py` lists the runs and their keys,
+`cluster.py` gives them to processes through Dask, each of which makes a run without any file (`measure.py`),
+`store.py` keeps the outcomes in Parquet files that are either whole or not there, `table.py` joins them into
+one table, and a function from table to files draws the pages (`PAGES`). The key of a run is the hash of its
+mission. Resuming a study, changing it and repeating it are therefore one question: is the key in the store?
+
+A new kind of pages needs a function in `PAGES`, its name in `skyherd.study.spec.StudySpec.pages`, and, to be
+built in, a TOML file in `study/specs/`.
+
 Left in the folder: `study.json`, `parts/` (every outcome there ever was), `table.parquet` (one row a run of
 the study as it is), and the pages.
 """
 
 import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from time import monotonic
 
+import pyarrow as pa
+
+from skyherd.progress import NO_PROGRESS, Progress
 from skyherd.study.cluster import open_client, run_missions
-from skyherd.study.measure import Outcome
-from skyherd.study.pages import write_pages
+from skyherd.study.figures import write_figure_pages
+from skyherd.study.invariance.page import write_invariance
+from skyherd.study.methods.page import write_methods
 from skyherd.study.plan import Plan, Run
 from skyherd.study.spec import CURVE, Study
 from skyherd.study.store import ERROR, Store, open_store, write_parquet
 from skyherd.study.table import TABLE, make_table
 from skyherd.version import __version__
 
+PAGES: Mapping[str, Callable[[Study, pa.Table, Path], list[Path]]] = {
+    "figures": write_figure_pages,
+    "invariance": write_invariance,
+    "methods": write_methods,
+}
+"""What is made of a study's table, by the name that the study's `pages` has: a function of the study, its
+table and its folder that writes files and returns their paths, first the one to open. It raises OutputError
+where a file cannot be written."""
 
-class Report(NamedTuple):
-    """What a study came to: the table's file, the pages, and how many runs there are and failed."""
+
+@dataclass(frozen=True)
+class StudyReport:
+    """What a study came to.
+
+    Attributes:
+        table: the file with one row a run.
+        pages: the files that were made of it, first the one to open.
+        runs: number of runs of the study.
+        failed: number of runs that ended with an error.
+        reused: number of different runs whose outcome was in the folder already.
+        made: number of runs that were made now.
+        elapsed_s: wall time that these took.
+    """
 
     table: Path
     pages: list[Path]
     runs: int
     failed: int
-
-
-class Watcher(Protocol):
-    """Told of what goes on."""
-
-    def begin(self, missing: int, there: int) -> None:
-        """So many runs are to be made; so many are there already."""
-
-    def advance_runs(self, outcomes: list[Outcome]) -> None:
-        """These are made."""
+    reused: int
+    made: int
+    elapsed_s: float
 
 
 def conduct(
     plan: Plan,
     folder: Path,
-    watcher: Watcher,
+    progress: Progress = NO_PROGRESS,
     *,
     scheduler: str | None = None,
     jobs: int | None = None,
     retry: bool = False,
-) -> Report:
+) -> StudyReport:
     """Make all runs of a study that its folder does not hold, then its table and pages.
+
+    Outcomes are written as they come, so that a study that is interrupted or killed goes on from there when
+    it is conducted again.
+
+    Args:
+        plan: the study and its runs.
+        folder: a new folder, or that of a study.
+        progress: is told how many runs are made.
+        scheduler: address of a Dask scheduler to run on; local processes if None.
+        jobs: number of local processes; one a core if None.
+        retry: make runs again that failed.
 
     Raises:
         InputError: the folder holds something else, or the scheduler is no good.
@@ -54,27 +93,60 @@ def conduct(
     """
     with open_store(folder, study_mark(plan.study)) as store:
         missing = missing_runs(plan, store, retry=retry)
-        watcher.begin(len(missing), len({run.key for run in plan.runs}) - len(missing))
+        reused = len({run.key for run in plan.runs}) - len(missing)
+        state = f"{reused} were there" if reused else "starting …"
+        progress.update(plan.study.name, 0, len(missing), state)
+        began_s = monotonic()
         if missing:
-            with open_client(scheduler, jobs) as client:
-                missions = ((key, plan.mission(run)) for key, run in missing.items())
-                for outcomes in run_missions(client, missions, plan.study.spec.curves):
-                    store.append(outcomes)
-                    watcher.advance_runs(outcomes)
+            _make_runs(plan, missing, store, progress, scheduler, jobs)
+        elapsed_s = monotonic() - began_s
         table = make_table(plan, store.read())
         path = write_parquet(table, folder / TABLE)
         store.compact()
-        failed = table.num_rows - table[ERROR].null_count
-        return Report(path, write_pages(plan.study, table, folder), table.num_rows, failed)
+        return StudyReport(
+            table=path,
+            pages=PAGES[plan.study.spec.pages](plan.study, table, folder),
+            runs=table.num_rows,
+            failed=table.num_rows - table[ERROR].null_count,
+            reused=reused,
+            made=len(missing),
+            elapsed_s=elapsed_s,
+        )
+
+
+def _make_runs(
+    plan: Plan,
+    missing: Mapping[str, Run],
+    store: Store,
+    progress: Progress,
+    scheduler: str | None,
+    jobs: int | None,
+) -> None:
+    """Make runs and store their outcomes as they come."""
+    began_s, made, failed = monotonic(), 0, 0
+    missions = ((key, plan.mission(run)) for key, run in missing.items())
+    with open_client(scheduler, jobs) as client:
+        for outcomes in run_missions(client, missions, plan.study.spec.curves):
+            store.append(outcomes)
+            made += len(outcomes)
+            failed += sum(outcome["error"] is not None for outcome in outcomes)
+            rate = f"{runs_per_s(made, monotonic() - began_s):.3g} runs/s"
+            state = f"{rate}, {failed} failed" if failed else rate
+            progress.update(plan.study.name, made, len(missing), state)
+
+
+def runs_per_s(runs: int, elapsed_s: float) -> float:
+    """Throughput, 0 as long as no time has passed."""
+    return runs / elapsed_s if elapsed_s > 0 else 0.0
 
 
 def missing_runs(plan: Plan, store: Store, *, retry: bool = False) -> dict[str, Run]:
-    """Runs that are not in a store, by key, each once; with `retry`, those that failed too."""
+    """Runs that are not in a store, by key, each once; with `retry`, those that failed as well."""
     known = store.keys([CURVE + name for name in plan.study.spec.curves], failed=not retry)
     return {run.key: run for run in plan.runs if run.key not in known}
 
 
 def study_mark(study: Study) -> str:
-    """What `study.json` says: the study in full, and which skyherd it was."""
+    """The content of `study.json`: the study in full, as JSON, and the version of skyherd that made it."""
     spec = study.spec.model_dump(mode="json", exclude_none=True)
     return json.dumps({"skyherd": __version__, "study": study.name, **spec}, indent=2) + "\n"

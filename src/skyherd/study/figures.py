@@ -1,4 +1,4 @@
-"""A study's table as Markdown and as the figures that its file describes."""
+"""A study's table as Markdown, and as the figures that the study's file describes."""
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
@@ -19,13 +19,26 @@ from skyherd.study.store import ERROR
 from skyherd.study.table import SWEEP, Row, good_rows
 
 MARKDOWN = "table.md"
+"""File name of the table in Markdown, in the study's folder."""
+
 MARKS = "osD^vPX<"
+"""Matplotlib markers of the lines of a figure."""
+
 MOST_ERRORS = 5
+"""Most different errors of failed runs that are listed; the others are counted."""
+
 MOST_TICKS = 9
+"""With at most this many values of x each has a tick of its own; more would overlap."""
+
+HEIGHT_IN = 4.2
+"""Height of a figure, inches."""
 
 
 def write_figure_pages(study: Study, table: pa.Table, folder: Path) -> list[Path]:
     """Write `table.md`, and a PNG for each figure of the study that has anything to show.
+
+    Returns:
+        the figures and then the Markdown file.
 
     Raises:
         OutputError: a file could not be written.
@@ -51,9 +64,17 @@ def _save(figure: Figure, path: Path) -> Path:
 
 
 def draw_figure(model: FigureModel, rows: Sequence[Row], spec: StudySpec) -> Figure | None:
-    """A figure of the runs that went well: for each line and x the median, and the range; None without any.
+    """Draw a figure of a study: for each line and each x the median of the runs, and their range.
 
-    Where x is drawn at random, each run is a dot.
+    Where x is drawn at random, each run is a dot of its own.
+
+    Args:
+        model: the figure as the study's file describes it.
+        rows: rows of the table of runs without an error.
+        spec: the study.
+
+    Returns:
+        None if no run has both values.
     """
     shown = [
         row
@@ -62,7 +83,7 @@ def draw_figure(model: FigureModel, rows: Sequence[Row], spec: StudySpec) -> Fig
     ]
     if not shown:
         return None
-    figure = new_figure(4.2)
+    figure = new_figure(HEIGHT_IN)
     axes = figure.subplots()
     places = _places(axes, [row[model.x] for row in shown], log=model.x_log)
     lines = _distinct(row[model.lines] for row in shown) if model.lines else [None]
@@ -70,7 +91,7 @@ def draw_figure(model: FigureModel, rows: Sequence[Row], spec: StudySpec) -> Fig
         mine = [row for row in shown if model.lines is None or row[model.lines] == line]
         points = [(places[_hashable(row[model.x])], float(row[model.y])) for row in mine]
         style = {"color": UNIT_COLORS[index % len(UNIT_COLORS)], "marker": MARKS[index % len(MARKS)]}
-        _draw_points(axes, points, dots=model.x in spec.drawn, label=_word(line), **style)
+        _draw_points(axes, points, dots=model.x in spec.drawn, label=_text(line), **style)
     axes.set_title(model.title)
     axes.set_xlabel(model.x_label or model.x)
     axes.set_ylabel(model.y_label or field_label(model.y))
@@ -96,23 +117,26 @@ def _draw_points(axes: Axes, points: list[tuple[float, float]], *, dots: bool, *
 
 
 def _places(axes: Axes, values: Sequence[Any], *, log: bool) -> dict[Any, float]:
-    """Where values of x lie: numbers where they are, all else side by side under its name."""
+    """Where values of x lie on the axis: numbers at their value, others side by side, each with its name."""
     distinct = _distinct(values)
     if all(_is_number(value) for value in distinct):
         if log and distinct[0] > 0:
             axes.set_xscale("log")
         if len(distinct) <= MOST_TICKS:
-            axes.set_xticks(distinct, [_word(value) for value in distinct])
+            axes.set_xticks(distinct, [_text(value) for value in distinct])
             axes.xaxis.set_minor_formatter(NullFormatter())
         elif not log:
             axes.xaxis.set_major_formatter(ScalarFormatter())
         return {value: float(value) for value in distinct}
-    axes.set_xticks(range(len(distinct)), [_word(value) for value in distinct])
+    axes.set_xticks(range(len(distinct)), [_text(value) for value in distinct])
     return {_hashable(value): float(place) for place, value in enumerate(distinct)}
 
 
 def markdown_table(spec: StudySpec, table: pa.Table) -> str:
-    """A row for each combination of what is neither seed nor drawn: runs, failures, medians and ranges."""
+    """The table in Markdown: a row for each combination of parameters, with medians and ranges.
+
+    Runs that differ only in the seed or in parameters that are drawn at random share a row.
+    """
     keys = [key for key in spec.parameters if key != "seed" and key not in spec.drawn]
     keys = [*([SWEEP] if spec.sweeps else []), *keys]
     fields = [name for name in spec.fields if name not in keys]
@@ -130,7 +154,7 @@ def markdown_table(spec: StudySpec, table: pa.Table) -> str:
         good = [row for row in rows if row[ERROR] is None]
         lines.append(
             [
-                *(_word(rows[0][key]) for key in keys),
+                *(_text(rows[0][key]) for key in keys),
                 str(len(rows)),
                 str(len(rows) - len(good)),
                 *(_spread([row[name] for row in good]) for name in fields),
@@ -140,27 +164,27 @@ def markdown_table(spec: StudySpec, table: pa.Table) -> str:
 
 
 def field_label(name: str) -> str:
-    """A field of the summary in plain words, with its unit."""
+    """The label of a field of the summary, with its unit in brackets."""
     field = SUMMARY_FIELDS[name]
     unit = "rad" if field.kind == "angle" else field.unit
     return f"{field.label} ({unit})" if unit else field.label
 
 
 def _spread(values: list[Any]) -> str:
-    """Median and range of numbers, share of truths, all texts."""
+    """Values in one cell: median and range of numbers, the count of those that are true, or all texts."""
     known = [value for value in values if value is not None]
     if not known:
         return "–"
     if all(isinstance(value, bool) for value in known):
         return f"{sum(known)} of {len(known)}"
     if not all(_is_number(value) for value in known):
-        return ", ".join(map(_word, _distinct(known)))
-    low, middle, high = (_word(float(value)) for value in np.quantile(known, (0, 0.5, 1)))
+        return ", ".join(map(_text, _distinct(known)))
+    low, middle, high = (_text(float(value)) for value in np.quantile(known, (0, 0.5, 1)))
     return middle if low == high else f"{middle} ({low} to {high})"
 
 
 def complaints(table: pa.Table) -> list[str]:
-    """Each error of the failed runs, the commonest first."""
+    """The errors of failed runs as one Markdown list, the most frequent first; nothing if none failed."""
     errors = Counter(error for error in table[ERROR].to_pylist() if error is not None)
     lines = [f"- {count} failed: {error}" for error, count in errors.most_common(MOST_ERRORS)]
     more = len(errors) - len(lines)
@@ -185,7 +209,7 @@ def _hashable(value: Any) -> Any:
     return str(value) if isinstance(value, list | dict) else value
 
 
-def _word(value: Any) -> str:
+def _text(value: Any) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     return f"{value:.3g}" if isinstance(value, float) else "–" if value is None else str(value)

@@ -1,4 +1,4 @@
-"""One run of a study, from mission to values, without a file: what a worker does."""
+"""One run of a study on a worker: from the mission to the values that are kept, without any file."""
 
 from collections.abc import Sequence
 from time import perf_counter
@@ -14,14 +14,20 @@ from skyherd.loop import run_steps
 from skyherd.study.spec import CURVE, SUMMARY_FIELDS
 
 Outcome = dict[str, Any]
+"""What is kept of a run: `key`, `error`, fields of the summary, and arrays of the history."""
 
 
 def measure(key: str, mission: Mission, curves: Sequence[str]) -> Outcome:
-    """Run a mission on one thread.
+    """Run a mission on one thread; any exception becomes the outcome's error, so that other runs go on.
+
+    Args:
+        key: of the run.
+        mission: what to run.
+        curves: fields of `skyherd.analysis.history.History` to keep.
 
     Returns:
-        its `key`, its `error` (None if all went well), and then the summary's values, None for those that
-        the mission has not, and the named arrays of its history, as `history.NAME`.
+        `key`, `error` (None if there was none), the summary's values (None for those that the mission does
+        not have), and the named arrays of the history as `history.NAME`.
     """
     cv2.setNumThreads(1)
     started_s = perf_counter()
@@ -37,5 +43,5 @@ def measure(key: str, mission: Mission, curves: Sequence[str]) -> Outcome:
 
 
 def failure(key: str, error: str) -> Outcome:
-    """The outcome of a run that failed; the error in one line."""
+    """The outcome of a run that failed, its error as one line."""
     return {"key": key, "error": " ".join(error.split()) or "an error that says nothing"}

@@ -1,4 +1,4 @@
-"""A study's runs: what each is given, and the key under which its outcome is kept."""
+"""The runs of a study: the settings of each, and the key under which its outcome is kept."""
 
 import hashlib
 import json
@@ -25,7 +25,10 @@ from skyherd.study.spec import DrawModel, RandomModel, Study, SweepModel
 from skyherd.version import __version__
 
 Settings = dict[str, Any]
+"""Values that replace those of a scenario, by dotted key."""
+
 SHOWN_VALUE = 40
+"""Most characters of a value that are shown in a line about a run."""
 
 
 @dataclass(frozen=True)
@@ -34,9 +37,9 @@ class Run:
 
     Attributes:
         sweep: the sweep it belongs to.
-        settings: what is put over the scenario, by dotted key.
+        settings: values that replace those of the scenario, by dotted key.
         parameters: the scenario's values at all keys that vary in the study.
-        key: hash of all that its outcome follows from.
+        key: hash of everything that its outcome depends on.
     """
 
     sweep: str
@@ -45,26 +48,26 @@ class Run:
     key: str
 
     def text(self) -> str:
-        """What makes it differ from the others, in a line."""
+        """What makes the run differ from the others of its study, in a line."""
         values = ", ".join(f"{key}={_short(value)}" for key, value in self.parameters.items())
         return f"{self.sweep}: {values}" if self.sweep else values or "as the scenario has it"
 
 
 @dataclass(frozen=True)
 class Plan:
-    """All runs of a study, in its order: sweep by sweep, draw by draw, the last key of the grid fastest."""
+    """All runs of a study: sweep by sweep, draw by draw, and the last key of the grid changes fastest."""
 
     study: Study
     source: ScenarioSource
     runs: list[Run]
 
     def mission(self, run: Run) -> Mission:
-        """The mission of one of its runs."""
+        """Make the mission of one of the plan's runs."""
         return _mission(self.source, run.settings, self.study.where)
 
 
 def make_plan(study: Study) -> Plan:
-    """Check every run of a study, as its scenario would be checked.
+    """List the runs of a study, after each was checked as a scenario of its own would be.
 
     Raises:
         InputError: in one line, the file, the key, the value, and what is allowed.
@@ -78,14 +81,15 @@ def make_plan(study: Study) -> Plan:
             mission = _mission(source, settings, where)
             dump = mission.scenario.model_dump(mode="json")
             values = {key: _value(dump, key) for key in study.spec.parameters}
-            runs.append(Run(sweep.name, settings, values, mission_key(mission)))
+            runs.append(Run(sweep=sweep.name, settings=settings, parameters=values, key=mission_key(mission)))
     return Plan(study, source, runs)
 
 
 def mission_key(mission: Mission) -> str:
-    """Hash of all that a run follows from: the scenario, what its pictures say, and skyherd's version.
+    """Hash, 32 hexadecimal digits, of everything that a run depends on.
 
-    Where pictures lie and what a scenario says about itself do not count.
+    That is the scenario, the content of its pictures, and skyherd's version; the paths of the pictures and
+    the scenario's description do not count. Runs of different studies that are the same have the same key.
     """
     scenario = mission.scenario.model_dump(mode="json")
     scenario["description"] = scenario["template"]["image"] = scenario["ground"]["image"] = None
@@ -102,7 +106,7 @@ def mission_key(mission: Mission) -> str:
 
 
 def sweep_settings(sweep: SweepModel) -> Iterator[Settings]:
-    """What a sweep puts over the scenario, run by run; the same draws at every point of the grid."""
+    """Yield the settings of a sweep run by run; every point of the grid has the same random draws."""
     count = sweep.random.runs if sweep.random else 1
     for number in range(count):
         drawn = draw_settings(sweep.random, number) if sweep.random else {}
@@ -111,17 +115,20 @@ def sweep_settings(sweep: SweepModel) -> Iterator[Settings]:
 
 
 def draw_settings(random: RandomModel, number: int) -> Settings:
-    """Draw so many of each key. A stream of its own for each: more runs or keys change none of the others."""
+    """Draw number `number` of every key at random.
+
+    Each key has a random stream of its own, so that further runs or keys do not change the other draws.
+    """
 
     def stream(key: str) -> np.random.Generator:
-        word = int.from_bytes(hashlib.sha256(key.encode()).digest()[:8])
-        return np.random.default_rng([random.seed, number, word])
+        key_hash = int.from_bytes(hashlib.sha256(key.encode()).digest()[:8])
+        return np.random.default_rng([random.seed, number, key_hash])
 
     return {key: draw_value(model, stream(key)) for key, model in random.draw.items()}
 
 
 def draw_value(model: DrawModel, rng: np.random.Generator) -> Any:
-    """One value."""
+    """Draw one value of a parameter as its model says."""
     if model.choice is not None:
         return model.choice[draw_integer(rng, (0, len(model.choice) - 1))]
     if model.whole is not None:
@@ -150,7 +157,7 @@ def _mission(source: ScenarioSource, settings: Settings, where: str) -> Mission:
 
 
 def _value(dump: dict[str, Any], key: str) -> Any:
-    """A value of a checked scenario; None where another sweep's key leads nowhere in this one."""
+    """A value of a checked scenario; None where the key of another sweep does not exist in this one."""
     try:
         return get_value(dump, key)
     except (KeyError, IndexError, TypeError, ValueError):
@@ -162,6 +169,6 @@ def _pairs(points: np.ndarray) -> list[list[float]]:
 
 
 def _short(value: Any) -> str:
-    """A value in few letters."""
+    """A value as text of at most `SHOWN_VALUE` characters."""
     text = f"{value:.6g}" if isinstance(value, float) else str(value)
     return text if len(text) <= SHOWN_VALUE else f"{text[: SHOWN_VALUE - 1]}…"

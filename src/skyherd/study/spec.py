@@ -1,4 +1,4 @@
-"""The study file, key by key: what each means, and what is allowed."""
+"""The keys of study files: what each means, and what is allowed."""
 
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, Self
@@ -11,20 +11,26 @@ from skyherd.datasets import Model, built_in_names, built_in_text, first_error, 
 from skyherd.errors import InputError
 
 BUILT_IN = "skyherd.study.specs"
+"""Package whose TOML files are the built-in studies."""
+
 CURVE = "history."
-"""Before the name of a field of a run's history, an array over time."""
+"""Prefix of fields of a run's history, which are arrays over time, beside those of its summary."""
 
 REFERENCE = "reference"
+"""Name of the sweep of a study of cameras that the others are compared with."""
+
 RUN_KEYS = ("perception", "control.rectify", "seed")
-"""Grid keys of a study of cameras that are not of the camera."""
+"""Keys of the grid of a study of cameras that are no parameters of the camera."""
 
 INVARIANCE_KEEPS = ("goal_error_m", "shape_error", f"{CURVE}positions_m")
-
 METHODS_KEEPS = ("reached_s", "ready_s", "path_length_m", "min_gap_m", "collisions", "converged")
+"""Fields that studies with pages of the kinds `invariance` and `methods` must keep."""
+
 METHODS_START = "robots.scatter"
+"""The one key of the grid of a study with pages of the kind `methods`: how robots start."""
 
 SUMMARY_FIELDS = {field.key: field for group in GROUPS.values() for field in group if field.kind != "ids"}
-_KINDS = {"uniform", "log", "whole", "choice"}
+"""Fields of the summary that a study can keep, by key."""
 
 
 def _keys(tree: Any) -> Any:
@@ -33,7 +39,7 @@ def _keys(tree: Any) -> Any:
         return tree
     flat: dict[str, Any] = {}
     for key, value in tree.items():
-        if isinstance(value, dict) and not (value and value.keys() <= _KINDS):
+        if isinstance(value, dict) and not (value and value.keys() <= DrawModel.model_fields.keys()):
             flat |= {f"{key}.{rest}": leaf for rest, leaf in _keys(value).items()}
         else:
             flat[key] = value
@@ -45,7 +51,7 @@ def _kind(value: Any) -> Any:
 
 
 class DrawModel(Model):
-    """How a value is drawn: exactly one of these; a bare pair is `uniform`."""
+    """How the values of a key are drawn: exactly one of these; `[a, b]` alone is `uniform`."""
 
     uniform: tuple[FiniteFloat, FiniteFloat] | None = Field(None, description="[least, greatest]")
     log: tuple[FiniteFloat, FiniteFloat] | None = Field(
@@ -68,7 +74,7 @@ class DrawModel(Model):
 
 
 class RandomModel(Model):
-    """Random parameters: draw number i of a key follows from seed, i and key, and from nothing else."""
+    """Random parameters: draw number i of a key depends on seed, i and key alone."""
 
     runs: Annotated[int, Field(ge=1, le=1_000_000)] = Field(description="how many draws of all keys")
     seed: Annotated[int, Field(ge=0, lt=2**63)] = Field(1, description="of the draws")
@@ -78,7 +84,7 @@ class RandomModel(Model):
 
 
 class Parts(Model):
-    """What is put over the scenario; keys are those of scenario files, and `*` is every item of a list."""
+    """Values that replace those of the scenario, by its keys, in which `*` is every item of a list."""
 
     set: Annotated[dict[str, Any], BeforeValidator(_keys)] = Field({}, description="one value a key")
     grid: Annotated[dict[str, Annotated[list[Any], Field(min_length=1)]], BeforeValidator(_keys)] = Field(
@@ -88,7 +94,7 @@ class Parts(Model):
 
     @property
     def keys(self) -> list[str]:
-        """Every key that is put over the scenario."""
+        """Every key of the scenario that is replaced, in the order given."""
         return [*self.set, *self.grid, *(self.random.draw if self.random else ())]
 
     @model_validator(mode="after")
@@ -99,13 +105,13 @@ class Parts(Model):
 
 
 class SweepModel(Parts):
-    """One series of runs: put over what stands at the top of the study."""
+    """One series of runs; its keys replace those at the top of the study, which replace the scenario's."""
 
     name: str = Field(min_length=1, description="what the table calls it")
-    about: str = Field("", description="what it is, told on pages")
+    about: str = Field("", description="what it is, as pages say it")
 
     def over(self, top: Parts) -> "SweepModel":
-        """Itself, completed by the top's keys; its own go before."""
+        """The sweep with the keys of the top of the study added that it does not have itself."""
         mine = set(self.keys)
         random = self.random
         if random is None and top.random is not None:
@@ -137,7 +143,7 @@ class FigureModel(Model):
 
 
 class StudySpec(Parts):
-    """A study: a scenario, what varies, and what is kept of each run."""
+    """A study: a scenario, what varies between runs, and what is kept of each."""
 
     description: str = Field("", description="what it is for")
     scenario: str = Field(description="a built-in scenario, or a TOML file beside the study")
@@ -165,10 +171,11 @@ class StudySpec(Parts):
         names = [sweep.name for sweep in self.sweeps]
         if len(set(names)) < len(names):
             raise ValueError("sweeps: give each its own name")
+        varying = f"what does: {', '.join(self.parameters) or 'nothing'}"
         for figure in self.figures:
             for key in filter(None, (figure.x, figure.lines)):
                 if key not in self.parameters:
-                    raise ValueError(f"figure {figure.name}: {key!r} does not vary; {self._varying()}")
+                    raise ValueError(f"figure {figure.name}: {key!r} does not vary; {varying}")
             if figure.y not in self.fields:
                 raise ValueError(f"figure {figure.name}: {figure.y!r} is not kept; see keep")
             if figure.sweep is not None and figure.sweep not in names:
@@ -207,39 +214,36 @@ class StudySpec(Parts):
                 )
         return self
 
-    def _varying(self) -> str:
-        return f"what does: {', '.join(self.parameters) or 'nothing'}"
-
     @property
     def fields(self) -> list[str]:
-        """What is kept of the summary."""
+        """The fields of the summary that are kept."""
         return [name for name in self.keep if not name.startswith(CURVE)]
 
     @property
     def curves(self) -> list[str]:
-        """What is kept of the history, without its prefix."""
+        """The fields of the history that are kept, without their prefix."""
         return [name.removeprefix(CURVE) for name in self.keep if name.startswith(CURVE)]
 
     @property
     def all_sweeps(self) -> list[SweepModel]:
-        """Its sweeps, each complete; one without a name if the study has none."""
+        """The sweeps, each with the keys of the top added; one without a name if the study has none."""
         return [sweep.over(self) for sweep in self.sweeps or [SweepModel.model_construct(name="")]]
 
     @property
     def parameters(self) -> list[str]:
-        """Every key that differs between runs, in the order given."""
+        """Every key that may differ between runs, in the order given."""
         own = [key for sweep in self.sweeps for key in sweep.keys]
         drawn = self.random.draw if self.random else {}
         return list(dict.fromkeys([*self.grid, *drawn, *own]))
 
     @property
     def drawn(self) -> frozenset[str]:
-        """Keys that are drawn at random in some sweep."""
+        """The keys that are drawn at random in some sweep."""
         return frozenset(key for sweep in self.all_sweeps if sweep.random for key in sweep.random.draw)
 
 
 class Study(NamedTuple):
-    """A checked study: its name, its spec, what complaints call it, and the folder that it lies in."""
+    """A checked study: name, content, how errors refer to it, and the folder in which it lies."""
 
     name: str
     spec: StudySpec
@@ -253,12 +257,12 @@ def study_names() -> list[str]:
 
 
 def study_text(name: str) -> str:
-    """TOML text of a built-in study."""
+    """The TOML text of a built-in study; InputError if there is none of that name."""
     return built_in_text(BUILT_IN, name, "study")
 
 
 def load_study(name_or_file: str, *, quick: bool = False) -> Study:
-    """Read and check a built-in study or a TOML file, with what it says of `quick` put over it.
+    """Read and check a built-in study or a TOML file, with its table `quick` merged over it if asked.
 
     Raises:
         InputError: in one line, the file, the key, the value, and what is allowed.
@@ -280,7 +284,7 @@ def load_study(name_or_file: str, *, quick: bool = False) -> Study:
 
 
 def _merge(under: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
-    """Tables merge; all else is replaced."""
+    """Merge two trees: tables are merged, everything else is replaced."""
     merged = dict(under)
     for key, value in over.items():
         both = isinstance(value, dict) and isinstance(under.get(key), dict)

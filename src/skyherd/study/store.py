@@ -1,7 +1,7 @@
-"""Outcomes on disk: small Parquet files, each whole from the moment it has its name.
+"""Outcomes on disk: small Parquet files that are either whole or not there.
 
-A part is written under another name and then renamed, so that a kill at any instant costs at most what was
-not yet written. Parts are numbered, and a run's last outcome counts.
+A part is written under another name and then renamed, so that a process that is killed at any instant loses
+at most what it had not yet written. Parts are numbered, and the last outcome of a run counts.
 """
 
 from collections.abc import Iterator, Sequence
@@ -19,23 +19,31 @@ from skyherd.files.atomic import write_text, write_whole
 from skyherd.study.measure import Outcome
 
 PARTS, LOCK, MARK = "parts", ".lock", "study.json"
+"""Names in a study's folder: the folder of parts, the lock file, and the file that says which study it is."""
+
 KEY, ERROR = "key", "error"
+"""Columns that every outcome has."""
 
 
 class Store:
-    """The outcomes in a study's folder; `open_store` makes one to write to."""
+    """The outcomes in a study's folder. Only a store from `open_store` may be written to."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder / PARTS
 
     def append(self, outcomes: Sequence[Outcome]) -> None:
-        """Keep outcomes, in one file; OutputError if it cannot be written."""
+        """Write outcomes as one part; OutputError if it cannot be written."""
         names = dict.fromkeys(name for outcome in outcomes for name in outcome)
         columns = {name: [_plain(outcome.get(name)) for outcome in outcomes] for name in names}
         self._write(pa.table(columns))
 
     def keys(self, columns: Sequence[str] = (), *, failed: bool = True) -> set[str]:
-        """Runs whose outcome is there: with a value in all these columns, or with an error if `failed`."""
+        """Keys of the runs whose outcome is stored.
+
+        Args:
+            columns: only runs with a value in all of these.
+            failed: runs that ended with an error as well.
+        """
         table = self.read()
         if any(name not in table.column_names for name in columns):
             whole = [False] * table.num_rows
@@ -50,7 +58,7 @@ class Store:
         }
 
     def read(self) -> pa.Table:
-        """All outcomes, one row a run."""
+        """Read all outcomes, one row a run, the last one of each."""
         tables = [_read(path) for path in self._paths()]
         if not tables:
             return pa.table({KEY: pa.array([], pa.string()), ERROR: pa.array([], pa.string())})
@@ -59,7 +67,7 @@ class Store:
         return table.take(sorted(last.values()))
 
     def compact(self) -> None:
-        """Make one file of all: first written, then the others taken away, so that no row is ever missing."""
+        """Replace all parts by one, written before the others are removed, so that no row is missing."""
         paths = self._paths()
         if len(paths) > 1:
             self._write(self.read())
@@ -76,16 +84,16 @@ class Store:
 
 
 def write_parquet(table: pa.Table, path: Path) -> Path:
-    """Write a table, whole or not at all; OutputError if it cannot be."""
+    """Write a table to a Parquet file, whole or not at all; OutputError if it cannot be written."""
     return write_whole(path, lambda part: pq.write_table(table, part, compression="zstd"))
 
 
 @contextmanager
 def open_store(folder: Path, mark: str) -> Iterator[Store]:
-    """The store in a folder, for one process at a time; `mark` is kept beside it, as `study.json`.
+    """Open the store in a folder for one process at a time, and write `mark` to `study.json` beside it.
 
     Raises:
-        InputError: the folder holds something else, or another process is at it.
+        InputError: the folder holds something else, or another process uses it.
         OutputError: it cannot be written to.
     """
     if _is_foreign(folder):
@@ -119,7 +127,7 @@ def _read(path: Path) -> pa.Table:
 
 
 def _is_foreign(folder: Path) -> bool:
-    """Whether there is something that no study left."""
+    """Whether the folder has content that is not of a study."""
     if not folder.exists() or (folder / MARK).exists():
         return False
     return not folder.is_dir() or any(entry.name not in {LOCK, f".{MARK}.part"} for entry in folder.iterdir())

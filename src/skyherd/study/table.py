@@ -1,4 +1,4 @@
-"""The study's table: one row a run, in the study's order, with its parameters and what was kept of it."""
+"""The table of a study: one row a run, in the study's order, with its parameters and what was kept of it."""
 
 import json
 from pathlib import Path
@@ -13,12 +13,26 @@ from skyherd.study.spec import CURVE
 from skyherd.study.store import ERROR, KEY
 
 TABLE = "table.parquet"
+"""File name of the table, in the study's folder."""
+
 SWEEP = "sweep"
+"""Column of the sweep's name, in tables of studies that have sweeps."""
+
 Row = dict[str, Any]
+"""A row of the table, by column."""
 
 
 def make_table(plan: Plan, outcomes: pa.Table) -> pa.Table:
-    """Columns: `sweep` if there are sweeps, every parameter, every field kept, `error`, `key`."""
+    """Make a study's table of its outcomes.
+
+    Args:
+        plan: the study and its runs.
+        outcomes: one row for each of them, in any order; others are left out.
+
+    Returns:
+        a table with the columns `sweep` (if the study has sweeps), every parameter, every field kept,
+        `error`, `key`.
+    """
     place = {key: row for row, key in enumerate(outcomes[KEY].to_pylist())}
     rows = outcomes.take([place[run.key] for run in plan.runs])
     spec = plan.study.spec
@@ -31,7 +45,7 @@ def make_table(plan: Plan, outcomes: pa.Table) -> pa.Table:
 
 
 def read_table(folder: Path) -> pa.Table:
-    """The table of a study's folder.
+    """Read the table in the folder of a study that was finished.
 
     Raises:
         InputError: there is none, or it is damaged.
@@ -45,13 +59,13 @@ def read_table(folder: Path) -> pa.Table:
 
 
 def good_rows(table: pa.Table) -> list[Row]:
-    """The rows of runs that went well, without their arrays over time."""
+    """The rows of runs without an error, without their arrays over time."""
     names = [name for name in table.column_names if not name.startswith(CURVE)]
     return [row for row in table.select(names).to_pylist() if row[ERROR] is None]
 
 
 def _column(values: list[Any]) -> pa.Array:
-    """A column of values; as JSON where they have no type in common."""
+    """A column of values; as JSON texts where they have no common type."""
     if not any(isinstance(value, dict) for value in values):
         try:
             return pa.array(values)

@@ -1,1 +1,1 @@
-"""The annotated video of a run: its panels and how they are composed."""
+"""The annotated video of a run: panels of the cameras, of the ground and of curves, composed to frames."""

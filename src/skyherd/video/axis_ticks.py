@@ -1,4 +1,4 @@
-"""Axis ranges of the video's plots: round tick values, linear or by decades."""
+"""Ranges of the axes of the video's curves, and round values for their ticks, linear or logarithmic."""
 
 from dataclasses import dataclass
 
@@ -9,33 +9,45 @@ from skyherd.geometry import Array
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
+ROUNDING = 1e-9
+"""Values off a multiple of the step by this share of it still are that multiple."""
+
+LEAST_ROOM = 1e-9
+"""Least margin around values of a linear range, so that a constant has a range at all."""
+
+DECADES = 4
+"""Decades that a logarithmic range has at first. Chosen: a run's cost falls by about as much."""
+
+
 def tick_values(low: float, high: float, count: int) -> Array:
     """Multiples of 1, 2 or 5 times a power of ten in [low, high], about `count` of them."""
     rough = (high - low) / count
     steps = np.array([1.0, 2.0, 5.0, 10.0]) * 10.0 ** np.floor(np.log10(rough))
     step = steps[np.abs(np.log(steps / rough)).argmin()]
-    return np.asarray(np.arange(np.ceil(low / step - 1e-9), np.floor(high / step + 1e-9) + 1) * step + 0.0)
+    return np.asarray(
+        np.arange(np.ceil(low / step - ROUNDING), np.floor(high / step + ROUNDING) + 1) * step + 0.0
+    )
 
 
 @dataclass(frozen=True)
 class LinearRange:
-    """Values from `low` to `high`."""
+    """A linear axis from `low` to `high`."""
 
     low: float
     high: float
 
     @classmethod
     def around(cls, values: Array) -> "LinearRange":
-        """A range with room about the finite ones of `values`."""
+        """A range with a margin around the finite ones of `values`; 0 to 1 if there are none."""
         finite = values[np.isfinite(values)]
         if not finite.size:
             return cls(0.0, 1.0)
         low, high = float(finite.min()), float(finite.max())
-        room = max(0.25 * (high - low), 0.1 * abs(high), 1e-9)
+        room = max(0.25 * (high - low), 0.1 * abs(high), LEAST_ROOM)
         return cls(low - room, high + room)
 
     def place(self, values: Array) -> Array:
-        """Fractions of the axis, 0 at its low end."""
+        """Places of values (...) along the axis: 0 at its low end, 1 at its high end."""
         return np.asarray((values - self.low) / (self.high - self.low))
 
     def widened(self, values: Array) -> "LinearRange":
@@ -46,13 +58,13 @@ class LinearRange:
         return LinearRange.around(np.append(finite, [self.low, self.high]))
 
     def ticks(self) -> dict[float, str]:
-        """Values to mark and how to write them."""
+        """The values that have a tick, and their labels."""
         return {float(value): f"{value:g}" for value in tick_values(self.low, self.high, 5).round(12)}
 
 
 @dataclass(frozen=True)
 class LogRange:
-    """Values from `10**low` to `10**high`; smaller ones stay at the bottom."""
+    """A logarithmic axis from `10**low` to `10**high`, of `most` decades at most; less is at its bottom."""
 
     low: int
     high: int
@@ -60,13 +72,13 @@ class LogRange:
 
     @classmethod
     def around(cls, values: Array) -> "LogRange":
-        """Four decades down from the largest of `values`."""
+        """A range of `DECADES` decades up to the largest of `values`."""
         top = float(np.nanmax(values, initial=0.0))
         high = int(np.ceil(np.log10(top))) if top > 0 else 0
-        return cls(high - 4, high)
+        return cls(high - DECADES, high)
 
     def place(self, values: Array) -> Array:
-        """Fractions of the axis, 0 at its low end."""
+        """Places of values along the axis: 0 at its low end, 1 at its high end."""
         exponents = np.log10(np.maximum(values, 10.0**self.low))
         return np.asarray((exponents - self.low) / (self.high - self.low))
 
@@ -80,7 +92,7 @@ class LogRange:
         return self if (low, high) == (self.low, self.high) else LogRange(low, high, self.most)
 
     def ticks(self) -> dict[float, str]:
-        """Values to mark and how to write them."""
+        """The values that have a tick, and their labels."""
         step = 1 if self.high - self.low <= 6 else 2
         exponents = range(self.high, self.low - 1, -step)
         return {10.0**power: "10" + str(power).translate(_SUPERSCRIPTS) for power in exponents}

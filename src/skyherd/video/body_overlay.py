@@ -15,19 +15,20 @@ BODY: Color = (222, 226, 231)
 BODY_RIM: Color = (164, 170, 178)
 STONE: Color = (190, 195, 201)
 STRUCK: Color = (247, 205, 208)
-"""Fills of what is kept clear, a body, an obstacle, and whatever overlaps; that one's rim is WARNING."""
+"""Colours: room kept clear, a body and its rim, an obstacle, and a body that overlaps, whose rim is
+WARNING."""
 
 HATCH_PX = 7.0
-"""Between the lines over an obstacle."""
+"""Distance between the lines of an obstacle's hatching."""
 
 
 @dataclass(frozen=True)
 class BodySizes:
-    """What is known of bodies, in marker sides.
+    """Sizes of robots and obstacles, in marker sides.
 
     Attributes:
-        radius: of the robots' bodies; 0 for points.
-        safety: of the discs that are kept apart: a body and half of the margin; 0 where nothing is kept.
+        radius: radius of the robots' bodies; 0 for points.
+        safety: radius of the discs that do not overlap, a body and half of the margin; 0 without avoidance.
         obstacles: radius of each obstacle, by id.
     """
 
@@ -37,7 +38,7 @@ class BodySizes:
 
     @classmethod
     def of(cls, mission: Mission) -> "BodySizes":
-        """The bodies of a mission."""
+        """The sizes of a mission's bodies."""
         scenario = mission.scenario
         radius, rule = scenario.robots.body_radius_sides, scenario.avoidance
         safety = radius + rule.margin_sides / 2 if rule.on and radius else 0.0
@@ -45,13 +46,13 @@ class BodySizes:
 
 
 def overlapping_ids(mission: Mission, positions_m: Array) -> frozenset[int]:
-    """Robots and obstacles whose bodies overlap another's, robots at positions (N, 2)."""
+    """Ids of robots and obstacles whose bodies overlap, with robots at positions (N, 2), metres."""
     everybody = np.concatenate([mission.ids, mission.obstacle_ids])
     return frozenset(everybody[mission.bodies.overlapping(positions_m)].ravel().tolist())
 
 
 def draw_bodies(image: Image, centers: Array, radius_px: float, struck: BoolArray) -> None:
-    """Discs of bodies (N,); those that overlap stand out."""
+    """Draw bodies as discs around centres (N, 2), px; those that overlap (N,) have a warning colour."""
     for center, is_struck in zip(centers.tolist(), struck.tolist(), strict=True):
         draw_circle(image, center, radius_px, STRUCK if is_struck else BODY, -1)
         if not is_struck:
@@ -61,19 +62,22 @@ def draw_bodies(image: Image, centers: Array, radius_px: float, struck: BoolArra
 
 
 def draw_warning(image: Image, center: list[float], radius_px: float) -> None:
-    """A thick rim about a body that overlaps another."""
+    """Draw a thick rim around a body that overlaps another."""
     draw_circle(image, center, radius_px + 2, rgb(PAPER), 7)
     draw_circle(image, center, radius_px + 2, rgb(WARNING), 4)
 
 
 def draw_safety(image: Image, centers: Array, radii_px: Array, color: Color = BODY_RIM) -> None:
-    """Dashed circles (N,): the room that is kept clear."""
+    """Draw the room that is kept clear as dashed circles, px, around centres (N, 2) with radii (N,)."""
     for center, radius_px in zip(centers, radii_px.tolist(), strict=True):
         draw_lines(image, circle_dashes(center, radius_px, 4.0), color, 1)
 
 
 def draw_obstacle(image: Image, center: Array, radius_px: float, inner_px: float, *, struck: bool) -> None:
-    """A hatched disc with a dark rim; nothing within `inner_px`, where a picture has the marker."""
+    """Draw an obstacle as a hatched disc with a dark rim.
+
+    Nothing is drawn within `inner_px` of its centre, so that a marker in a camera's picture stays visible.
+    """
     if not inner_px:
         draw_circle(image, center.tolist(), radius_px, STRUCK if struck else STONE, -1)
     else:

@@ -1,4 +1,4 @@
-"""What one aerial unit sees and wants: its image, its robots, and where it asks them to go."""
+"""The panel of one aerial unit: its camera image, the robots in it, and where it wants them to go."""
 
 import cv2
 import numpy as np
@@ -27,27 +27,32 @@ from skyherd.messages.tree_status import TreeStatus
 from skyherd.video.body_overlay import BodySizes, draw_obstacle, draw_safety, draw_warning
 
 TITLE_PX = 26
+"""Height of the title above the image."""
+
 BORDER_PX = 3
+"""Width of the frame around the image, in the unit's colour."""
+
 PLAIN: Color = (236, 237, 233)
-"""Ground colour where there is no picture."""
+"""Colour of the ground where no image was rendered."""
 
 FOREIGN: Color = (78, 83, 90)
-"""Marks of robots that the unit sees and does not control."""
+"""Colour of the rings around robots that the unit sees and does not control."""
 
 CLEAR_SIDES = 0.95
-"""Nothing is drawn over an obstacle's marker and card, within so many marker sides of its middle."""
+"""Radius, in marker sides, around an obstacle's centre in which nothing is drawn: its marker and card."""
 
 RING_PX = 4
-"""From a robot's ring to the one of the units it is shared with."""
+"""Distance from a robot's ring to the outer one, of the units that it is shared with."""
 
 LIFT = 0.7
-"""Exponent of the display curve of camera images: brightens mid greys, so that colours stand out."""
+"""Exponent of the display curve of camera images. Below 1 it brightens mid greys, so that colours stand
+out."""
 
 _CURVE = np.rint(255 * (np.arange(256) / 255) ** LIFT).astype(np.uint8)
 
 
-def _standing(tree: TreeStatus | None) -> str:
-    """What a title says of the unit's standing in the tree."""
+def _tree_text(tree: TreeStatus | None) -> str:
+    """What a title says about the unit's place in the tree."""
     if tree is None:
         return ""
     if tree.tree_id == NO_ID:
@@ -56,7 +61,7 @@ def _standing(tree: TreeStatus | None) -> str:
 
 
 def brightened(image: Image) -> Image:
-    """A camera's image as it is shown."""
+    """A grey camera image with the display curve of exponent `LIFT` applied."""
     return np.asarray(cv2.LUT(image, _CURVE), dtype=np.uint8)
 
 
@@ -64,11 +69,11 @@ class CameraPanel:
     """Draws one unit's frames into its cell of the canvas: a title, and the image below it.
 
     Args:
-        unit: whose images they are.
+        unit: number of the unit.
         cell: the part of the canvas to draw in.
         image_size_px: width and height of the unit's images.
         radius: safety radius, in halves of the image's shorter side.
-        bodies: how large robots and obstacles are.
+        bodies: sizes of robots and obstacles; points if None.
     """
 
     def __init__(
@@ -83,13 +88,20 @@ class CameraPanel:
         width, height = image_size_px
         room = np.array([cell.shape[1], cell.shape[0] - TITLE_PX]) - 2 * BORDER_PX
         self.scale = float(min(room / (width, height)))
-        shown = Box(BORDER_PX, TITLE_PX + BORDER_PX, int(width * self.scale), int(height * self.scale))
+        shown = Box(
+            left=BORDER_PX,
+            top=TITLE_PX + BORDER_PX,
+            width=int(width * self.scale),
+            height=int(height * self.scale),
+        )
         self._title = cell[:TITLE_PX]
         self._picture = shown.of(cell)
         self._grey = np.empty((shown.height, shown.width), np.uint8)
         center_px = self.to_panel(np.array([(width - 1) / 2, (height - 1) / 2]))
         self._circle = circle_dashes(center_px, radius * min(width, height) / 2 * self.scale)
-        self._frame = Box(0, TITLE_PX, shown.width + 2 * BORDER_PX, shown.height + 2 * BORDER_PX).of(cell)
+        self._frame = Box(
+            left=0, top=TITLE_PX, width=shown.width + 2 * BORDER_PX, height=shown.height + 2 * BORDER_PX
+        ).of(cell)
         self._is_dead = False
         self._show_nothing(self.color)
         self._write_title(f"unit {unit} · no image yet")
@@ -99,7 +111,13 @@ class CameraPanel:
         return np.asarray((points_px + 0.5) * self.scale - 0.5)
 
     def draw(self, frame: UnitFrame, sets: ControlSets, struck: frozenset[int] = frozenset()) -> None:
-        """Draw a frame, given which robots each unit controls, and whose bodies overlap."""
+        """Draw a frame: picture, rings, bodies, goals and ids.
+
+        Args:
+            frame: the unit's image and decision.
+            sets: the robots that each unit controls, by unit.
+            struck: ids of robots and obstacles whose bodies overlap.
+        """
         if self._is_dead:
             self._show_nothing(self.color)
             self._is_dead = False
@@ -107,8 +125,8 @@ class CameraPanel:
         stones = np.array(list(self.bodies.obstacles), dtype=np.int64)
         robots = seen.select(np.setdiff1d(seen.ids, stones))
         controlled = report.controlled_ids
-        held, standing = f"unit {self.unit} · {controlled.size} controlled", _standing(report.tree)
-        self._write_title(f"{held} · {len(robots)} seen{standing}", f"{held}{standing}")
+        controls, in_tree = f"unit {self.unit} · {controlled.size} controlled", _tree_text(report.tree)
+        self._write_title(f"{controls} · {len(robots)} seen{in_tree}", f"{controls}{in_tree}")
         self._draw_image(frame)
         plain = frame.sight.image is None
         color = rgb(MUTED if plain else PAPER)
@@ -129,7 +147,7 @@ class CameraPanel:
         return list(seen.reshape(len(self._circle), -1, 2))
 
     def draw_dead(self) -> None:
-        """Show that the unit is dead."""
+        """Show that the unit is in an outage, until the next frame of it is drawn."""
         if not self._is_dead:
             self._is_dead = True
             self._show_nothing(rgb(MUTED))

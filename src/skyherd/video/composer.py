@@ -1,4 +1,4 @@
-"""A run as a moving picture: what the cameras see, the ground from above, and the cost going down."""
+"""Frames of the video: camera images, the ground from above, and curves of cost and scale, side by side."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,14 +18,23 @@ from skyherd.video.legend import draw_legend, legend_height_px
 from skyherd.video.rectified_panel import RectifiedPanel
 
 HEADER_PX = 46
+"""Height of the line with name, time and figures at the top."""
+
 PLOTS_SHARE = 0.25
+"""Height of the curves at the bottom, as a share of the frame's."""
+
 CAMERAS_SHARE = 0.62
+"""Largest width of the block of cameras, as a share of the frame's; the ground has the rest."""
+
 STRIPS_PX = (0, *range(80, 320, 24))
-"""Heights that are tried for a strip with the key below the cameras; 0 is none."""
+"""Heights that are tried for a strip with the legend below the cameras; 0 is no strip."""
 
 GAP_PX = 14
+"""Distance between panels."""
+
 MUCH_LARGER = 1.2
-"""Cameras in a wide block must gain this much, since it leaves less to the ground and more paper bare."""
+"""Factor by which cameras must become larger for their block to have a further column, since a wide block
+leaves less width to the ground and more of the frame empty."""
 
 MOST_RECTIFIED = 3
 """With more units than this there is no room for rectified images."""
@@ -39,7 +48,15 @@ LEAST_COST = 1e-9
 
 @dataclass(frozen=True)
 class Layout:
-    """Where everything is on the canvas: cells of cameras and of their images rectified, and the rest."""
+    """Where everything is on the canvas.
+
+    Attributes:
+        cameras: a cell for each camera image.
+        rectified: a cell for each rectified image; none if these are not shown.
+        key: the legend.
+        ground: the ground from above.
+        plots: the curves of the cost, and of the scales.
+    """
 
     cameras: list[Box]
     rectified: list[Box]
@@ -56,10 +73,18 @@ def make_layout(
     bodies: bool = False,
     rectified: bool = False,
 ) -> Layout:
-    """Cameras in a near-square block on the left, the ground beside it, the plots below.
+    """Lay out a frame: cameras in a near-square block on the left, the ground beside it, the curves below.
 
-    With rectified images there is a column for each camera. The key goes where the block's last row has
-    room to spare, or else below the block.
+    With rectified images there is a column for each camera. The legend is put where the last row of the block
+    has room to spare, or else below the block. Of all blocks in which it fits, that with the largest images
+    is chosen.
+
+    Args:
+        size_px: width and height of the frame.
+        image_sizes_px: width and height of each camera's images.
+        tree: the legend has the symbols of the tree of units.
+        bodies: the legend has the symbols of bodies.
+        rectified: show the rectified images as well.
     """
     width, height = size_px
     units, square = len(image_sizes_px), int(np.ceil(np.sqrt(len(image_sizes_px))))
@@ -80,12 +105,17 @@ def make_layout(
         (GAP_PX + k % columns * pitch_u, HEADER_PX + k // columns * pitch_v)
         for k in range(len(image_sizes_px))
     ]
-    cells = [Box(u, v, pitch_u - GAP_PX, pitch_v - GAP_PX) for u, v in corners]
+    cells = [Box(left=u, top=v, width=pitch_u - GAP_PX, height=pitch_v - GAP_PX) for u, v in corners]
     left = 2 * GAP_PX + columns * pitch_u
-    ground = Box(left, HEADER_PX, width - left - GAP_PX, bottom - HEADER_PX)
+    ground = Box(left=left, top=HEADER_PX, width=width - left - GAP_PX, height=bottom - HEADER_PX)
     half = (width - 3 * GAP_PX) // 2
-    plots = tuple(Box(u, bottom + 4, half, height - bottom - 4) for u in (GAP_PX, width - GAP_PX - half))
-    return Layout(cells[:units], cells[units:], key, ground, (plots[0], plots[1]))
+    plots = tuple(
+        Box(left=u, top=bottom + 4, width=half, height=height - bottom - 4)
+        for u in (GAP_PX, width - GAP_PX - half)
+    )
+    return Layout(
+        cameras=cells[:units], rectified=cells[units:], key=key, ground=ground, plots=(plots[0], plots[1])
+    )
 
 
 def _block(
@@ -111,17 +141,24 @@ def _block(
     pitch_u, pitch_v = int(wide) + frame + GAP_PX, int(wide / aspect) + TITLE_PX + frame + GAP_PX
     below = HEADER_PX + rows * pitch_v
     if strip_px:
-        key = Box(GAP_PX, below - GAP_PX // 2, columns * pitch_u - GAP_PX, bottom - below)
+        key = Box(
+            left=GAP_PX, top=below - GAP_PX // 2, width=columns * pitch_u - GAP_PX, height=bottom - below
+        )
     else:
         filled = units - (rows - 1) * columns
         left = GAP_PX + filled * pitch_u
-        key = Box(left, below - pitch_v, (columns - filled) * pitch_u - GAP_PX, pitch_v - GAP_PX)
+        key = Box(
+            left=left,
+            top=below - pitch_v,
+            width=(columns - filled) * pitch_u - GAP_PX,
+            height=pitch_v - GAP_PX,
+        )
     fits = wide > 0 and key.width > 0 and legend_height_px(key.width, tree=tree, bodies=bodies) <= key.height
     return (pitch_u, pitch_v, columns, key) if fits else None
 
 
 class Composer:
-    """Makes a picture of each step of a mission; give it the steps in order.
+    """Composes a frame of the video for each step of a mission, which must come in the order of time.
 
     Args:
         mission: what is run.
@@ -169,7 +206,7 @@ class Composer:
             self._cameras[unit].draw(frame, step.control_sets, struck)
             if self._rectified:
                 self._rectified[unit].draw(frame)
-        self._ground.draw(step, self._tree.see(step, dead), struck)
+        self._ground.draw(step, self._tree.add(step, dead), struck)
         seen = step.metrics
         cost = np.append(seen.V, seen.V_units)
         self._cost.add(step.time_s, np.where(cost > LEAST_COST, cost, np.nan))
@@ -189,7 +226,7 @@ class Composer:
         )
 
     def _draw_header(self, step: Step) -> None:
-        """What is run, on the left; how it goes, in columns that stay in place, on the right."""
+        """The mission on the left; its figures on the right, in columns that stay in place."""
         header = self._canvas[:HEADER_PX]
         header[:] = rgb(PAPER)
         scenario, middle = self.mission.scenario, HEADER_PX / 2

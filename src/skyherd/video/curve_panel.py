@@ -1,4 +1,4 @@
-"""Curves that grow with time: drawn once, then only added to."""
+"""Curves over time that grow from frame to frame: only what is new is drawn, unless the axis must change."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,7 +14,10 @@ TITLE_PX = 28
 LEFT_PX = 52
 RIGHT_PX = 14
 BOTTOM_PX = 40
+"""Margins of the field of the curves: title above, labels to the left and below."""
+
 GRID: Color = (232, 233, 231)
+"""Colour of the grid."""
 
 
 @dataclass(frozen=True)
@@ -46,12 +49,15 @@ class CurvePanel:
         self._times_s: list[float] = []
         self._values: list[Array] = []
         box = Box(
-            LEFT_PX, TITLE_PX, panel.shape[1] - LEFT_PX - RIGHT_PX, panel.shape[0] - TITLE_PX - BOTTOM_PX
+            left=LEFT_PX,
+            top=TITLE_PX,
+            width=panel.shape[1] - LEFT_PX - RIGHT_PX,
+            height=panel.shape[0] - TITLE_PX - BOTTOM_PX,
         )
         self._field = box.of(panel)
 
     def add(self, time_s: float, values: Array) -> None:
-        """Draw the curves on to `values` (C,), NaN where there is none; all anew if they do not fit."""
+        """Extend the curves by values (C,), NaN where there is none; draw all anew if they do not fit."""
         self._times_s.append(time_s)
         self._values.append(values)
         axis = self._kind.around(values) if self._range is None else self._range.widened(values)

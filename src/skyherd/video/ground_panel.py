@@ -1,4 +1,4 @@
-"""The ground from above, as only the simulation knows it: robots, units, what they see, and the shape."""
+"""The panel of the ground from above: true places of robots and units, their fields of view, the shape."""
 
 import numpy as np
 from scipy.spatial.distance import pdist, squareform
@@ -30,22 +30,35 @@ from skyherd.video.tree_overlay import TreeOverlay, draw_dead, draw_pair_marks
 TITLE_PX = 26
 LEFT_PX = 34
 BOTTOM_PX = 22
+"""Margins of the map: title above, labels of the axes to the left and below."""
+
 FIELD: Color = (248, 248, 246)
 GRID: Color = (228, 229, 226)
 FAINT: Color = (206, 209, 212)
+"""Colours of the map, of its grid, and of the paths of the whole run."""
+
 TAILS: tuple[tuple[int, Color], ...] = ((60, (184, 188, 193)), (30, (150, 156, 163)), (12, (112, 119, 128)))
-"""Last steps of a path, and the colour they are drawn in over the faint whole."""
+"""Numbers of last steps of a path, and the colours in which they are drawn over the faint path of the whole
+run."""
 
 LABEL_SPOTS = np.array([[33.0, 0.0], [-33.0, 0.0], [0.0, -18.0], [0.0, 18.0]])
+"""Places of a unit's name around its cross, u and v, the preferred one first."""
+
 LABEL_ROOM_PX = np.array([34.0, 18.0])
-"""What is nearer than this to the middle of a unit's name is in its way."""
+"""What is nearer than this to the middle of a unit's name, along u and v, would be covered by it."""
 
 EXCHANGE_S = 2.0
-"""How long a place in the shape is shown as new to its robot."""
+"""Simulated time for which a robot's place in the shape is shown as newly exchanged."""
+
+LEAST_EXTENT_M = 1e-3
+"""Least extent of the view, so that a single robot that does not move has one at all."""
 
 MARGIN_PX = 16.0
+"""Least distance of robots and units from the edge of the map."""
+
 SPACING_PX = 64.0
-"""The view shows the footprints as long as neighbouring robots are typically this far apart in it."""
+"""The view widens to show all fields of view, but only as far as neighbouring robots stay this far apart in
+the median."""
 
 
 def _spacing_m(positions_m: Array) -> float:
@@ -66,7 +79,12 @@ class GroundPanel:
     def __init__(self, mission: Mission, panel: Image) -> None:
         self.mission, self._panel = mission, panel
         self._cameras = [unit.camera.make() for unit in mission.scenario.units]
-        box = Box(LEFT_PX, TITLE_PX, panel.shape[1] - LEFT_PX, panel.shape[0] - TITLE_PX - BOTTOM_PX)
+        box = Box(
+            left=LEFT_PX,
+            top=TITLE_PX,
+            width=panel.shape[1] - LEFT_PX,
+            height=panel.shape[0] - TITLE_PX - BOTTOM_PX,
+        )
         self._field = box.of(panel)
         self._paper = np.empty_like(self._field)
         self._past_m: list[Array] = []
@@ -84,7 +102,13 @@ class GroundPanel:
     def draw(
         self, step: Step, tree: TreeSnapshot | None = None, struck: frozenset[int] = frozenset()
     ) -> None:
-        """Draw the ground at one step, with the tree of units if they have one, and whose bodies overlap."""
+        """Draw the ground at one step.
+
+        Args:
+            step: the next one in the order of time.
+            tree: the tree of units, if they form one.
+            struck: ids of robots and obstacles whose bodies overlap.
+        """
         self._write_title(tree)
         corners_m = [footprint_m(c, step.fleet.pose(u)) for u, c in enumerate(self._cameras)]
         self._past_m.append(np.concatenate([step.positions_m, step.fleet.positions_m]))
@@ -107,13 +131,13 @@ class GroundPanel:
         self._draw_units(step, tree)
 
     def _write_title(self, tree: TreeSnapshot | None) -> None:
-        """What is shown, on the left, and how the tree stands, on the right."""
+        """The title on the left, and the state of the tree on the right."""
         self._title[:] = rgb(PAPER)
         title = "the ground from above · axes in metres" if tree is None else "the ground, metres"
         draw_text(self._title, title, (LEFT_PX, TITLE_PX / 2), rgb(INK), size_px=15)
         if tree is not None:
             right = self._title.shape[1] - 2, TITLE_PX / 2
-            draw_text(self._title, _standing(tree), right, rgb(INK), size_px=13, bold=True, align="right")
+            draw_text(self._title, _tree_text(tree), right, rgb(INK), size_px=13, bold=True, align="right")
 
     def _in_view(self, points_m: Array) -> bool:
         if self._px_per_m == 0:
@@ -127,7 +151,7 @@ class GroundPanel:
         room = np.array([self._field.shape[1], self._field.shape[0]]) - 2 * MARGIN_PX
         past = np.concatenate(self._past_m)
         low, high = past.min(axis=0), past.max(axis=0)
-        middle, least = (low + high) / 2, 0.55 * np.maximum(high - low, 1e-3)
+        middle, least = (low + high) / 2, 0.55 * np.maximum(high - low, LEAST_EXTENT_M)
         most = np.maximum(
             least, room * _spacing_m(self._past_m[-1][: self.mission.ids.size]) / SPACING_PX / 2
         )
@@ -248,14 +272,14 @@ class GroundPanel:
             draw_text(self._field, str(robot_id), (u, v), rgb(INK), size_px=11, bold=True, align="center")
 
 
-def _standing(tree: TreeSnapshot) -> str:
-    """How the tree stands, in a few words."""
+def _tree_text(tree: TreeSnapshot) -> str:
+    """The state of the tree in a few words."""
     living = len(tree.members) + len(tree.unjoined)
-    said = [f"{len(tree.members)} of {living} units in the tree"]
+    parts = [f"{len(tree.members)} of {living} units in the tree"]
     if not tree.ready:
-        said.append("robots wait")
+        parts.append("robots wait")
     if tree.dead:
-        said.append("dead: " + ", ".join(str(unit) for unit in sorted(tree.dead)))
+        parts.append("dead: " + ", ".join(str(unit) for unit in sorted(tree.dead)))
     if tree.missing_ids:
-        said.append("missing: " + ", ".join(str(robot) for robot in sorted(tree.missing_ids)))
-    return " · ".join(said)
+        parts.append("missing: " + ", ".join(str(robot) for robot in sorted(tree.missing_ids)))
+    return " · ".join(parts)

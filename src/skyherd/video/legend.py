@@ -1,4 +1,4 @@
-"""The key to the symbols of the video."""
+"""The legend of the video: its symbols, and what they mean."""
 
 from collections.abc import Callable
 
@@ -22,11 +22,16 @@ from skyherd.video.camera_panel import FOREIGN
 from skyherd.video.tree_overlay import FLASH, draw_dead, draw_link, draw_turn
 
 SYMBOL_PX = 38
+"""Width that a symbol takes."""
+
 ROW_PX, TIGHT_PX, MANY = 23, 21, 12
-"""Height of a row; and of one in a key of more than so many symbols."""
+"""Height of a row; the lower one in a legend of more than `MANY` symbols."""
 
 TEXT_PX = 12
+"""Size of the text."""
+
 FIRST, SECOND = unit_rgb(0), unit_rgb(1)
+"""Colours of the two units that the symbols are drawn with."""
 
 
 def _mine(image: Image, u: float, v: float) -> None:
@@ -75,6 +80,7 @@ ITEMS: tuple[tuple[Callable[[Image, float, float], None], str], ...] = (
     (_shape, "its place in the shape"),
     (_unit, "unit and its view"),
 )
+"""Symbols of every video: the function that draws one around a point (u, v), and its meaning."""
 
 
 def _edge(image: Image, u: float, v: float) -> None:
@@ -102,6 +108,7 @@ TREE_ITEMS: tuple[tuple[Callable[[Image, float, float], None], str], ...] = (
     (_granted, "edge that one unit knows"),
     (_dead, "dead unit"),
 )
+"""Further symbols where units form a tree."""
 
 
 def _safety(image: Image, u: float, v: float) -> None:
@@ -128,6 +135,7 @@ BODY_ITEMS: tuple[tuple[Callable[[Image, float, float], None], str], ...] = (
     (_obstacle, "obstacle"),
     (_exchanged, "place just exchanged"),
 )
+"""Further symbols where robots have bodies, or may exchange their places."""
 
 
 def _items(*, tree: bool, bodies: bool) -> tuple[tuple[Callable[[Image, float, float], None], str], ...]:
@@ -135,7 +143,7 @@ def _items(*, tree: bool, bodies: bool) -> tuple[tuple[Callable[[Image, float, f
 
 
 def legend_height_px(width_px: int, *, tree: bool = False, bodies: bool = False) -> int:
-    """Height of the key in a panel of some width."""
+    """Height, px, that the legend takes in a panel of this width, px."""
     _, rows, row_px = _grid(width_px, tree=tree, bodies=bodies)
     return rows * row_px
 
@@ -149,7 +157,13 @@ def _grid(width_px: int, *, tree: bool, bodies: bool) -> tuple[float, int, int]:
 
 
 def draw_legend(panel: Image, *, tree: bool = False, bodies: bool = False) -> None:
-    """Draw the key, with the symbols of tree and bodies if asked, in as few rows as there is room for."""
+    """Draw the legend into a panel, in as many columns as there is room for.
+
+    Args:
+        panel: the part of the canvas to draw in.
+        tree: with the symbols of the tree of units.
+        bodies: with the symbols of bodies.
+    """
     items = _items(tree=tree, bodies=bodies)
     pitch, rows, row_px = _grid(panel.shape[1], tree=tree, bodies=bodies)
     for k, (draw, text) in enumerate(items):

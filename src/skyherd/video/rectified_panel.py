@@ -1,4 +1,4 @@
-"""A unit's image as it would be under an ideal camera, by the map that the unit has learned."""
+"""The panel of a unit's image as an ideal camera would take it, by the map that the unit has learned."""
 
 import cv2
 import numpy as np
@@ -25,14 +25,15 @@ from skyherd.video.camera_panel import BORDER_PX, PLAIN, TITLE_PX, brightened
 Float = npt.NDArray[np.float32]
 
 KNOT_PX = 8
-"""The map is computed so far apart on the panel, and linear between: right to a tenth of its pixels."""
+"""Distance on the panel between points at which the map is computed; it is linear between them, which is
+right to a tenth of a pixel of the panel."""
 
 
 class RectifiedPanel:
     """Draws one unit's frames, rectified, into its cell of the canvas: a title, and the image below it.
 
     Args:
-        unit: whose images they are.
+        unit: number of the unit.
         cell: the part of the canvas to draw in.
         image_size_px: width and height of the unit's images.
     """
@@ -42,9 +43,16 @@ class RectifiedPanel:
         room = np.array([cell.shape[1], cell.shape[0] - TITLE_PX]) - 2 * BORDER_PX
         self.unit, self.color, self.size_px = unit, unit_rgb(unit), np.array(image_size_px)
         self.scale = float(min(room / (width, height)))
-        shown = Box(BORDER_PX, TITLE_PX + BORDER_PX, int(width * self.scale), int(height * self.scale))
+        shown = Box(
+            left=BORDER_PX,
+            top=TITLE_PX + BORDER_PX,
+            width=int(width * self.scale),
+            height=int(height * self.scale),
+        )
         self._title, self._picture = cell[:TITLE_PX], shown.of(cell)
-        Box(0, TITLE_PX, shown.width + 2 * BORDER_PX, shown.height + 2 * BORDER_PX).of(cell)[:] = self.color
+        Box(left=0, top=TITLE_PX, width=shown.width + 2 * BORDER_PX, height=shown.height + 2 * BORDER_PX).of(
+            cell
+        )[:] = self.color
         self._picture[:] = PLAIN
         self._write_title("rectified · no image yet")
 
@@ -53,7 +61,7 @@ class RectifiedPanel:
         return np.asarray((points_px + 0.5) * self.scale - 0.5)
 
     def draw(self, frame: UnitFrame) -> None:
-        """Draw a frame: markers are squares of one size here, if the map is right."""
+        """Draw a frame. All markers are squares of one size in it if the map is right."""
         seen = frame.sight.detections
         robots = frame.decision.detections
         self._write_title(*_titles(seen, robots, learned=not frame.decision.ground_map.ideal))

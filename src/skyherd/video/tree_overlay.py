@@ -1,4 +1,4 @@
-"""The tree of units drawn over the ground: edges, shared pairs, whose turn it is, what was just exchanged."""
+"""The tree of units over the ground: edges, shared pairs, the unit whose turn it is, and new pairs."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -11,16 +11,18 @@ from skyherd.drawing.palette import INK, MUTED, PAPER, rgb, unit_rgb
 from skyherd.geometry import Array, IntArray
 
 FLASH_S = 2.0
-"""How long an exchanged pair is shown as new."""
+"""Simulated time for which an exchanged pair is shown as new."""
 
 FLASH: Color = (255, 205, 40)
+"""Colour behind a new pair and its edge."""
+
 TURN_AT = 0.28
-"""Where on an edge the mark of the turn is, from the unit that has it."""
+"""Place on an edge of the mark of the turn, as a share of its length from the unit that has the turn."""
 
 
 @dataclass
 class TreeOverlay:
-    """Draws the tree of each step; `ids` are the robots in the order of their places."""
+    """Draws the tree step by step, in the order of time; `ids` (N,) are the robots, ascending."""
 
     ids: IntArray
     _pairs: dict[Ends, tuple[int, ...]] = field(default_factory=dict, init=False)
@@ -29,8 +31,8 @@ class TreeOverlay:
     def draw_edges(
         self, image: Image, tree: TreeSnapshot, units: Array, robots: Array, time_s: float
     ) -> None:
-        """Edges between the units' places (U, 2), with the pairs among the robots' places (N, 2)."""
-        self._watch(tree, time_s)
+        """Draw the edges between units at (U, 2), and their pairs among robots at (N, 2), all in pixels."""
+        self._note_changes(tree, time_s)
         for ends, link in tree.links.items():
             places = units[list(ends)]
             if not link.is_mutual or not link.pair:
@@ -46,8 +48,8 @@ class TreeOverlay:
         for unit, asked in tree.asks.items():
             draw_segments(image, *dashes(units[[unit]], units[[asked]], 3.0), unit_rgb(unit), 1)
 
-    def _watch(self, tree: TreeSnapshot, time_s: float) -> None:
-        """Note pairs that are not what they were."""
+    def _note_changes(self, tree: TreeSnapshot, time_s: float) -> None:
+        """Note since when each edge has the pair that it has."""
         pairs = {ends: link.pair for ends, link in tree.links.items() if link.pair}
         for ends, pair in pairs.items():
             if self._pairs.get(ends) != pair:
@@ -56,7 +58,7 @@ class TreeOverlay:
 
 
 def draw_link(image: Image, units: Array, pair: Array, ends: Ends) -> None:
-    """An edge, half in each unit's colour, and thin lines by way of the two robots that it shares."""
+    """Draw an edge, half in each unit's colour, and thin lines from both units to the shared robots."""
     colors = [unit_rgb(unit) for unit in ends]
     middle = units.mean(axis=0)
     for unit, color in zip(units, colors, strict=True):
@@ -67,7 +69,7 @@ def draw_link(image: Image, units: Array, pair: Array, ends: Ends) -> None:
 
 
 def draw_turn(image: Image, at: Sequence[float], color: Color) -> None:
-    """The mark of the turn, in the colour of the unit that has it."""
+    """Draw the mark of the turn, in the colour of the unit that has it."""
     draw_circle(image, at, 6.5, rgb(PAPER), -1)
     draw_circle(image, at, 5.0, color, -1)
     draw_circle(image, at, 5.0, rgb(INK), 1)
@@ -76,7 +78,7 @@ def draw_turn(image: Image, at: Sequence[float], color: Color) -> None:
 def draw_pair_marks(
     image: Image, links: Mapping[Ends, Link], ids: IntArray, robots: Array, radius: float
 ) -> None:
-    """Second, outer rings around shared robots, in the colours of the two units."""
+    """Draw a second, outer ring around each shared robot, in the colours of its two units."""
     for ends, link in links.items():
         if not link.is_mutual:
             continue
@@ -91,7 +93,7 @@ def _flash(image: Image, pair: Array) -> None:
 
 
 def draw_dead(image: Image, at: Sequence[float], size_px: float, color: Color) -> None:
-    """A slanted cross: something that is dead."""
+    """Draw a slanted cross of half the width `size_px`: a unit in an outage."""
     u, v = at
     s = size_px
     cross = [[[u - s, v - s], [u + s, v + s]], [[u - s, v + s], [u + s, v - s]]]

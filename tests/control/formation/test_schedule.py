@@ -11,7 +11,7 @@ from skyherd.datasets.generated.crowded_missions import crowded_mission
 from skyherd.errors import InputError
 from skyherd.loop import run_steps
 from skyherd.recording.reader import read_recording
-from skyherd.recording.writer import Recorder
+from skyherd.recording.writer import McapRecorder
 
 IDS = np.arange(3)
 FIRST, SECOND, THIRD = (Template(IDS, np.array([0, 1, z])) for z in (1j, 2j, 3j))
@@ -75,7 +75,7 @@ def test_a_team_forms_one_shape_and_then_the_other(two_shapes) -> None:
 def test_a_recording_has_the_roles_and_all_shapes(two_shapes, tmp_path) -> None:
     """Read back, the run is the same, to its summary: what is drawn later knows who went where."""
     mission, steps = two_shapes
-    with Recorder(tmp_path / "run.mcap", mission) as recorder:
+    with McapRecorder(tmp_path / "run.mcap", mission) as recorder:
         for step in steps:
             recorder.write(step)
         recorder.finish(30.0, 1.0)

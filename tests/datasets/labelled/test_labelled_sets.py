@@ -51,11 +51,12 @@ def test_another_seed_is_another_set(made):
 
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_resumed_equals_uninterrupted(made, tmp_path, jobs):
-    def stop(count):
-        raise KeyboardInterrupt
+    class Interrupt:
+        def update(self, *args):
+            raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        make_dataset(spec_of(), tmp_path, jobs=jobs, on_images=stop)
+        make_dataset(spec_of(), tmp_path, jobs=jobs, progress=Interrupt())
     begun = contents(tmp_path)
     pictures = [name for name in begun if name.endswith(".png")]
     assert 0 < len(pictures) < 10 + jobs  # two processes may have been done by then

@@ -1,14 +1,24 @@
-"""What a study of cameras measured, sweep by sweep: goals, paths and shape, beside what geometry predicts.
+"""What a study of cameras measured, sweep by sweep, and what geometry predicts for it.
 
-Lengths are in marker sides. With x the robots' places and x* those of the reference's run, in which an ideal
-camera sees exactly, of a run are measured
+The control law does not depend on the camera as long as the image is a similarity of the ground (Property 1:
+square pixels, no distortion, a vertical optical axis). A study of cameras tests that, and shows how much is
+lost outside this class and how much of it rectification brings back. Each sweep changes one parameter of the
+camera; robots, start and gains are the same in all runs.
 
-    goals   max |x^d - x^d of the truth|    over robots and images: `goal_error_m`
+Three numbers are measured for each run. Lengths are divided by the side of a marker. x are the robots'
+places, x^d the desired points, and x* the places in the reference's run, where an ideal camera gives exact
+detections:
+
+    goals   max |x^d - x^d of the truth|    over robots and images (`goal_error_m` of the run's summary)
     paths   max |x - x*|                    over robots and time
-    shape   the final shape error.
+    shape   the shape error at the end
 
-Predicted for a camera that is taken as ideal: the template is fitted to the image of the start, and seen on
-the ground through the true camera; its distance from the fit on the ground, and its own shape error.
+The same numbers are predicted without a run (`predict`): the template is fitted to the first image of the
+camera as if the camera were ideal, and the fitted points are projected to the ground through the true camera.
+Their distance from the template fitted on the ground itself is the predicted error of the goals; their own
+deviation from the shape is the predicted shape error. The file `plots.py` draws both, and `page.py` writes
+them down. `skyherd.analysis.goal_points` computes the `goal_error_m` of a run, since that needs the true
+camera and the true places.
 """
 
 from collections.abc import Iterable, Mapping
@@ -21,21 +31,27 @@ import pyarrow as pa
 from skyherd.analysis.goal_points import desired_on_ground
 from skyherd.datasets import Mission
 from skyherd.errors import DegenerateSetError, InputError
-from skyherd.geometry import Array, IntArray, apply_homography, inverse, to_complex, to_points
+from skyherd.geometry import Array, apply_homography, inverse, to_complex, to_points
 from skyherd.messages import VelocityCommand
 from skyherd.render import homography_image_ground, project, undistort
 from skyherd.sim.physics import make_world
 from skyherd.sim.truth_metrics import fit_shape
-from skyherd.study.plan import Plan, Run
+from skyherd.study.plan import Plan
 from skyherd.study.spec import CURVE, REFERENCE, RUN_KEYS, SweepModel
 from skyherd.study.store import ERROR
 from skyherd.study.table import SWEEP
 
 IDEAL, NOISY, RENDERED = "ideal", "noisy", "rendered"
+"""Kinds of perception of a scenario: exact projection, the same with the detector's noise, and rendered
+images."""
+
 INSTANTS = 25
-"""At so many instants a camera that moves is asked for its prediction."""
+"""Number of instants, evenly spread over a run, at which a prediction is made for a camera that
+moves. Chosen: more instants come nearer to the largest error in between, and cost time in proportion."""
 
 CAMERA = "units.0.camera"
+"""Key of the one camera of these studies in their scenario."""
+
 PROPERTY_1 = frozenset(
     {
         "units.0.height_m",
@@ -47,7 +63,8 @@ PROPERTY_1 = frozenset(
         *(f"{CAMERA}.principal_point_px.{axis}" for axis in (0, 1)),
     }
 )
-"""Keys that may have any value within Property 1's class, as long as the camera is otherwise in it."""
+"""Keys that leave a camera in Property 1's class whatever their value, as long as no other key takes it
+out."""
 
 LABELS: Mapping[str, str] = {
     "units.0.height_m": "height (m)",
@@ -65,17 +82,25 @@ LABELS: Mapping[str, str] = {
     f"{CAMERA}.distortion.k1": "distortion k1",
     f"{CAMERA}.zoom_k1": "k1 gained by a doubling of the zoom",
 }
+"""Labels of the figures' horizontal axes by key, with units. A key that is not here is its own label."""
 
 
 class Measures(NamedTuple):
-    """Goals and paths in marker sides, and the shape error; NaN where there is none."""
+    """The three numbers of one run, or of its prediction; NaN where one is not known.
+
+    Attributes:
+        goals: largest error of a desired point, marker sides.
+        paths: largest distance of a robot from its path in the reference's run, marker sides.
+        shape: shape error at the end, a share of the formation's RMS radius.
+    """
 
     goals: float
     paths: float
     shape: float
 
 
-NOTHING = Measures(np.nan, np.nan, np.nan)
+UNKNOWN = Measures(goals=np.nan, paths=np.nan, shape=np.nan)
+"""The measures of a run that was not made."""
 
 
 @dataclass(frozen=True)
@@ -83,9 +108,10 @@ class Point:
     """One value of a sweep's parameter.
 
     Attributes:
-        value: of the parameter, a number or a word.
-        runs: measures of each run, by perception and whether it rectified.
-        predicted: from geometry, for a camera taken as ideal.
+        value: the parameter's value, as a number or, where it is a table or a text, as a text.
+        runs: measures of each run, by kind of perception and by whether the controller rectified its
+            detections.
+        predicted: what geometry predicts for a camera that is taken as ideal.
     """
 
     value: float | str
@@ -93,21 +119,21 @@ class Point:
     predicted: Measures
 
     def worst(self, perception: str, *, rectified: bool) -> Measures:
-        """The largest of each measure over the runs."""
-        runs = np.array(self.runs.get((perception, rectified), [NOTHING]))
+        """The largest value of each measure over the seeds of one kind of run; all NaN if there was none."""
+        runs = np.array(self.runs.get((perception, rectified), [UNKNOWN]))
         return Measures(*(float(np.max(column)) for column in runs.T))
 
 
 @dataclass(frozen=True)
 class Sweep:
-    """One parameter over its values.
+    """One parameter of the camera over its values.
 
     Attributes:
-        name: as the study has it.
-        label: of the parameter, with its unit.
-        inside: whether all its cameras are in Property 1's class.
-        points: in the study's order.
-        noise: what the detector's noise alone does at the reference.
+        name: the sweep's name in the study's file.
+        label: the parameter's label on axes, with its unit.
+        inside: whether all cameras of the sweep are in Property 1's class.
+        points: its values, in the study's order.
+        noise: measures of the reference's run with nothing but the detector's noise.
     """
 
     name: str
@@ -117,21 +143,28 @@ class Sweep:
     noise: Measures
 
     def worst(self, perception: str, *, rectified: bool) -> Measures:
-        """The largest of each measure over all values."""
+        """The largest value of each measure over all points; NaN in a measure that no point has."""
         return _largest(point.worst(perception, rectified=rectified) for point in self.points)
 
     def predicted(self) -> Measures:
-        """The largest of each prediction over all values."""
+        """The largest value of each prediction over all points."""
         return _largest(point.predicted for point in self.points)
 
     def floors(self) -> list[Measures]:
-        """What the detector's noise alone does, at each value; at the reference where that was not run."""
+        """Measures with the detector's noise alone at each point; the reference's where that was not run."""
         own = [point.worst(NOISY, rectified=False) for point in self.points]
         return [self.noise if np.isnan(floor.shape) else floor for floor in own]
 
 
 def make_sweeps(plan: Plan, table: pa.Table) -> list[Sweep]:
-    """The sweeps of a study of cameras, but its reference; runs that failed are left out.
+    """Compare the runs of a study of cameras with its reference, and with what geometry predicts.
+
+    Args:
+        plan: the study and its runs.
+        table: the study's table, with the columns that `skyherd.study.spec.INVARIANCE_KEEPS` names.
+
+    Returns:
+        the sweeps in the study's order, without the reference. Runs that failed are left out.
 
     Raises:
         InputError: the reference's run failed.
@@ -143,7 +176,8 @@ def make_sweeps(plan: Plan, table: pa.Table) -> list[Sweep]:
             plan.study.where, "the reference's run failed", "see table.md; --retry makes it again"
         )
     paths_m = exact[0][CURVE + "positions_m"]
-    measured = {row["key"]: _measures(plan.mission(run), row, paths_m) for run, row in _paired(plan, rows)}
+    runs = {run.key: run for run in plan.runs}
+    measured = {row["key"]: _measures(plan.mission(runs[row["key"]]), row, paths_m) for row in rows}
     noise = _largest(
         measured[row["key"]] for row in rows if row[SWEEP] == REFERENCE and row["perception"] == NOISY
     )
@@ -155,16 +189,27 @@ def make_sweeps(plan: Plan, table: pa.Table) -> list[Sweep]:
 
 
 def own_key(sweep: SweepModel) -> str:
-    """The parameter that a sweep is about."""
+    """The key of the camera that a sweep changes; the rest of its grid is perception, rectification, seed."""
     return next(key for key in sweep.grid if key not in RUN_KEYS)
 
 
 def predict(mission: Mission) -> Measures:
-    """Largest displacement of the goals while robots stand at the start, and the shape's error at the end."""
+    """What geometry predicts for a mission whose first camera is taken as ideal, without a run.
+
+    The robots stand still at the start while the camera moves as it would. At `INSTANTS` instants the
+    template is fitted to their exact image, and the fitted image points are projected to the ground through
+    the true camera.
+
+    Returns:
+        the largest distance of these points from the template fitted on the ground, in marker sides; NaN for
+        the paths; and the shape error that the last ones have. All NaN if a camera's ray does not reach the
+        ground.
+    """
     world, scenario = make_world(mission), mission.scenario
     template = mission.template.points_of(mission.ids)
     true = desired_on_ground(template.conj(), to_complex(mission.positions_m))
-    step_s, still = scenario.duration_s / (INSTANTS - 1), _stand(mission.ids)
+    step_s = scenario.duration_s / (INSTANTS - 1)
+    still = VelocityCommand(mission.ids, np.zeros(mission.ids.size), np.zeros(mission.ids.size))
     goals, shape = np.zeros(INSTANTS), float("nan")
     for tick in range(INSTANTS):
         camera, pose = world.cameras[0], world.camera_pose(0)
@@ -172,16 +217,12 @@ def predict(mission: Mission) -> Measures:
         try:
             wanted = undistort(camera, pose.zoom, to_points(desired_on_ground(template, seen)))
         except (InputError, DegenerateSetError):
-            return NOTHING
+            return UNKNOWN
         ground = to_complex(apply_homography(inverse(homography_image_ground(camera, pose)), wanted))
         goals[tick] = np.abs(ground - true).max()
         shape = fit_shape(template.conj(), ground).error
         world.advance(still, tick * step_s, step_s)
-    return Measures(float(goals.max()) / scenario.marker.side_m, float("nan"), shape)
-
-
-def _stand(ids: IntArray) -> VelocityCommand:
-    return VelocityCommand(ids, np.zeros(ids.size), np.zeros(ids.size))
+    return Measures(goals=float(goals.max()) / scenario.marker.side_m, paths=float("nan"), shape=shape)
 
 
 def _rows(table: pa.Table) -> list[dict[str, Any]]:
@@ -192,16 +233,11 @@ def _rows(table: pa.Table) -> list[dict[str, Any]]:
     return [row for row in rows if row[ERROR] is None]
 
 
-def _paired(plan: Plan, rows: list[dict[str, Any]]) -> Iterable[tuple[Run, dict[str, Any]]]:
-    runs = {run.key: run for run in plan.runs}
-    return ((runs[row["key"]], row) for row in rows)
-
-
 def _measures(mission: Mission, row: dict[str, Any], paths_m: Array) -> Measures:
     side_m, error_m = mission.scenario.marker.side_m, row["goal_error_m"]
     off_m = np.linalg.norm(row[CURVE + "positions_m"] - paths_m, axis=-1).max()
     goals = float("nan") if error_m is None else error_m / side_m
-    return Measures(goals, float(off_m) / side_m, row["shape_error"])
+    return Measures(goals=goals, paths=float(off_m) / side_m, shape=row["shape_error"])
 
 
 def _sweep(sweep: SweepModel, plan: Plan, measured: Mapping[str, Measures], noise: Measures) -> Sweep:
@@ -217,18 +253,18 @@ def _sweep(sweep: SweepModel, plan: Plan, measured: Mapping[str, Measures], nois
             if run.key in measured:
                 runs.setdefault(kind, []).append(measured[run.key])
         points.append(Point(_shown(value), runs, predict(plan.mission(here[0]))))
-    return Sweep(sweep.name, LABELS.get(key, key), inside, points, noise)
+    return Sweep(name=sweep.name, label=LABELS.get(key, key), inside=inside, points=points, noise=noise)
 
 
 def _shown(value: Any) -> float | str:
-    """A value as an axis has it."""
+    """A parameter's value as an axis shows it: a number, the name of a preset, or any other value's text."""
     if isinstance(value, int | float):
         return float(value)
     return str(value.get("preset", value)) if isinstance(value, dict) else str(value)
 
 
 def _largest(measures: Iterable[Measures]) -> Measures:
-    columns = np.array(list(measures) or [NOTHING], dtype=float).T
+    columns = np.array(list(measures) or [UNKNOWN], dtype=float).T
     return Measures(
         *(float(np.nanmax(column)) if np.isfinite(column).any() else float("nan") for column in columns)
     )

@@ -1,4 +1,4 @@
-"""The figure of a study of formation controllers: time, way and room, method below method."""
+"""The figure of a study of formation controllers: success, time, path length and gap, a row a method."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -12,15 +12,23 @@ from matplotlib.ticker import LogLocator, NullLocator, ScalarFormatter
 from skyherd.drawing.palette import INK, MUTED, UNIT_COLORS
 from skyherd.geometry import Array
 from skyherd.plots.style import legend_above, new_figure
-from skyherd.study.methods import Method, Outcomes
+from skyherd.study.methods.outcomes import Method, Outcomes
 
 MARKS = "osD^vPX<"
+"""Matplotlib markers of the kinds of start, in the study's order, beside their colours."""
+
 SPREAD = 0.62
-"""Height that the starts of one method take, of the room between two methods."""
+"""Height over which the starts of one method are spread, as a share of the distance between two methods.
+Chosen: towards 1 the last start of a method lies as near to the next method as to its own, towards 0 the
+markers of the starts overlap."""
 
 
 def draw_methods(methods: Sequence[Method]) -> Figure:
-    """Panels of the share that formed the shape, of time, way and least gap: median and range a start."""
+    """Draw panels with a row a method: share of runs that formed the shape, time, path length, least gap.
+
+    Each kind of start has a colour and a marker, at the median of its runs; a line goes from the least value
+    to the greatest.
+    """
     starts = list(methods[0].outcomes)
     figure = new_figure(1.6 + 0.52 * len(methods), 12.0)
     panels: Sequence[Axes] = figure.subplots(1, 4, sharey=True, width_ratios=[0.62, 1, 1, 1])
@@ -36,6 +44,13 @@ def draw_methods(methods: Sequence[Method]) -> Figure:
             _range(panels[1], place, runs.times_s, style)
             _range(panels[2], place, runs.paths_m, style)
             _range(panels[3], place, runs.gaps_m, style)
+    _finish_panels(panels, methods)
+    legend_above(figure, _handles(starts), columns=4)
+    return figure
+
+
+def _finish_panels(panels: Sequence[Axes], methods: Sequence[Method]) -> None:
+    """Labels, grids and limits of the four panels."""
     labels = ("formed the shape (%)", "time to 1 % (s)", "way of all robots (m)", "least gap (m)")
     for axes, label in zip(panels, labels, strict=True):
         axes.set_xlabel(label)
@@ -52,8 +67,6 @@ def draw_methods(methods: Sequence[Method]) -> Figure:
     panels[3].set_title("touching, left of the line", fontsize="small")
     panels[0].set_yticks(range(len(methods)), [method.name for method in methods])
     panels[0].set_ylim(len(methods) - 0.5, -0.5)
-    legend_above(figure, _handles(starts), columns=4)
-    return figure
 
 
 def _share(runs: Outcomes) -> float:
@@ -65,7 +78,7 @@ def _dot(axes: Axes, place: float, value: float, style: dict[str, Any]) -> None:
 
 
 def _range(axes: Axes, place: float, values: Array, style: dict[str, Any]) -> None:
-    """Median, and a line from the least to the greatest; nothing of values that are not known."""
+    """Draw the median, and a line from the least value to the greatest; nothing if all are NaN."""
     known = values[np.isfinite(values)]
     if known.size:
         axes.plot([known.min(), known.max()], [place, place], color=style["color"], linewidth=1.2, alpha=0.7)

@@ -1,7 +1,6 @@
-"""The page of formation controllers, and its tables in Markdown."""
+"""Page and Markdown of a study of formation controllers: `methods.html` and `table.md`."""
 
 from collections.abc import Sequence
-from html import escape
 from pathlib import Path
 
 import numpy as np
@@ -11,24 +10,34 @@ from skyherd.files.atomic import write_text
 from skyherd.geometry import Array, BoolArray
 from skyherd.plots.panels import save_figure
 from skyherd.plots.style import drawing_style
-from skyherd.report.pages import figure_card, html_page, wide_table
+from skyherd.report.pages import figure_card, render_page
 from skyherd.study.figures import MARKDOWN, complaints
-from skyherd.study.methods import Method, make_methods
-from skyherd.study.methods_plot import draw_methods
+from skyherd.study.methods.outcomes import Method, make_methods
+from skyherd.study.methods.plots import draw_methods
 from skyherd.study.spec import Study
 from skyherd.version import __version__
 
 PAGE = "methods.html"
+"""File name of the page, in the study's folder."""
+
 HEAD = ("method", "formed", "collided", "robots wait (s)", "time to 1 % (s)", "way (m)", "least gap (m)")
+"""Columns of the tables, in the order of `cells`."""
+
 CAPTION = (
     "Median of each kind of start, and a line from the least to the greatest. Times count from when robots"
     " may move, and are those of runs that formed the shape. Gaps are between bodies."
 )
+"""Caption of the figure."""
+
 UNKNOWN = "–"
+"""What a table has where no run has a value."""
 
 
 def write_methods(study: Study, table: pa.Table, folder: Path) -> list[Path]:
-    """Write page, Markdown and figure of a study of methods.
+    """Write page, Markdown and figure of a study of methods into its folder.
+
+    Returns:
+        the page and the Markdown file.
 
     Raises:
         OutputError: a file could not be written.
@@ -40,15 +49,16 @@ def write_methods(study: Study, table: pa.Table, folder: Path) -> list[Path]:
             draw_methods(methods), folder / "figures", "methods", "On the same starts", CAPTION
         )
     starts = list(methods[0].outcomes)
-    page = html_page(
+    page = render_page(
         "skyherd.study",
-        "methods",
-        "Methods",
-        description=escape(study.spec.description),
-        figure=figure_card(figure),
-        needs="\n".join(_need(method) for method in methods),
-        tables="\n".join(_table(start, methods) for start in starts),
-        version=escape(__version__),
+        PAGE,
+        title="Methods",
+        description=study.spec.description,
+        figures=[figure_card(figure)],
+        methods=methods,
+        head=HEAD,
+        tables=[{"start": start, "rows": [cells(method, start) for method in methods]} for start in starts],
+        version=__version__,
     )
     parts = [f"# {study.name}", study.spec.description, *(markdown(start, methods) for start in starts)]
     text = "\n\n".join([*parts, *complaints(table)]) + "\n"
@@ -56,7 +66,10 @@ def write_methods(study: Study, table: pa.Table, folder: Path) -> list[Path]:
 
 
 def cells(method: Method, start: str) -> list[str]:
-    """One row: the method's name, shares of its runs, and medians with the greatest or least."""
+    """A method's row of the table of one start, in the order of `HEAD`.
+
+    Shares are written as `3 of 4`, times and lengths as the median and the range, such as `7 (6 to 8)`.
+    """
     runs = method.outcomes[start]
     return [
         method.name,
@@ -70,7 +83,7 @@ def cells(method: Method, start: str) -> list[str]:
 
 
 def markdown(start: str, methods: Sequence[Method]) -> str:
-    """One start's table."""
+    """The table of one start in Markdown, a row a method."""
     lines = [list(HEAD), ["---"] * len(HEAD), *(cells(method, start) for method in methods)]
     rows = "\n".join(f"| {' | '.join(line)} |" for line in lines)
     return f"Each robot {start}:\n\n{rows}"
@@ -87,12 +100,3 @@ def _spread(values: Array) -> str:
         return UNKNOWN
     low, middle, high = (f"{value:.3g}".replace("-", "−") for value in np.quantile(known, (0, 0.5, 1)))
     return middle if low == high else f"{middle} ({low} to {high})"
-
-
-def _need(method: Method) -> str:
-    return f"<dt>{escape(method.name)}</dt><dd>{escape(method.needs)}</dd>"
-
-
-def _table(start: str, methods: Sequence[Method]) -> str:
-    table = wide_table(f"Robots {start}", HEAD, [cells(method, start) for method in methods])
-    return f"<section>\n<h2>Each robot {escape(start)}</h2>\n{table}\n</section>"

@@ -1,4 +1,4 @@
-"""Figures of a study of cameras: goals, paths and shape over one parameter."""
+"""Figures of a study of cameras: errors of goals, paths and shape over one parameter of the camera."""
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -13,17 +13,25 @@ from matplotlib.ticker import LogLocator, NullLocator
 from skyherd.drawing.palette import INK, MUTED, UNIT_COLORS
 from skyherd.plots.panels import FigureFile, save_figure
 from skyherd.plots.style import drawing_style, legend_above, new_figure
-from skyherd.study.invariance import IDEAL, RENDERED, Measures, Point, Sweep
+from skyherd.study.invariance.measures import IDEAL, RENDERED, Measures, Point, Sweep
 
 PANELS = (
     ("goals", "goals: displacement (marker sides)"),
     ("paths", "paths: deviation (marker sides)"),
     ("shape", "final shape error"),
 )
+"""Panels of a figure from left to right: the field of `Measures`, and the panel's title."""
+
 LEAST = 1e-6
-"""Smaller values are drawn here: rounding, where nothing errs."""
+"""Smaller values are drawn here, at the bottom of the logarithmic axes. Chosen: it is far above the rounding
+of exact images and below the detector's noise, so that neither hides the other."""
+
+MOST_TICKS = 6
+"""With at most this many values of the parameter each has a tick of its own; more would overlap."""
 
 AS_SEEN, RECTIFIED = UNIT_COLORS[1], UNIT_COLORS[0]
+"""Colours of runs without and with rectification."""
+
 KINDS: tuple[tuple[str, bool, str, dict[str, Any]], ...] = (
     (IDEAL, False, "as seen, exact", {"color": AS_SEEN, "ls": ":", "marker": "s", "mfc": "white", "ms": 7}),
     (RENDERED, False, "as seen, rendered", {"color": AS_SEEN, "ls": "-", "marker": "s", "ms": 4.5}),
@@ -35,11 +43,13 @@ KINDS: tuple[tuple[str, bool, str, dict[str, Any]], ...] = (
     ),
     (RENDERED, True, "rectified, rendered", {"color": RECTIFIED, "ls": "-", "marker": "o", "ms": 4.5}),
 )
+"""Lines of a panel: kind of perception, whether rectified, name in the legend, and the style of the line."""
+
 PREDICTED: dict[str, Any] = {"color": INK, "ls": (0, (5, 3)), "lw": 1.2}
 
 
 def draw_sweeps(sweeps: Iterable[Sweep], folder: Path) -> list[FigureFile]:
-    """A figure for each sweep, as PNG and SVG.
+    """Draw a figure for each sweep into a folder, as PNG and SVG, in the order of the sweeps.
 
     Raises:
         OutputError: a file could not be written.
@@ -59,30 +69,30 @@ def draw_sweeps(sweeps: Iterable[Sweep], folder: Path) -> list[FigureFile]:
 
 
 def caption(sweep: Sweep) -> str:
-    """What a sweep's figure shows."""
+    """The caption of a sweep's figure: which parameter, and whether the cameras are in Property 1's class."""
     where = "Inside" if sweep.inside else "Outside"
     return f"{where} Property 1's class: {sweep.label}. The worst of the seeds at each value."
 
 
 def draw_sweep(sweep: Sweep) -> Figure:
-    """Three panels over the parameter's values, the worst run of each."""
+    """Draw errors of goals, paths and shape over the parameter's values, of the worst seed at each value."""
     figure = new_figure(3.7, 11.0)
     panels: Sequence[Axes] = figure.subplots(1, 3)
-    places, words = _places(sweep.points)
+    places, labels = _places(sweep.points)
     for axes, (field, title) in zip(panels, PANELS, strict=True):
         _draw_panel(axes, sweep, field, places)
         axes.set_title(title)
         axes.set_xlabel(sweep.label)
-        if words:
-            axes.set_xticks(places, words, rotation=35, ha="right")
-        elif len(places) <= 6:
+        if labels:
+            axes.set_xticks(places, labels, rotation=35, ha="right")
+        elif len(places) <= MOST_TICKS:
             axes.set_xticks(places, [f"{place:g}" for place in places])
     legend_above(figure, _handles(), columns=6)
     return figure
 
 
 def _places(points: Sequence[Point]) -> tuple[list[float], list[str]]:
-    """Where values lie along the axis, and their words, if they are no numbers."""
+    """Where values lie along the axis, and the texts of their ticks if they are no numbers."""
     values = [point.value for point in points]
     numbers = [value for value in values if not isinstance(value, str)]
     if len(numbers) == len(values):

@@ -1,0 +1,1 @@
+"""A study of formation controllers: several control laws compared on the same starts."""

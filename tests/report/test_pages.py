@@ -1,0 +1,57 @@
+"""The template engine of the pages: whatever is inserted is escaped, and markup is in templates alone."""
+
+import ast
+from importlib.resources import files
+from pathlib import Path
+
+import jinja2
+import pytest
+
+import skyherd
+from skyherd.report.pages import data_uri, render_page
+
+TEMPLATES = {"skyherd.report": "report.html", "skyherd.bench": "bench.html"} | {
+    f"skyherd.study:{kind}": f"{kind}.html" for kind in ("invariance", "methods")
+}
+HOSTILE = '<script>alert(1)</script> & "quoted" {{ title }}'
+
+
+@pytest.mark.parametrize(("package", "template"), TEMPLATES.items())
+def test_every_page_extends_the_base_and_leaves_escaping_to_the_engine(package: str, template: str) -> None:
+    text = files(package.partition(":")[0]).joinpath("templates", template).read_text("utf-8")
+    assert '{% extends "base.html" %}' in text
+    assert "safe" not in text and "autoescape" not in text
+
+
+def test_what_is_inserted_never_becomes_markup_or_template() -> None:
+    table = {"title": HOSTILE, "note": HOSTILE, "header": [HOSTILE, HOSTILE], "rows": [[HOSTILE, HOSTILE]]}
+    values = {"tiles": [], "figures": [], "tables": [table], "environment": [(HOSTILE, HOSTILE)]}
+    page = render_page("skyherd.bench", "bench.html", title=HOSTILE, **values)
+    assert page.startswith("<!DOCTYPE html>")
+    assert "<script" not in page
+    assert page.count("&lt;script&gt;alert(1)&lt;/script&gt; &amp; ") >= 9
+    assert "{{ title }}" in page
+
+
+def test_a_value_that_a_template_needs_and_does_not_get_is_an_error() -> None:
+    with pytest.raises(jinja2.UndefinedError, match="tiles"):
+        render_page("skyherd.bench", "bench.html", title="bench")
+
+
+def test_no_python_code_holds_markup() -> None:
+    """No text of the package that is not a docstring has an HTML tag in it."""
+    root = Path(skyherd.__file__).parent
+    for file in root.rglob("*.py"):
+        tree = ast.parse(file.read_text("utf-8"))
+        docstrings = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
+        texts = [
+            node.value
+            for node in ast.walk(tree)
+            if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in docstrings
+        ]
+        assert not [text for text in texts if "</" in text or "<div" in text or "<t" in text], file
+
+
+def test_a_file_becomes_a_data_uri(tmp_path: Path) -> None:
+    (tmp_path / "a.png").write_bytes(b"\x00\x01")
+    assert data_uri(tmp_path / "a.png", "image/png") == "data:image/png;base64,AAE="

@@ -1,4 +1,4 @@
-"""Pixels to detections."""
+"""DesignMatrices to detections."""
 
 from skyherd.vision.detectors.opencv_tuned import ArucoDetector
 from skyherd.vision.detectors.registry import Detector, create_detector, detector_names, explain_mirrored

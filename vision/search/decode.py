@@ -15,12 +15,12 @@ import numpy.typing as npt
 from skyherd.geometry import Array, ComplexArray, IntArray, to_complex
 from skyherd.markers.blur_model import gather
 from skyherd.markers.dictionary import cells_per_side, dictionary_size, marker_cells
-from skyherd.vision.row_record import Rows
+from skyherd.vision.row_record import RowRecord
 
 READINGS = 2
 """Readings of a cell along each of its sides."""
 
-MIN_LIKENESS = 0.6
+MIN_CORRELATION = 0.6
 """Least correlation of a candidate's cells with a marker's."""
 
 BLUR_STEP = 1.2
@@ -31,26 +31,26 @@ MIN_SPREAD = 3.0
 
 
 @dataclass(frozen=True)
-class Candidates(Rows):
+class DecodedQuads(RowRecord):
     """Quadrilaterals that look like markers.
 
     Attributes:
         ids: (N,) the marker each resembles most.
         corners_px: (N, 4, 2) in that marker's own order.
-        likenesses: (N,) correlation of its cells with the marker's.
+        correlations: (N,) correlation of its cells with the marker's.
     """
 
     ids: IntArray
     corners_px: Array
-    likenesses: Array
+    correlations: Array
 
 
 def decode_quads(
     image: npt.NDArray[np.uint8], quads_px: Array, dictionary: str, sigma_px: float
-) -> Candidates:
+) -> DecodedQuads:
     """Markers that quadrilaterals (N, 4, 2), clockwise as seen, resemble under a blur of `sigma_px`."""
     if not len(quads_px):
-        return Candidates(np.zeros(0, dtype=np.int64), np.zeros((0, 4, 2)), np.zeros(0))
+        return DecodedQuads(np.zeros(0, dtype=np.int64), np.zeros((0, 4, 2)), np.zeros(0))
     corners = to_complex(quads_px)
     n_cells = cells_per_side(dictionary)
     cells = _read_cells(image, corners, n_cells)
@@ -64,8 +64,8 @@ def decode_quads(
         best[rows], likeness[rows] = scores.argmax(axis=1), scores.max(axis=1)
     marker, turn = np.divmod(best, 4)
     order = (turn[:, None] + np.arange(4)) % 4
-    found = Candidates(marker, np.take_along_axis(quads_px, order[..., None], axis=1), likeness)
-    return found.take((likeness >= MIN_LIKENESS) & (spread >= MIN_SPREAD))
+    found = DecodedQuads(marker, np.take_along_axis(quads_px, order[..., None], axis=1), likeness)
+    return found.take((likeness >= MIN_CORRELATION) & (spread >= MIN_SPREAD))
 
 
 @lru_cache(maxsize=32)
@@ -82,7 +82,7 @@ def _codes(dictionary: str, bucket: int) -> npt.NDArray[np.float32]:
 
 
 def _standardised(cells: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
-    """Rows of mean 0 and deviation 1."""
+    """RowRecord of mean 0 and deviation 1."""
     centred = cells - cells.mean(axis=1, keepdims=True)
     return np.asarray(centred / np.maximum(centred.std(axis=1, keepdims=True), 1e-6))
 

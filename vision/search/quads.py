@@ -70,7 +70,7 @@ def _rows_of_largest(values: Array, starts: IntArray, lengths: IntArray) -> IntA
 
 
 def _corner_rows(points: ComplexArray, starts: IntArray, lengths: IntArray) -> IntArray:
-    """Rows (N, 4) of four corners along each boundary.
+    """RowRecord (N, 4) of four corners along each boundary.
 
     The first is farthest from the boundary's middle, the second farthest from the first, the others
     farthest from the diagonal between them on either side.

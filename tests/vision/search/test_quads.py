@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from skyherd.geometry import SQUARE_CORNERS, to_complex, to_points
-from skyherd.vision.photometric.local_homography import Shapes
+from skyherd.vision.photometric.local_homography import LocalHomographies
 from skyherd.vision.search.quads import MIN_SIDE_PX, find_quads
 
 HEADINGS = {"upright": 0.0, "a little turned": 0.02, "diagonal": np.pi / 4, "any": None}
@@ -63,7 +63,7 @@ def test_markers_under_perspective_have_quads_too(place_markers, draw_markers, s
     horizon = np.exp(2j * np.pi * rng.uniform()) / rng.uniform(800, 1600)
     squeeze = 0.1 * np.exp(2j * np.pi * rng.uniform())
     middle = 132 * (1 + 1j)
-    plane = Shapes(*(np.array([z], dtype=complex) for z in (middle, 1.0, squeeze, horizon)))
+    plane = LocalHomographies(*(np.array([z], dtype=complex) for z in (middle, 1.0, squeeze, horizon)))
     square = 100 * SQUARE_CORNERS
     seen = to_points(plane.images(square)[0])
     camera = cv2.getPerspectiveTransform(

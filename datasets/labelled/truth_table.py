@@ -17,7 +17,7 @@ import numpy as np
 from skyherd.datasets.labelled.labels import KEYPOINTS, Labels
 from skyherd.datasets.labelled.scenes import Scene
 from skyherd.errors import InputError
-from skyherd.inspection.table import CORNERS
+from skyherd.inspection import CORNERS
 
 VISIBILITIES = [f"visibility_{name}" for name in KEYPOINTS]
 BOUNDS = ["crb_std_u_px", "crb_std_v_px", "crb_std_heading_deg"]

@@ -10,8 +10,7 @@ from skyherd.drawing.canvas import Color, Image, draw_arrows, draw_lines, draw_t
 from skyherd.drawing.palette import PAPER, UNIT_COLORS, rgb
 from skyherd.geometry import Array, to_points
 from skyherd.messages import Detections
-from skyherd.vision.diagnosis.explain import Rejection
-from skyherd.vision.diagnosis.reasons import Reason
+from skyherd.vision import Reason, Rejection
 
 FOUND_COLOR, REJECTED_COLOR, PLAIN_COLOR = rgb(UNIT_COLORS[0]), rgb(UNIT_COLORS[1]), rgb(UNIT_COLORS[6])
 

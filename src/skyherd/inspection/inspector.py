@@ -30,9 +30,7 @@ from skyherd.inspection.table import (
 )
 from skyherd.markers.dictionary import load_dictionary
 from skyherd.messages import Detections
-from skyherd.vision.detectors.registry import Detector, create_detector
-from skyherd.vision.diagnosis.explain import Rejection, explain
-from skyherd.vision.diagnosis.suggestions import suggest
+from skyherd.vision import Detector, Rejection, create_detector, explain, suggest
 
 DETECTIONS, REJECTIONS = "detections", "rejected"
 

@@ -19,7 +19,7 @@ import numpy as np
 
 from skyherd.errors import OutputError
 from skyherd.messages import Detections
-from skyherd.vision.diagnosis.explain import Rejection
+from skyherd.vision import Rejection
 
 Format = Literal["csv", "jsonl"]
 FORMATS: tuple[Format, ...] = get_args(Format)

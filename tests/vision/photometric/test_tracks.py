@@ -86,7 +86,7 @@ def test_steps_that_turn_and_steps_that_do_not_are_told_apart():
     for t in times[3:]:
         np.testing.assert_allclose(tracks.predicted(t).centers, homographies(t).centers, atol=1e-10)
         tracks = tracks.updated(t, ids, homographies(t))
-    assert tracks.turning.tolist() == [True, False]
+    assert tracks.on_arc.tolist() == [True, False]
 
 
 def test_markers_are_looked_for_while_their_centres_are_in_the_image():

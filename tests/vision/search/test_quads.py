@@ -6,7 +6,7 @@ import pytest
 
 from skyherd.geometry import SQUARE_CORNERS, to_complex, to_points
 from skyherd.vision.photometric.local_homography import LocalHomographies
-from skyherd.vision.search.quads import MIN_SIDE_PX, find_quads
+from skyherd.vision.search.quads import MIN_QUAD_SIDE_PX, find_quads
 
 HEADINGS = {"upright": 0.0, "a little turned": 0.02, "diagonal": np.pi / 4, "any": None}
 ROWS = 4
@@ -83,7 +83,7 @@ def test_corners_run_clockwise_as_seen(place_markers, draw_markers):
     sides = np.roll(quads, -1, axis=1) - quads
     assert len(quads) >= 16
     assert ((sides.conj() * np.roll(sides, -1, axis=1)).imag > 0).all()
-    assert (np.abs(sides) >= MIN_SIDE_PX).all()
+    assert (np.abs(sides) >= MIN_QUAD_SIDE_PX).all()
 
 
 def test_a_square_in_no_noise_is_found_to_a_fraction_of_a_pixel():

@@ -9,7 +9,7 @@ import sys
 from collections.abc import Callable
 from functools import partial
 from importlib import import_module
-from typing import Protocol, cast
+from typing import Any, Protocol, cast
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from skyherd.vision.grey import Image
 from skyherd.vision.photometric.detector import PhotometricDetector
 
 DEFAULT_DICTIONARY = "4X4_50"
+"""Marker dictionary where none is named: OpenCV's first 50 markers of 4 x 4 bits."""
 
 
 class Detector(Protocol):
@@ -128,6 +129,28 @@ def create_detector(name: str, *, dictionary: str = DEFAULT_DICTIONARY, correcte
 
 def _import_detector(name: str, dictionary: str) -> Detector:
     """The detector that the factory of `module:factory` returns; InputError says what fails."""
+    factory = _import_factory(name)
+    try:
+        detector = factory(dictionary)
+    except SkyherdError:
+        raise
+    except Exception as error:
+        raise InputError(
+            f"detector {name}",
+            f"{type(error).__name__}: {error}",
+            f"factory({dictionary!r}) that returns a detector",
+        ) from error
+    if not callable(getattr(detector, "detect", None)):
+        raise InputError(
+            f"detector {name}",
+            f"the factory returned {type(detector).__name__}, which has no method detect",
+            "an object as described by skyherd.vision.Detector",
+        )
+    return cast(Detector, detector)
+
+
+def _import_factory(name: str) -> Callable[[str], Any]:
+    """The callable that `module:factory` names, imported from the working directory too."""
     where = f"detector {name}"
     module_name, _, factory_name = name.partition(":")
     if not module_name or not factory_name:
@@ -140,27 +163,16 @@ def _import_detector(name: str, dictionary: str) -> Detector:
         raise InputError(
             where, f"{type(error).__name__}: {error}", "a module that can be imported from here"
         ) from error
-    factory = getattr(module, factory_name, None)
+    if not hasattr(module, factory_name):
+        raise InputError(
+            where, f"has no attribute {factory_name!r}", "a function that takes a dictionary's name"
+        )
+    factory = getattr(module, factory_name)
     if not callable(factory):
-        missing, wrong = f"has no attribute {factory_name!r}", f"{factory_name!r} is not callable"
         raise InputError(
-            where, missing if factory is None else wrong, "a function that takes the dictionary's name"
+            where, f"{factory_name!r} is not callable", "a function that takes a dictionary's name"
         )
-    try:
-        detector = factory(dictionary)
-    except SkyherdError:
-        raise
-    except Exception as error:
-        raise InputError(
-            where, f"{type(error).__name__}: {error}", f"factory({dictionary!r}) that returns a detector"
-        ) from error
-    if not callable(getattr(detector, "detect", None)):
-        raise InputError(
-            where,
-            f"{factory_name} returned {type(detector).__name__}, which has no method detect",
-            "an object as described by skyherd.vision.Detector",
-        )
-    return cast(Detector, detector)
+    return cast(Callable[[str], Any], factory)
 
 
 def explain_mirrored(image: Image, dictionary: str) -> str | None:

@@ -168,7 +168,7 @@ def read_quad(image: Image, corners_px: Array, dictionary: str, *, promising: fl
     n = cells_per_side(dictionary)
     image_cells = image_from_cells(corners_px, n)
     samples = _sample(image, image_cells, n)
-    levels = _cell_levels(samples)
+    levels = samples[PER_CELL // 2 :: PER_CELL, PER_CELL // 2 :: PER_CELL]
     ring, inner = levels[1:-1, 1:-1], levels[2:-2, 2:-2]
     border = np.concatenate([ring[0], ring[-1], ring[1:-1, 0], ring[1:-1, -1]])
     quiet = np.array([_median(edge[1:-1]) for edge in (levels[0], levels[:, -1], levels[-1], levels[:, 0])])
@@ -238,12 +238,6 @@ def _sample(image: Image, image_cells: Array, n: int) -> Array:
         u, v = points[..., 0] / points[..., 2], points[..., 1] / points[..., 2]
     inside = (u > -0.5) & (v > -0.5) & (u < image.shape[1] - 0.5) & (v < image.shape[0] - 0.5)
     return np.where(inside, samples, np.nan)
-
-
-def _cell_levels(samples: Array) -> Array:
-    """Levels of the cells' middles, of which PER_CELL samples a side there are."""
-    middle = PER_CELL // 2
-    return samples[middle::PER_CELL, middle::PER_CELL]
 
 
 @dataclass(frozen=True)

@@ -33,8 +33,10 @@ from skyherd.vision.photometric.pattern import Pattern
 from skyherd.vision.photometric.pixel_support import BLOCK, Floats, pixels_within
 
 BLACK, CONTRAST, RIGHT, DOWN, TURN, GROW, BLUR, GROUND = range(8)
+"""Indices of the unknowns with one component, in the order of the model's columns."""
+
 SQUEEZE, LIGHT = [8, 9], [10, 11]
-"""Indices of the unknowns, in the order of the model's columns; squeeze and light have two components."""
+"""Indices of the unknowns with two components each."""
 
 UNKNOWNS = 12
 """Number of unknowns of a marker. Derived: the indices above."""

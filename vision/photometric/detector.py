@@ -215,11 +215,8 @@ class PhotometricDetector:
     def _learn(self, known: ImageEstimates, found: FitResults, time_s: float) -> None:
         """Update blur, noise and print contrast and, if markers are followed, the tracks."""
         known.found = len(found.ids)
-        usual = (
-            found
-            if known.noise is None
-            else found.take(found.noise_stds < OCCLUDED_NOISE_RATIO * known.noise)
-        )
+        limit = np.inf if known.noise is None else OCCLUDED_NOISE_RATIO * known.noise
+        usual = found.take(found.noise_stds < limit)
         if len(usual.ids):
             log_error, noise, known.print_contrast = (
                 median(values.tolist())

@@ -105,9 +105,8 @@ def fit_markers(
         if number > 1:  # before, a start that is a pixel off may leave as much as a wrong cell
             contrasts, noise_stds = solution.contrasts()[rows], solution.noise_stds()[rows]
             means, peaks = samples.cell_residuals(rows, solution, n_cells)
-            right[rows] = _cells_are_right(means, contrasts) & ~has_outlier_pixels(
-                peaks, contrasts, noise_stds
-            )
+            outliers = has_outlier_pixels(peaks, contrasts, noise_stds)
+            right[rows] = _cells_are_right(means, contrasts) & ~outliers
         solution, plane = hold_common_unknowns(solution, start, middle, right)
         appearances = replace(
             appearances,

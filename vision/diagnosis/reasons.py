@@ -148,7 +148,7 @@ WORDS = {
     "in part, dirty, or of another dictionary than {dictionary}",
     Reason.OVERLOOKED: "reads as id {id} without a fault, {cell_px:.1f} px a cell: try another detector",
 }
-"""What is said of each reason, and what to do about it."""
+"""What users read for each reason, with places for the numbers that `describe` fills in."""
 
 
 def describe(reason: Reason, reading: Reading, dictionary: str) -> str:

@@ -9,8 +9,7 @@ from skyherd.vision.photometric.tracks import Tracks, no_tracks
 
 START_SIGMA_PX = total_sigma_px(0.8)
 """Blur assumed before any marker was seen, standard deviation of lens and pixel together, px. Chosen: a lens
-of
-0.8 px, as in the scenarios; the first image with markers replaces it."""
+of 0.8 px, as in the accuracy tables; the first image with markers replaces it."""
 
 SIGMA_LIMITS_PX = (0.35, 4.0)
 """Limits of the blur that is learned, standard deviation, px. Chosen: the pixel alone has 0.29, and 4 px is

@@ -17,7 +17,7 @@ from skyherd.bench.design import Cell
 from skyherd.bench.entrants import DEFAULT_DICTIONARY, dictionary_for
 from skyherd.bench.frames import rendered_frames
 from skyherd.bench.scorer import match
-from skyherd.vision.detectors.peers import PeerDetector, peer_names
+from skyherd.vision import PeerDetector, peer_names
 
 SIDES_PX = (18.0, 24.0, 30.0, 45.0, 60.0, 80.0)
 TABLE = Path(__file__).parent.parent / "vision" / "detectors" / "peer_biases.toml"

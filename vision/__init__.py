@@ -1,14 +1,41 @@
-"""Pixels to detections."""
+"""From images to detections: the package's only entrance for the rest of skyherd.
 
+`create_detector` makes a detector by name, and `Detector` describes what all of them do. `explain` and
+`suggest` say why markers were not detected, and what to try.
+"""
+
+from skyherd.vision.detectors.accuracy import DetectorAccuracy, load_accuracy
+from skyherd.vision.detectors.corners import detections_of_corners
 from skyherd.vision.detectors.opencv_tuned import ArucoDetector
-from skyherd.vision.detectors.registry import Detector, create_detector, detector_names, explain_mirrored
+from skyherd.vision.detectors.peers import APRILTAG_FAMILIES, PeerDetector, peer_names
+from skyherd.vision.detectors.registry import (
+    DEFAULT_DICTIONARY,
+    Detector,
+    create_detector,
+    detector_names,
+    explain_mirrored,
+)
+from skyherd.vision.diagnosis.explain import Rejection, explain
+from skyherd.vision.diagnosis.reasons import Reason
+from skyherd.vision.diagnosis.suggestions import suggest
 from skyherd.vision.photometric.detector import PhotometricDetector
 
 __all__ = [
+    "APRILTAG_FAMILIES",
+    "DEFAULT_DICTIONARY",
     "ArucoDetector",
     "Detector",
+    "DetectorAccuracy",
+    "PeerDetector",
     "PhotometricDetector",
+    "Reason",
+    "Rejection",
     "create_detector",
+    "detections_of_corners",
     "detector_names",
+    "explain",
     "explain_mirrored",
+    "load_accuracy",
+    "peer_names",
+    "suggest",
 ]

@@ -1,4 +1,4 @@
-"""What every detector is given: a grey image of 8 bits."""
+"""The image type that every detector takes, and its check."""
 
 import numpy as np
 import numpy.typing as npt
@@ -6,10 +6,16 @@ import numpy.typing as npt
 from skyherd.errors import InputError
 
 Image = npt.NDArray[np.uint8]
+"""A grey image: array (height, width) of 8-bit grey levels, row 0 at the top. The point (u, v) = (0, 0) is
+the centre of the first pixel; u runs to the right and v down."""
 
 
 def check_grey(image: Image) -> Image:
-    """The image, contiguous; InputError unless it is grey, (height, width), of 8 bits and not empty."""
+    """Return the image as a contiguous array, without copying it if it is one already.
+
+    Raises:
+        InputError: the image is not a two-dimensional array (height, width) of uint8, or it is empty.
+    """
     if image.ndim != 2 or image.dtype != np.uint8 or min(image.shape) < 1:
         raise InputError("image", f"shape {image.shape}, {image.dtype}", "grey, (height, width), uint8")
     return np.ascontiguousarray(image)

@@ -1,4 +1,4 @@
-"""Records of arrays that run over the same things: some of them, or two after one another."""
+"""Dataclasses whose fields are arrays with one row for each of N things, and operations on whole rows."""
 
 from dataclasses import fields
 from typing import Any, Self
@@ -8,23 +8,30 @@ import numpy as np
 from skyherd.geometry import BoolArray, IntArray
 
 
-class Rows:
-    """A dataclass whose every field is an array, or again `Rows`, with one row for each thing."""
+class RowRecord:
+    """Base of dataclasses in which every field has one row for each of N things.
+
+    A field is an array whose first axis has length N, or another `RowRecord` of N rows. The operations below
+    select, replace and append rows of all fields together, so that the fields cannot get out of step.
+    """
 
     def take(self, rows: IntArray | BoolArray) -> Self:
-        """Some of them."""
+        """Return the record of the given rows: indices (K,), in their order, or a mask (N,).
+
+        The record itself comes back, not a copy, if the mask selects every row.
+        """
         if rows.dtype == bool and rows.all():
             return self
         return type(self)(*(_taken(value, rows) for value in _values(self)))
 
     def put(self, rows: IntArray, others: Self) -> Self:
-        """With those at `rows` as in `others`, which has as many."""
+        """Return a copy in which the rows at indices `rows` (K,) are those of `others`, which has K rows."""
         return type(self)(
             *(_put(mine, rows, new) for mine, new in zip(_values(self), _values(others), strict=True))
         )
 
     def joined(self, others: Self) -> Self:
-        """These, then those."""
+        """Return a record with the rows of this one, followed by those of `others`."""
         return type(self)(*map(_joined, _values(self), _values(others)))
 
 
@@ -33,11 +40,11 @@ def _values(record: Any) -> list[Any]:
 
 
 def _taken(value: Any, rows: IntArray | BoolArray) -> Any:
-    return value.take(rows) if isinstance(value, Rows) else value[rows]
+    return value.take(rows) if isinstance(value, RowRecord) else value[rows]
 
 
 def _put(value: Any, rows: IntArray, others: Any) -> Any:
-    if isinstance(value, Rows):
+    if isinstance(value, RowRecord):
         return value.put(rows, others)
     changed = value.copy()
     changed[rows] = others
@@ -45,4 +52,4 @@ def _put(value: Any, rows: IntArray, others: Any) -> Any:
 
 
 def _joined(one: Any, other: Any) -> Any:
-    return one.joined(other) if isinstance(one, Rows) else np.concatenate([one, other])
+    return one.joined(other) if isinstance(one, RowRecord) else np.concatenate([one, other])

@@ -198,9 +198,11 @@ def _apply_setting(tree: dict[str, Any], setting: str) -> None:
 
 def _complete(scenario: Scenario, folder: Path) -> Mission:
     rng = generator(scenario.seed, RunStream.START_PLACES)
-    if scenario.detector not in detector_names():
+    if ":" not in scenario.detector and scenario.detector not in detector_names():
         raise InputError(
-            "detector", f"no detector {scenario.detector!r}", f"one of {', '.join(detector_names())}"
+            "detector",
+            f"no detector {scenario.detector!r}",
+            f"one of {', '.join(detector_names())}, or module:factory",
         )
     limit = dictionary_size(scenario.marker.dictionary)
     template = _template(scenario.template, scenario.robots, scenario.marker.dictionary, folder)

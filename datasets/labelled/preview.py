@@ -11,7 +11,7 @@ from skyherd.datasets.labelled.read import Dataset, LabelledImage
 from skyherd.drawing.canvas import Box, draw_text, text_width
 from skyherd.drawing.palette import INK, MUTED, PAPER, rgb
 from skyherd.files.atomic import write_whole
-from skyherd.inspection.annotator import Annotator
+from skyherd.inspection import Annotator
 from skyherd.messages import Detections
 
 COLUMNS, ROWS = 3, 3

@@ -18,7 +18,7 @@ from skyherd.datasets.labelled.labels import KEYPOINTS, Labels
 from skyherd.datasets.labelled.scenes import Scene
 from skyherd.errors import InputError
 from skyherd.geometry import Array
-from skyherd.inspection.table import CORNERS
+from skyherd.inspection import CORNERS
 
 VISIBILITIES = [f"visibility_{name}" for name in KEYPOINTS]
 """Columns with the visibility of each keypoint."""

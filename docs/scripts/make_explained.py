@@ -9,11 +9,10 @@ import cv2
 import numpy as np
 from PIL import Image
 
-from skyherd.inspection.annotator import Annotator
+from skyherd.inspection import Annotator
 from skyherd.markers.dictionary import corners_of_pose, marker_cells
 from skyherd.render import Camera, CameraPose, Ground, Renderer, Sensor
-from skyherd.vision import create_detector
-from skyherd.vision.diagnosis.explain import explain
+from skyherd.vision import create_detector, explain
 
 DICTIONARY, SIZE_PX = "4X4_50", (960, 600)
 FOCAL_PX = 500.0

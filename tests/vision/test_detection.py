@@ -236,7 +236,7 @@ def test_images_of_nothing_show_nothing(shape):
     for image in images:
         for detector in fresh_and_following():
             assert [len(detector.detect(image)) for _ in range(3)] == [0, 0, 0]
-            assert isinstance(detector.cameras[0].tracks, Tracks)
+            assert isinstance(detector.estimates[0].tracks, Tracks)
 
 
 @pytest.mark.parametrize("side_px", [100, 150, 300, 600])

@@ -1,1 +1,4 @@
-"""Detectors by name: ours, OpenCV's and others', and what is known of their errors."""
+"""Detectors by name behind one interface: the package's own, OpenCV's, others', and measured errors of each.
+
+`registry` has the interface, `Detector`, and the function that creates detectors by name.
+"""

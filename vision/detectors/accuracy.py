@@ -1,30 +1,37 @@
-"""What was measured of a detector, by marker size: its errors, and the biases to take off.
+"""What was measured of the detectors' errors, and the biases that are subtracted from their results.
 
-The tables are measured by `benchmarks/detector_accuracy.py` on rendered images at the noise and blur
-named in them.
+The tables are measured on rendered images, by `benchmarks/detector_accuracy.py` (errors by marker size) and
+`benchmarks/peer_biases.py` (constant biases), at the noise and blur that are named in them.
 """
 
 import tomllib
 from dataclasses import dataclass
+from functools import cache
 from importlib.resources import files
+from typing import Any
 
 import numpy as np
 
 from skyherd.geometry import Array
 
 MEASURED_AS = {"tracking": "photometric"}
-"""Detectors whose errors are those of another: following markers changes time, not error."""
+"""Detectors whose errors are those of another one: following markers changes the time taken, not the
+errors."""
+
+MIN_SIDE_PX = 1.0
+"""Smallest side, px, that is left after a bias has been subtracted: `Detections` takes positive sides
+only."""
 
 
 @dataclass(frozen=True)
 class DetectorAccuracy:
-    """Measured errors of one detector at marker sides (K,), px; between them, linear in the side.
+    """Measured errors of one detector at K marker sides; in between, linear in the side.
 
     Attributes:
         sides_px: (K,) true sides.
-        side_bias_px: (K,) mean of measured minus true side.
-        position_std_px: (K,) standard deviation of each of u and v.
-        heading_std_rad: (K,) standard deviation of the heading.
+        side_bias_px: (K,) means of measured minus true side.
+        position_std_px: (K,) standard deviations of each of u and v.
+        heading_std_rad: (K,) standard deviations of the heading.
     """
 
     sides_px: Array
@@ -33,11 +40,14 @@ class DetectorAccuracy:
     heading_std_rad: Array
 
     def true_sides_px(self, measured_px: Array) -> Array:
-        """Sides with the mean error taken off."""
+        """Return measured sides (N,), px, with the mean error at their size subtracted."""
         return measured_px - np.interp(measured_px, self.sides_px + self.side_bias_px, self.side_bias_px)
 
     def covariances(self, sides_px: Array) -> Array:
-        """(N, 3, 3) covariance of (u, v, heading) for markers of (N,) true sides."""
+        """Return covariances (N, 3, 3) of (u, v, heading) for markers of true sides (N,), px.
+
+        They are diagonal, in px², px² and rad². Beyond the table its first and last rows hold.
+        """
         covariances = np.zeros((sides_px.size, 3, 3))
         covariances[:, 0, 0] = np.interp(sides_px, self.sides_px, self.position_std_px) ** 2
         covariances[:, 1, 1] = covariances[:, 0, 0]
@@ -45,13 +55,31 @@ class DetectorAccuracy:
         return covariances
 
 
+@dataclass(frozen=True)
+class ConstantBias:
+    """Parts of a detector's error that are the same at every size.
+
+    Attributes:
+        position_px: mean error of u, and of v.
+        side_px: mean of measured minus true side.
+    """
+
+    position_px: float
+    side_px: float
+
+    def true_sides_px(self, measured_px: Array) -> Array:
+        """Return measured sides (N,), px, with the bias subtracted, `MIN_SIDE_PX` at least."""
+        return np.maximum(measured_px - self.side_px, MIN_SIDE_PX)
+
+
 def load_accuracy(detector: str) -> DetectorAccuracy:
-    """Read the table `<detector>_accuracy.toml` that is shipped with the package."""
-    measured = MEASURED_AS.get(detector, detector)
-    table = tomllib.loads(
-        files("skyherd.vision.detectors").joinpath(f"{measured}_accuracy.toml").read_text("utf-8")
-    )
-    rows = table["size"]
+    """Return the errors measured of a detector, from `<detector>_accuracy.toml` in this package.
+
+    Raises:
+        FileNotFoundError: nothing was measured of that detector; there are tables of `aruco`, `photometric`
+            and (the same) `tracking`.
+    """
+    rows = _read_table(f"{MEASURED_AS.get(detector, detector)}_accuracy.toml")["size"]
 
     def column(name: str) -> Array:
         return np.array([row[name] for row in rows], dtype=float)
@@ -62,3 +90,18 @@ def load_accuracy(detector: str) -> DetectorAccuracy:
         position_std_px=column("position_std_px"),
         heading_std_rad=np.radians(column("heading_std_deg")),
     )
+
+
+@cache
+def load_bias(detector: str) -> ConstantBias:
+    """Return the constant bias measured of a detector, from `peer_biases.toml` in this package.
+
+    Raises:
+        KeyError: nothing was measured of that detector.
+    """
+    row = _read_table("peer_biases.toml")[detector]
+    return ConstantBias(position_px=row["position_bias_px"], side_px=row["side_bias_px"])
+
+
+def _read_table(name: str) -> dict[str, Any]:
+    return tomllib.loads(files("skyherd.vision.detectors").joinpath(name).read_text("utf-8"))

@@ -1,11 +1,20 @@
-"""Detections from the corners that `cv2.aruco` and the peers report."""
+"""What detectors that report corners share: OpenCV's answer as arrays, and detections from corners."""
 
+import cv2
 import numpy as np
 
 from skyherd.geometry import Array, IntArray
 from skyherd.markers.dictionary import pose_of_corners
 from skyherd.messages import Detections
 from skyherd.vision.grey import Image
+
+
+def opencv_corners(detector: cv2.aruco.ArucoDetector, image: Image) -> tuple[IntArray, Array]:
+    """Return ids (K,), with repeated ones, and corners (K, 4, 2) that an OpenCV detector finds."""
+    corners, ids, _ = detector.detectMarkers(image)
+    if len(corners) == 0:
+        return np.zeros(0, dtype=np.int64), np.zeros((0, 4, 2))
+    return np.ravel(ids).astype(np.int64), np.reshape(corners, (-1, 4, 2)).astype(float)
 
 
 def detections_of_corners(
@@ -19,7 +28,18 @@ def detections_of_corners(
     time_s: float,
     unit_id: int,
 ) -> Detections:
-    """Markers `ids` (N,) at corners (N, 4, 2), moved about their middle to sides (N,) of `sides_px`."""
+    """Return detections of markers whose corners were found; each is scaled about its centre to a given side.
+
+    Args:
+        image: in which they were found; only its size is used.
+        ids: (N,) marker ids, ascending, each once.
+        corners_px: (N, 4, 2) in the order of `skyherd.geometry.SQUARE_CORNERS`; their means are the centres.
+        headings_rad: (N,) from +u to +v.
+        sides_px: (N,) corrected sides, to which the corners are scaled.
+        covariances: (N, 3, 3) of (u, v, heading); all zero for unknown.
+        time_s: when the image was taken.
+        unit_id: whose image it is.
+    """
     centers, _, measured_px = pose_of_corners(corners_px)
     growth = (sides_px / measured_px)[:, None, None]
     return Detections(

@@ -1,4 +1,4 @@
-"""`cv2.aruco` with every length set from pixels, and its measured biases taken off."""
+"""The detector `aruco`: `cv2.aruco` with every length set in pixels, and its measured biases subtracted."""
 
 import cv2
 import numpy as np
@@ -8,17 +8,19 @@ from skyherd.geometry import Array, IntArray
 from skyherd.markers.dictionary import load_dictionary, pose_of_corners
 from skyherd.messages import Detections
 from skyherd.vision.detectors.accuracy import DetectorAccuracy, load_accuracy
-from skyherd.vision.detectors.corners import detections_of_corners
+from skyherd.vision.detectors.corners import detections_of_corners, opencv_corners
 from skyherd.vision.grey import check_grey
 
-MIN_SIDE_PX = 8.0
-"""Smaller candidates are not looked at: a 4x4 marker then has little more than a pixel a cell."""
+MIN_MARKER_SIDE_PX = 8.0
+"""Smallest side of an outline that OpenCV looks at, px. Chosen larger than for the photometric detector
+(`skyherd.vision.search.quads.MIN_QUAD_SIDE_PX`), since OpenCV decides on each bit by itself: a 4x4 marker of
+8 px has little more than a pixel a cell. A smaller value costs time and finds hardly more."""
 
 
 def _parameters(image_side_px: int) -> cv2.aruco.DetectorParameters:
     """Settings for an image whose longer side is given: OpenCV's perimeter rates are relative to it."""
     parameters = cv2.aruco.DetectorParameters()
-    parameters.minMarkerPerimeterRate = 4 * MIN_SIDE_PX / image_side_px
+    parameters.minMarkerPerimeterRate = 4 * MIN_MARKER_SIDE_PX / image_side_px
     # Thresholds: a window of 5 px separates small markers from their card, 29 px fills larger ones.
     parameters.adaptiveThreshWinSizeMin = 5
     parameters.adaptiveThreshWinSizeMax = 29
@@ -32,11 +34,18 @@ def _parameters(image_side_px: int) -> cv2.aruco.DetectorParameters:
 
 
 class ArucoDetector:
-    """OpenCV's detector with lines fitted to the markers' contours.
+    """OpenCV's detector with lines fitted to the markers' contours; implements `skyherd.vision.Detector`.
 
-    The measured mean error of the side is taken off, and corners are moved out from the centre to match;
-    covariances come from the same table (`skyherd.vision.detectors.accuracy`). With `corrected=False` the
-    biases are left in and covariances are zero, which is how the table is measured.
+    The measured mean error of the side is subtracted and the corners are moved out from the centre to match;
+    covariances come from the same table (`skyherd.vision.detectors.accuracy`). An id that is found twice in
+    an image is left out. Nothing is kept from one image to the next.
+
+    Args:
+        dictionary: of the markers.
+        corrected: if False, the biases are left in and covariances are zero, which is how the table is
+            measured.
+
+    `detect` raises InputError if there is no such dictionary.
     """
 
     def __init__(self, dictionary: str = "4X4_50", *, corrected: bool = True) -> None:
@@ -45,10 +54,10 @@ class ArucoDetector:
         self._detectors: dict[int, cv2.aruco.ArucoDetector] = {}
 
     def detect(self, image: npt.NDArray[np.uint8], *, time_s: float = 0.0, unit_id: int = 0) -> Detections:
-        """Markers in a grey image (height, width) of 8 bits; an id found twice is left out as untrustworthy.
+        """Return the markers in a grey image (height, width) of 8 bits, in ascending order of id.
 
         Raises:
-            InputError: the image is not a grey one of 8 bits.
+            InputError: the image is not a grey one of 8 bits, or there is no such dictionary.
         """
         image = check_grey(image)
         ids, corners = self._find(image)
@@ -69,14 +78,12 @@ class ArucoDetector:
         )
 
     def _find(self, image: npt.NDArray[np.uint8]) -> tuple[IntArray, Array]:
-        """Ids (N,), ascending, and corners (N, 4, 2) that OpenCV finds."""
+        """Ids (N,), ascending, each once, and corners (N, 4, 2); an id found twice is left out."""
         longer = max(image.shape)
         if longer not in self._detectors:
             dictionary = load_dictionary(self.dictionary)
             self._detectors[longer] = cv2.aruco.ArucoDetector(dictionary, _parameters(longer))
-        corners, ids, _ = self._detectors[longer].detectMarkers(image)
-        if len(corners) == 0:
-            return np.zeros(0, dtype=np.int64), np.zeros((0, 4, 2))
-        unique, first, count = np.unique(np.ravel(ids), return_index=True, return_counts=True)
+        ids, corners = opencv_corners(self._detectors[longer], image)
+        unique, first, count = np.unique(ids, return_index=True, return_counts=True)
         once = count == 1
-        return unique[once].astype(np.int64), np.reshape(corners, (-1, 4, 2)).astype(float)[first[once]]
+        return unique[once], corners[first[once]]

@@ -1,25 +1,22 @@
-"""Detectors of others, behind our interface: `cv2.aruco` as it comes, and AprilTag 3.
+"""Detectors by others behind the package's interface: `cv2.aruco` as it comes, and AprilTag 3.
 
-They run at their own defaults, which is what their users have. What is a constant of theirs is taken off, and
-documented here; with `corrected=False` it is left in:
+They run at their own defaults, which is what their users have. Constant errors are subtracted and documented
+here; with `corrected=False` they are left in:
 
-- where they take a pixel's centre to be: OpenCV's APRILTAG refinement is off by +0.46 px in u and v,
-  AprilTag 3 by +0.50 px;
+- the point taken as a pixel's centre: OpenCV's APRILTAG refinement is off by +0.46 px in u and v, AprilTag 3
+  by +0.50 px;
 - the marker's side, which OpenCV's refinements and contours make too short by 0.6 to 1.3 px at any size;
-- the corners' order: AprilTag's run the other way round from OpenCV's, and its tags stand upside down,
-  so that headings differ by 180 deg.
+- the order of the corners: AprilTag's run the other way round from OpenCV's, and its tags stand upside down,
+  so that headings differ by 180 degrees.
 
 `benchmarks/peer_biases.py --write` measures the first two into `peer_biases.toml`. Of the poses that four
-corners give, they get the best: the centre is the mean of the corners, and the heading that of the nearest
-square in the plane of the image's markers (`headings_in_plane`). None reports a covariance: theirs are zero,
-which stands for unknown.
+corners give, these detectors get the best one: the centre is the mean of the corners, and the heading that of
+the nearest square in the plane of the image's markers (`headings_in_plane`). None of them reports a
+covariance, and none is made up: theirs are zero, which means unknown.
 """
 
-import tomllib
-from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
-from importlib.resources import files
 from typing import Any, Protocol
 
 import cv2
@@ -30,8 +27,10 @@ from skyherd.errors import InputError
 from skyherd.geometry import Array, IntArray, fit_squares, to_complex
 from skyherd.markers.dictionary import load_dictionary, pose_of_corners
 from skyherd.messages import Detections
-from skyherd.vision.detectors.corners import detections_of_corners
+from skyherd.vision.detectors.accuracy import load_bias
+from skyherd.vision.detectors.corners import detections_of_corners, opencv_corners
 from skyherd.vision.grey import check_grey
+from skyherd.vision.photometric.plane import squeeze_design_matrix
 
 REFINEMENTS = {
     "opencv": cv2.aruco.CORNER_REFINE_NONE,
@@ -41,28 +40,16 @@ REFINEMENTS = {
 }
 """Peers made of `cv2.aruco`, by name: its default parameters with each of its corner refinements."""
 
-FAMILIES = {"APRILTAG_16h5": "tag16h5", "APRILTAG_25h9": "tag25h9", "APRILTAG_36h11": "tag36h11"}
-"""OpenCV's dictionaries that pupil-apriltags knows, and what it calls them."""
+APRILTAG_FAMILIES = {"APRILTAG_16h5": "tag16h5", "APRILTAG_25h9": "tag25h9", "APRILTAG_36h11": "tag36h11"}
+"""OpenCV's dictionaries that AprilTag 3 can read, with the names that pupil-apriltags has for them."""
 
-OWN_CORNERS, OUR_CORNERS = [3, 2, 1, 0], [1, 0, 3, 2]
-"""AprilTag's corners clockwise from its own top left, and from OpenCV's corner 0 of the same marker."""
+APRILTAG_CORNERS, OPENCV_CORNERS = [3, 2, 1, 0], [1, 0, 3, 2]
+"""Indices into AprilTag's corners that put them clockwise from its own top left, and from OpenCV's corner 0
+of the same marker."""
 
-
-@dataclass(frozen=True)
-class Bias:
-    """Constant part of a peer's error: of the position along u and v, and of the side."""
-
-    position_px: float
-    side_px: float
-
-
-@cache
-def load_bias(name: str) -> Bias:
-    """The measured bias of a peer, from `peer_biases.toml`."""
-    table = tomllib.loads(files("skyherd.vision.detectors").joinpath("peer_biases.toml").read_text("utf-8"))[
-        name
-    ]
-    return Bias(table["position_bias_px"], table["side_bias_px"])
+TILT_MIN_MARKERS = 3
+"""Smallest number of markers from which a tilt is estimated. Derived: two markers have as many squeezes as
+the plane has unknowns, so that nothing would be averaged."""
 
 
 class _Finder(Protocol):
@@ -72,7 +59,19 @@ class _Finder(Protocol):
 
 
 class PeerDetector:
-    """A detector that is not ours, by name; see `peer_names`."""
+    """A detector of another library, by name; implements `skyherd.vision.Detector`.
+
+    Of an id that is found several times, the largest quadrilateral counts. Covariances are zero, which means
+    unknown. Nothing is kept from one image to the next.
+
+    Args:
+        name: one of `peer_names()`.
+        dictionary: of the markers.
+        corrected: whether constant biases are subtracted and corners put in the package's order.
+
+    Raises:
+        InputError: there is no such dictionary, the library does not know it, or it is not installed.
+    """
 
     def __init__(self, name: str, dictionary: str, *, corrected: bool = True) -> None:
         self.name, self.corrected = name, corrected
@@ -81,7 +80,7 @@ class PeerDetector:
         )
 
     def detect(self, image: npt.NDArray[np.uint8], *, time_s: float = 0.0, unit_id: int = 0) -> Detections:
-        """Markers in a grey image (height, width) of 8 bits; of an id found twice, the larger.
+        """Return the markers in a grey image (height, width) of 8 bits, in ascending order of id.
 
         Raises:
             InputError: the image is not a grey one of 8 bits.
@@ -91,7 +90,7 @@ class PeerDetector:
         sides, headings = pose_of_corners(corners)[2], headings_in_plane(corners)
         if self.corrected:
             bias = load_bias(self.name)
-            sides, corners = np.maximum(sides - bias.side_px, 1.0), corners - bias.position_px
+            sides, corners = bias.true_sides_px(sides), corners - bias.position_px
         return detections_of_corners(
             image,
             ids,
@@ -105,25 +104,25 @@ class PeerDetector:
 
 
 def peer_names() -> list[str]:
-    """Names of the peers."""
+    """Return the names of the detectors by others, whether their libraries are installed or not."""
     return [*REFINEMENTS, "apriltag3"]
 
 
 def headings_in_plane(corners_px: Array) -> Array:
-    """Headings (N,) of markers with corners (N, 4, 2) that lie in one plane, which may be tilted.
+    """Return headings (N,), rad, of markers with corners (N, 4, 2) in one plane, which may be tilted.
 
-    Seen at a slant, a marker has the squeeze `k = (μ + κ c) conj(m)` to first order, with its arm m and
-    centre c (`skyherd.geometry.SquareImages`): μ and κ, complex, are the affine and projective parameters of
-    the plane, found from all markers by least squares. Forward, z = -i of the marker, is then along `-i (m -
-    k)`. Fewer than three markers are taken as seen from above.
+    Seen at a slant, a marker with arm m at p has the squeeze `k = (α - p λ / 2) m̄` to first order
+    (`skyherd.vision.photometric.plane`); α and λ follow from all markers by least squares without weights,
+    since corners come without covariances. Forward, z = -i of the marker, is then along `-i (m - k)`. Fewer
+    than `TILT_MIN_MARKERS` markers are taken as seen from straight above.
     """
     squares = fit_squares(to_complex(corners_px))
-    if len(corners_px) < 3:
+    if len(corners_px) < TILT_MIN_MARKERS:
         return squares.headings_rad()
     away = (squares.centers - squares.centers.mean()) / np.abs(squares.arms).max()
-    plane = np.column_stack([np.ones_like(away), away])
+    design = squeeze_design_matrix(away)
     relative = squares.squeezes / squares.arms.conj()
-    squeezes = plane @ np.linalg.lstsq(plane, relative, rcond=None)[0] * squares.arms.conj()
+    squeezes = design @ np.linalg.lstsq(design, relative, rcond=None)[0] * squares.arms.conj()
     return np.asarray(np.angle(-1j * (squares.arms - squeezes)))
 
 
@@ -145,10 +144,7 @@ class _OpenCV:
         self._detector = cv2.aruco.ArucoDetector(load_dictionary(dictionary), parameters)
 
     def find(self, image: npt.NDArray[np.uint8], *, corrected: bool) -> tuple[IntArray, Array]:
-        corners, ids, _ = self._detector.detectMarkers(image)
-        if len(corners) == 0:
-            return np.zeros(0, dtype=np.int64), np.zeros((0, 4, 2))
-        return np.ravel(ids).astype(np.int64), np.reshape(corners, (-1, 4, 2)).astype(float)
+        return opencv_corners(self._detector, image)
 
 
 @cache
@@ -175,14 +171,14 @@ class _AprilTag3:
     """AprilTag 3 through pupil-apriltags, at full resolution: its default halves the image first."""
 
     def __init__(self, dictionary: str) -> None:
-        if dictionary not in FAMILIES:
+        if dictionary not in APRILTAG_FAMILIES:
             raise InputError(
-                "detector apriltag3", f"does not know {dictionary}", f"one of {', '.join(FAMILIES)}"
+                "detector apriltag3", f"does not know {dictionary}", f"one of {', '.join(APRILTAG_FAMILIES)}"
             )
-        self._detector = _apriltag_library_detector(FAMILIES[dictionary])
+        self._detector = _apriltag_library_detector(APRILTAG_FAMILIES[dictionary])
 
     def find(self, image: npt.NDArray[np.uint8], *, corrected: bool) -> tuple[IntArray, Array]:
         tags = self._detector.detect(image)
         corners = np.array([tag.corners for tag in tags], dtype=float).reshape(-1, 4, 2)
-        order = OUR_CORNERS if corrected else OWN_CORNERS
+        order = OPENCV_CORNERS if corrected else APRILTAG_CORNERS
         return np.array([tag.tag_id for tag in tags], dtype=np.int64), corners[:, order]

@@ -1,26 +1,86 @@
-"""The one interface every marker detector has, and the detectors by name."""
+"""The interface that every marker detector has, and the creation of detectors by name.
 
+A detector of one's own enters without a change here: `create_detector("module:factory")` imports it. To give
+one a name of its own, add it to `_DETECTORS`.
+"""
+
+import os
+import sys
 from collections.abc import Callable
 from functools import partial
-from typing import Protocol
+from importlib import import_module
+from typing import Any, Protocol, cast
 
 import numpy as np
-import numpy.typing as npt
 
-from skyherd.errors import InputError
+from skyherd.errors import InputError, SkyherdError
 from skyherd.messages import Detections
 from skyherd.vision.detectors.opencv_tuned import ArucoDetector
 from skyherd.vision.detectors.peers import PeerDetector, peer_names
+from skyherd.vision.grey import Image
 from skyherd.vision.photometric.detector import PhotometricDetector
 
-Image = npt.NDArray[np.uint8]
+DEFAULT_DICTIONARY = "4X4_50"
+"""Marker dictionary where none is named: OpenCV's first 50 markers of 4 x 4 bits."""
 
 
 class Detector(Protocol):
-    """Finds oriented markers in one grey image."""
+    """Finds oriented square markers of one dictionary in grey images. A new detector implements `detect`.
+
+    **Input.** `image` is an array (height, width) of uint8, row 0 at the top. Callers may pass any array that
+    is not grey, of another type or empty: the detector raises InputError for it
+    (`skyherd.vision.grey.check_grey` does). It must not change the array or keep a reference to it. An image
+    may have any size, and no marker.
+
+    **Coordinates.** Points are (u, v), px, with u to the right and v down; (0, 0) is the *centre* of the
+    first pixel. A detector that puts pixel centres at (0.5, 0.5) subtracts that. Headings are angles from +u
+    towards +v, rad, of the marker's forward direction: from its centre to the middle of the edge between
+    corners 0 and 1, which is row 0 of its cells.
+
+    **Result.** A `skyherd.messages.Detections` with one row for each marker:
+
+    - `unit_id` and `time_s` as they were given, `image_size_px` as (width, height).
+    - `ids` (N,), int: indices into the dictionary, each once. Ascending order is customary, but nothing
+      relies on it. Every marker of the dictionary that is seen is reported: the detector does not know which
+      ids are robots or obstacles, and the receiver ignores ids that it does not know. Squares that are no
+      marker of the dictionary are left out.
+    - An id that is found several times must not be reported twice, which `Detections` refuses with
+      MessageError. Leave it out, as the package's own detectors do, or decide for one of the places.
+    - `centers_px` (N, 2): image of the marker's centre, or the mean of its corners, which is the same but for
+      perspective. `headings_rad` (N,). `sides_px` (N,), positive: side of the black square, the border
+      included and the white card not; of a square seen at a slant, the root of its area, or the side of the
+      nearest square.
+    - `corners_px` (N, 4, 2): corners of the black square, clockwise in the image, beginning with the two
+      ahead: front left, front right, back right, back left. They may lie outside the image.
+    - `covariances` (N, 3, 3): of (u, v, heading), in px², px·rad and rad². A detector that does not know them
+      returns zeros, which mean *unknown*, not *exact*.
+    - No marker at all is a result with N = 0, not an error.
+
+    `skyherd.markers.dictionary.pose_of_corners` gives centres, headings and sides from corners, and
+    `skyherd.vision.detections_of_corners` makes the whole result of ids and corners.
+
+    **State.** A detector may learn from the images it is given (blur, noise, where markers went), but then
+    for each `unit_id` apart: images of several units come by turns. `time_s` increases from one image of a
+    unit to the next where times are known; it is 0 for all images where they are not, and then consecutive
+    calls are consecutive images. Results may depend on earlier images of the same unit only, and on nothing
+    random, so that the same calls on a new detector give the same results. Whoever wants no memory makes a
+    new detector. A detector is called from one thread at a time; each process makes its own.
+
+    **Errors.** InputError for an image of the wrong kind. Other exceptions are errors of the detector and are
+    passed on.
+    """
 
     def detect(self, image: Image, *, time_s: float = 0.0, unit_id: int = 0) -> Detections:
-        """Detections in `image` (height, width), taken at `time_s` by unit `unit_id`."""
+        """Return the markers found in one image.
+
+        Args:
+            image: grey, (height, width), uint8.
+            time_s: when the image was taken, s; 0 for all images whose times are not known.
+            unit_id: the aerial unit whose image it is.
+
+        Raises:
+            InputError: the image is not a grey one of 8 bits, or is empty.
+        """
         ...
 
 
@@ -30,32 +90,101 @@ _DETECTORS: dict[str, Callable[[str], Detector]] = {
     "tracking": PhotometricDetector,
     **{name: partial(PeerDetector, name) for name in peer_names()},
 }
+"""Functions that make a detector for a dictionary, by the detector's name."""
 
 
 def detector_names() -> list[str]:
-    """Names that `create_detector` knows."""
+    """Return the names that `create_detector` knows, in alphabetical order; `module:factory` comes on top."""
     return sorted(_DETECTORS)
 
 
-def create_detector(name: str, *, dictionary: str = "4X4_50", corrected: bool = True) -> Detector:
-    """Make a detector by name; InputError names those there are.
+def create_detector(name: str, *, dictionary: str = DEFAULT_DICTIONARY, corrected: bool = True) -> Detector:
+    """Return a new detector, by name or as `module:factory`.
 
-    With `corrected=False` the peers (`skyherd.vision.detectors.peers`) keep their constant biases and corner
-    order.
+    `module:factory` imports `module`, from the working directory too, and calls its attribute `factory` with
+    the dictionary's name; it has to return a `Detector`. A class whose constructor takes the dictionary is
+    such a factory.
+
+    Args:
+        name: one of `detector_names()`, or `module:factory`.
+        dictionary: name of the marker dictionary, such as `APRILTAG_36h11`.
+        corrected: False leaves the constant biases and the corner order of the detectors of other libraries
+            (`skyherd.vision.detectors.peers`) as they come; it has no effect on other detectors.
+
+    Raises:
+        InputError: there is no detector of that name, the dictionary is not known or not read by it, its
+            library is not installed; or `module:factory` lacks a part, cannot be imported, has no such
+            attribute, is not callable, fails, or returns something without a method `detect`.
     """
+    if ":" in name:
+        return _import_detector(name, dictionary)
     if name not in _DETECTORS:
-        raise InputError("detector", f"no detector {name!r}", f"one of {', '.join(detector_names())}")
+        raise InputError(
+            "detector", f"no detector {name!r}", f"one of {', '.join(detector_names())}, or module:factory"
+        )
     if not corrected and name in peer_names():
         return PeerDetector(name, dictionary, corrected=False)
     return _DETECTORS[name](dictionary)
 
 
-def explain_mirrored(image: Image, dictionary: str) -> str | None:
-    """What to say if an image is mirrored, None if it is not.
+def _import_detector(name: str, dictionary: str) -> Detector:
+    """The detector that the factory of `module:factory` returns; InputError says what fails."""
+    factory = _import_factory(name)
+    try:
+        detector = factory(dictionary)
+    except SkyherdError:
+        raise
+    except Exception as error:
+        raise InputError(
+            f"detector {name}",
+            f"{type(error).__name__}: {error}",
+            f"factory({dictionary!r}) that returns a detector",
+        ) from error
+    if not callable(getattr(detector, "detect", None)):
+        raise InputError(
+            f"detector {name}",
+            f"the factory returned {type(detector).__name__}, which has no method detect",
+            "an object as described by skyherd.vision.Detector",
+        )
+    return cast(Detector, detector)
 
-    A mirrored marker is no marker of its dictionary, but for the few that are their own mirror image (8, 9,
-    17 and 47 of 4X4_50): a mirrored stream decodes next to nothing although the markers are plain to see, and
-    decodes once it is flipped back. So an image is mirrored if its mirror image shows more.
+
+def _import_factory(name: str) -> Callable[[str], Any]:
+    """The callable that `module:factory` names, imported from the working directory too."""
+    where = f"detector {name}"
+    module_name, _, factory_name = name.partition(":")
+    if not module_name or not factory_name:
+        raise InputError(where, "lacks a module or a factory", "write it as module:factory")
+    if os.getcwd() not in sys.path:
+        sys.path.insert(0, os.getcwd())
+    try:
+        module = import_module(module_name)
+    except Exception as error:
+        raise InputError(
+            where, f"{type(error).__name__}: {error}", "a module that can be imported from here"
+        ) from error
+    if not hasattr(module, factory_name):
+        raise InputError(
+            where, f"has no attribute {factory_name!r}", "a function that takes a dictionary's name"
+        )
+    factory = getattr(module, factory_name)
+    if not callable(factory):
+        raise InputError(
+            where, f"{factory_name!r} is not callable", "a function that takes a dictionary's name"
+        )
+    return cast(Callable[[str], Any], factory)
+
+
+def explain_mirrored(image: Image, dictionary: str) -> str | None:
+    """Return what to do if a grey image (height, width) is mirrored, in words; None if it is not.
+
+    A mirrored marker is no marker of its dictionary, except for the few that are their own mirror image (8,
+    9, 17 and 47 of 4X4_50). A mirrored stream therefore decodes next to nothing although its markers are
+    plain to see, and decodes once it is flipped back: an image counts as mirrored if its mirror image shows
+    more.
+
+    Raises:
+        InputError: the image is not a grey one of 8 bits, or there is no such dictionary.
     """
     detector = ArucoDetector(dictionary)
     found, flipped = (len(detector.detect(view)) for view in (image, np.ascontiguousarray(image[:, ::-1])))

@@ -1,8 +1,9 @@
 """Where in an image a marker could be: what a detector rejects, and what it cannot see.
 
-Four kinds: dark quadrilaterals, as OpenCV finds them at several settings; dark patches that are nearly
-square; dark shapes that the border of the image cuts, squares being laid through the corners that are left;
-and groups of bright spots, from which a square is guessed whose own outline cannot be seen.
+Four kinds of candidates are searched for: dark quadrilaterals, as OpenCV finds them at several settings; dark
+patches that are nearly square; dark shapes that are cut by the image's border, with squares laid through
+their remaining corners; and groups of bright spots, around which a square is guessed whose own outline cannot
+be seen. Many of them are no markers; `skyherd.vision.diagnosis.quad_reading` reads them all.
 """
 
 from typing import Any
@@ -13,39 +14,59 @@ import numpy.typing as npt
 
 from skyherd.geometry import Array, BoolArray
 from skyherd.markers.dictionary import cells_per_side, load_dictionary
+from skyherd.vision.grey import Image
 
-Image = npt.NDArray[np.uint8]
+MIN_CANDIDATE_SIDE_PX = 6.0
+"""Smallest side of a candidate, px. Chosen smaller than that of any detector, so that what is too small to be
+detected is found and can be explained: a 4x4 marker then has a pixel a cell."""
 
-MIN_SIDE_PX = 6.0
+MAX_PERIMETER_RATE = 8.0
+"""Largest perimeter of an outline over the image's longer side. Derived: twice that of a square as large as
+the image, so that no marker is too large."""
+
 THRESHOLDS = (14, 6)
-"""How much darker than its surroundings, in grey levels, an outline must be in each pass."""
+"""How much darker than its surroundings an outline must be in each pass, grey levels. Chosen: the first as in
+detectors, the second for faint markers."""
 
-MAX_ENLARGED = 4_000_000
-"""Images of more pixels are not searched at twice their size."""
+MAX_ENLARGED_PIXELS = 4_000_000
+"""Images of more pixels are not searched at twice their size. Chosen: for the time that it takes."""
 
-WINDOWS_PX = (5, 53, 16)
+MIN_WINDOW_PX, MAX_WINDOW_PX, WINDOW_STEP_PX = 5, 53, 16
+"""Widths, px, of the surroundings that outlines are compared with: from, to and step. Chosen: from the edge
+of a small marker to a marker of 50 px; larger ones are found by their edges."""
+
 CLOSINGS_PX = (3, 5, 9, 17, 33)
-"""Gaps over which bright spots are taken as one group, one after the other."""
+"""Gaps, px, over which bright spots are taken as one group, one after the other. Chosen: each about twice the
+last, for markers of any size."""
 
 BRIGHT_WINDOWS_PX, BRIGHTER = (41, 121), 20
-"""Bright spots are so many grey levels above the mean of a window of these sizes."""
+"""Bright spots are so many grey levels above the mean of windows of these widths, px. Chosen: windows larger
+than a small and a large marker's cells."""
 
 DARK_SHARE = 0.9
+"""Share of the border's cells that must be dark around a group of bright spots. Chosen: nearly all, since
+there are many groups."""
+
 MAX_GROUPS = 400
-MAX_EDGES, ALIKE_RAD = 6, 0.07
-"""Of a group, so many edges of its hull are tried as directions of the grid, those alike once."""
+"""Largest number of groups that are looked at for each closing, the largest first. Chosen: for the time."""
+
+MAX_EDGES, SAME_DIRECTION_RAD = 6, 0.07
+"""Of a group, the directions of so many edges of its hull are tried for the grid, those that differ by less
+than the second value, rad, once. Chosen: 4 degrees, a cell in the length of two markers."""
 
 SQUARENESS_DEG = 35.0
-"""A corner of a cut shape may differ from a right angle by so much."""
+"""How far a corner of a cut shape may differ from a right angle, degrees. Chosen: markers seen at a slant
+do."""
 
 
 def dark_quads(image: Image, dictionary: str) -> list[Array]:
-    """Quadrilaterals (4, 2) that are darker than what is around them, accepted by OpenCV or rejected.
+    """Return quadrilaterals (4, 2), px, darker than what is around them, accepted by OpenCV or rejected.
 
-    The image is searched at twice its size too if it is not large: outlines of a few pixels are found so.
+    An image (height, width) of no more than `MAX_ENLARGED_PIXELS` is searched at twice its size too, which
+    finds outlines of a few pixels.
     """
     found = [quad for constant in THRESHOLDS for quad in _opencv_quads(image, dictionary, constant)]
-    if image.size <= MAX_ENLARGED:
+    if image.size <= MAX_ENLARGED_PIXELS:
         large = cv2.resize(image, None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC)
         quads = _opencv_quads(np.asarray(large, dtype=np.uint8), dictionary, THRESHOLDS[0])
         found += [(quad + 0.5) / 2 - 0.5 for quad in quads]
@@ -54,10 +75,11 @@ def dark_quads(image: Image, dictionary: str) -> list[Array]:
 
 def _opencv_quads(image: Image, dictionary: str, constant: int) -> list[Array]:
     parameters = cv2.aruco.DetectorParameters()
-    parameters.minMarkerPerimeterRate = 4 * MIN_SIDE_PX / max(image.shape)
-    parameters.maxMarkerPerimeterRate = 8.0
-    parameters.adaptiveThreshWinSizeMin, parameters.adaptiveThreshWinSizeMax = WINDOWS_PX[:2]
-    parameters.adaptiveThreshWinSizeStep = WINDOWS_PX[2]
+    parameters.minMarkerPerimeterRate = 4 * MIN_CANDIDATE_SIDE_PX / max(image.shape)
+    parameters.maxMarkerPerimeterRate = MAX_PERIMETER_RATE
+    parameters.adaptiveThreshWinSizeMin = MIN_WINDOW_PX
+    parameters.adaptiveThreshWinSizeMax = MAX_WINDOW_PX
+    parameters.adaptiveThreshWinSizeStep = WINDOW_STEP_PX
     parameters.adaptiveThreshConstant = constant
     parameters.polygonalApproxAccuracyRate = 0.05
     parameters.minDistanceToBorder = 0
@@ -68,28 +90,31 @@ def _opencv_quads(image: Image, dictionary: str, constant: int) -> list[Array]:
 
 
 def dark_patches(image: Image) -> list[Array]:
-    """Smallest rectangles (4, 2) around dark patches, if nearly square: markers that are covered in part."""
+    """Return the smallest rectangles (4, 2), px, around dark patches, if they are nearly square.
+
+    Markers that are covered in part look like this.
+    """
     quads: list[Array] = []
     for dark in _dark(image):
         contours, _ = cv2.findContours(dark, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
         for contour in contours:
             rectangle = cv2.minAreaRect(contour)
             shorter, longer = sorted(rectangle[1])
-            if shorter > MIN_SIDE_PX and longer < 1.2 * shorter:
+            if shorter > MIN_CANDIDATE_SIDE_PX and longer < 1.2 * shorter:
                 quads.append(cv2.boxPoints(rectangle).astype(float))
     return quads
 
 
 def _dark(image: Image) -> list[Image]:
     """What is dark against its wider surroundings, at each threshold."""
-    window = max(WINDOWS_PX[1], 2 * (min(image.shape) // 12) + 1)
+    window = max(MAX_WINDOW_PX, 2 * (min(image.shape) // 12) + 1)
     mean, below = cv2.ADAPTIVE_THRESH_MEAN_C, cv2.THRESH_BINARY_INV
     masks = [cv2.adaptiveThreshold(image, 255, mean, below, window, constant) for constant in THRESHOLDS]
     return [np.asarray(mask, dtype=np.uint8) for mask in masks]
 
 
 def cut_squares(image: Image, dictionary: str) -> list[Array]:
-    """Squares (4, 2) through what is left of dark shapes that the image's border cuts."""
+    """Return squares (4, 2), px, through the corners left of dark shapes that the image's border cuts."""
     height, width = image.shape
     squares: list[Array] = []
     for dark in _dark(image):
@@ -99,7 +124,7 @@ def cut_squares(image: Image, dictionary: str) -> list[Array]:
             points = contour[:, 0, :].astype(float) - 1
             u, v = points.T
             touches = u.min() < 1 or v.min() < 1 or u.max() > width - 2 or v.max() > height - 2
-            if touches and cv2.contourArea(contour) > MIN_SIDE_PX**2:
+            if touches and cv2.contourArea(contour) > MIN_CANDIDATE_SIDE_PX**2:
                 squares += _complete(contour, (width, height), cells_per_side(dictionary))
     return squares
 
@@ -140,9 +165,10 @@ def _square(first: Array, second: Array, towards: Array) -> Array:
 
 
 def bright_groups(image: Image, dictionary: str) -> list[Array]:
-    """Squares (4, 2) around groups of bright spots on dark: markers whose outline cannot be seen.
+    """Return squares (4, 2), px, around groups of bright spots on dark: outlines that cannot be seen.
 
-    A rectangle around the white cells is that of the bits, or lacks a row or two that are all black.
+    A rectangle around a marker's white cells is that of its bits, or lacks a row or two that are all black;
+    every such completion is tried, and kept if its border of cells is dark.
     """
     n = cells_per_side(dictionary)
     squares: list[Array] = []
@@ -155,7 +181,7 @@ def bright_groups(image: Image, dictionary: str) -> list[Array]:
             disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (closing, closing))
             closed = cv2.morphologyEx(bright, cv2.MORPH_CLOSE, disc)
             contours, _ = cv2.findContours(closed, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
-            large = [c for c in contours if cv2.contourArea(c) > (MIN_SIDE_PX * (n - 2) / n) ** 2]
+            large = [c for c in contours if cv2.contourArea(c) > (MIN_CANDIDATE_SIDE_PX * (n - 2) / n) ** 2]
             for contour in sorted(large, key=cv2.contourArea, reverse=True)[:MAX_GROUPS]:
                 squares += _grow(contour, n)
     return _with_dark_border(np.asarray(smooth, dtype=np.uint8), squares, n)
@@ -205,7 +231,7 @@ def _edge_angles(hull: Array) -> list[float]:
     angles: list[float] = []
     for edge in edges[np.argsort(-lengths)][:MAX_EDGES]:
         angle = float(np.arctan2(edge[1], edge[0]) % (np.pi / 2))
-        if all(abs(np.angle(np.exp(4j * (angle - other)))) > 4 * ALIKE_RAD for other in angles):
+        if all(abs(np.angle(np.exp(4j * (angle - other)))) > 4 * SAME_DIRECTION_RAD for other in angles):
             angles.append(angle)
     return angles
 
@@ -218,7 +244,7 @@ def _complete_bits(
     for columns in range(n - 4, n - 1):
         for rows in range(n - 4, n - 1):
             cell = (width / columns + height / rows) / 2
-            if cell * n < MIN_SIDE_PX or abs(width / columns - height / rows) > 0.2 * cell:
+            if cell * n < MIN_CANDIDATE_SIDE_PX or abs(width / columns - height / rows) > 0.2 * cell:
                 continue
             for left in range(n - 1 - columns):
                 for top in range(n - 1 - rows):

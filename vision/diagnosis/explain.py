@@ -1,8 +1,10 @@
 """Why markers were not detected: every rejected candidate, with what was measured of it and a remedy.
 
-A slow and thorough pass for people who set up cameras and markers; nothing of the loop depends on it. Of
-several reasons the first is given, in the order of `Reason`: a marker of too few pixels has wrong bits as
-well.
+Explaining is not detecting: this is a slow and thorough pass, for people who set up cameras and markers, over
+what a detector left. Candidates (`candidates`) are read by correlation with all markers under several blurs
+(`quad_reading`), so that blur, contrast and the nearest id are measured from the bits themselves. The first
+limit that is broken, in the order of `Reason`, is the reason given (`reasons`): a marker of too few pixels
+has wrong bits as well.
 """
 
 from collections import Counter
@@ -10,9 +12,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-from skyherd.errors import InputError
 from skyherd.geometry import Array
 from skyherd.markers.dictionary import card_side
 from skyherd.messages import Detections
@@ -28,16 +28,26 @@ from skyherd.vision.diagnosis.reasons import (
     is_cut,
     is_dark,
 )
-
-Image = npt.NDArray[np.uint8]
+from skyherd.vision.grey import Image, check_grey
 
 GROWTHS_PX = (0.5, 1.0)
+"""By how much a contour is moved outwards and read again, px. Derived: thresholds lose up to a pixel of an
+edge."""
+
 REACH = 0.6
-"""What is centred within this share of a detected card's side from its centre is part of it."""
+"""A candidate centred within this share of a detected card's side from its centre is part of that card.
+Chosen: more than half, for candidates that reach over its edge."""
 
 FRAME_BONUS = 0.3
-GUESS, SURE, LEAST_VISIBLE = 0.75, 0.93, 0.4
-"""Likeness at first and second look, and share in the image, that make a guessed square a marker."""
+"""Added to the rank of candidates that read without a fault or have a clear frame, a likeness. Chosen: more
+than likenesses of markers in one place differ by."""
+
+VISIBLE_EXPONENT = 0.25
+"""Exponent of the share in the image in a candidate's rank. Chosen: a square half outside loses a sixth."""
+
+GUESS, SURE, MIN_VISIBLE = 0.75, 0.93, 0.4
+"""Likeness at first and second look, and share in the image, that make a guessed square a marker. Chosen
+high, since many squares are guessed and chance is like some marker too."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +57,7 @@ class Rejection:
     Attributes:
         reason: what is wrong with it.
         reading: what was measured of it.
-        words: the reason with its numbers, and what to do.
+        words: the reason with its numbers, and what to do about it.
     """
 
     reason: Reason
@@ -56,17 +66,17 @@ class Rejection:
 
     @property
     def corners_px(self) -> Array:
-        """(4, 2), in order around it; they may lie outside the image."""
+        """Corners (4, 2), px, in order around the candidate; they may lie outside the image."""
         return self.reading.corners_px
 
     @property
     def center_px(self) -> Array:
-        """(2,) mean of the corners."""
+        """Mean (2,) of the corners, px."""
         return np.asarray(self.corners_px.mean(axis=0))
 
 
 def explain(image: Image, dictionary: str, detections: Detections | None = None) -> list[Rejection]:
-    """Why what looks like a marker of `dictionary` in a grey image (height, width) was not detected.
+    """Return why each thing that looks like a marker in a grey image was not detected.
 
     Candidates that coincide with a detection, lie inside one, or are part of a better candidate are left
     out. The most marker-like comes first, dark quadrilaterals without bits last.
@@ -79,8 +89,7 @@ def explain(image: Image, dictionary: str, detections: Detections | None = None)
     Raises:
         InputError: the image is not a grey one of 8 bits, or there is no such dictionary.
     """
-    if image.ndim != 2 or image.dtype != np.uint8 or min(image.shape) < 1:
-        raise InputError("image", f"shape {image.shape}, {image.dtype}", "grey, (height, width), uint8")
+    image = check_grey(image)
     if detections is None:
         detections = ArucoDetector(dictionary).detect(image)
     readings: list[Reading] = []
@@ -118,7 +127,7 @@ def _read_all(image: Image, dictionary: str, detections: Detections) -> list[Rea
     doubtful = [reading for reading in seen if is_cut(reading, size_px)]
     doubtful += [read_quad(image, quad, dictionary, promising=GUESS) for quad in guesses]
     return whole + [
-        r for r in doubtful if r.likeness >= SURE and r.wrong_bits == 0 and r.visible >= LEAST_VISIBLE
+        r for r in doubtful if r.likeness >= SURE and r.wrong_bits == 0 and r.visible >= MIN_VISIBLE
     ]
 
 
@@ -138,7 +147,7 @@ def _rank(reading: Reading) -> float:
     """How marker-like a reading is; of squares that share a place the highest stays."""
     exact = reading.likeness >= CERTAIN and reading.wrong_bits == 0
     frame = reading.framed and reading.cell_px[0] >= ENOUGH_CELL_PX and is_dark(reading)
-    return float(reading.likeness * reading.visible**0.25 + FRAME_BONUS * (exact or frame))
+    return float(reading.likeness * reading.visible**VISIBLE_EXPONENT + FRAME_BONUS * (exact or frame))
 
 
 def _contains(corners_px: Array, point_px: Array) -> bool:

@@ -1,9 +1,9 @@
 """What a quadrilateral of an image holds, read as a marker: its cells, levels, blur, and the nearest id.
 
-A quadrilateral is mapped to the marker's grid of n x n cells, sampled at several places a cell. Likeness is
-the correlation of the samples with the marker they are most like, over ids, quarter turns, mirroring and a
-blur of 0.1 to 1 cells: 1 for a perfect marker, whatever its contrast and blur. Since the pattern is known,
-the blur follows from the bits themselves and needs no clean edge.
+A quadrilateral is mapped to the marker's grid of n x n cells and sampled at several points of each cell.
+Likeness is the correlation of the samples with the marker that they are most like, over ids, quarter turns,
+mirroring and a blur of 0.1 to 1 cells: 1 for a perfect marker, whatever its contrast and blur. Since the
+pattern is known, blur and contrast follow from the bits themselves and need no clean edge.
 """
 
 from dataclasses import dataclass
@@ -14,36 +14,57 @@ import numpy as np
 import numpy.typing as npt
 
 from skyherd.geometry import Array, BoolArray
-from skyherd.markers.blur_model import gather
 from skyherd.markers.dictionary import cells_per_side, dictionary_size, marker_cells
-
-Image = npt.NDArray[np.uint8]
+from skyherd.vision.blurred_cells import MIN_DEVIATION, blurred_darkness, correlations
+from skyherd.vision.grey import Image
 
 PER_CELL = 3
-"""Samples a cell and axis that likeness is measured on."""
+"""Samples of a cell along each axis on which likeness is measured. Chosen odd, so that one lies in the
+middle."""
 
 FINE = 3
-"""Finer samples a cell and axis that are averaged into one of them, where there are enough pixels."""
+"""Finer samples along each axis that are averaged into one of the above. Chosen: fewer are noisier where a
+cell has many pixels."""
 
-BLURS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.85, 1.0)
-"""Standard deviations, in cells, that are tried."""
+BLURS_CELLS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.85, 1.0)
+"""Standard deviations of the blur, in cells, that are tried. Chosen: from sharp to beyond legible."""
 
-FIRST_BLUR = 0.3
+FIRST_BLUR_CELLS = 0.3
+"""Standard deviation of the blur, in cells, at the first look. Chosen: moderate, so that the nearest markers
+are among the `FINALISTS` at any other."""
+
 FINALISTS = 8
-"""So many of the templates that are most like at the first blur are compared at all."""
+"""Number of templates, the likest at the first blur, that are compared at all blurs. Chosen: more cost time
+in proportion."""
 
 PROMISING = 0.5
-"""Likeness at the first blur below which nothing finer is measured."""
+"""Likeness at the first blur below which nothing finer is measured. Chosen low: it saves time on what is
+plainly no marker."""
 
 FRAME_SHARE = 0.75
-"""Share of the border's cells that must be dark for a frame."""
+"""Share of the border's cells that must be dark for a frame. Chosen: one side of four may be lost."""
+
+MIN_CELLS = 4
+"""Smallest number of cells in the image from which a correlation is computed."""
+
+WHITE_PERCENTILE = 85
+"""Percentile of the inner cells that is taken as white. Chosen: at least an eighth of a marker's bits are
+white, and the brightest few may be glare."""
+
+FIRST_MIDDLE = 128.0
+"""Level between black and white if no inner cell is in the image: the middle of the 8-bit range."""
 
 
 @dataclass(frozen=True)
 class Templates:
-    """Markers of a dictionary, turned and mirrored: rows `(mirrored, turn, id)`.
+    """All N markers of a dictionary in four quarter turns, as they are and mirrored: 8 N templates.
 
-    `white` (8 N, n, n); `levels` (8 N, n, n) under `FIRST_BLUR`, on a white card.
+    The row of marker i in turn k is `4 N mirrored + N k + i`.
+
+    Attributes:
+        white: (8 N, n, n) which cells are white.
+        levels: (8 N, n, n) levels of the cells' middles under `FIRST_BLUR_CELLS`, 0 black, 1 white.
+        count: number N of markers.
     """
 
     white: BoolArray
@@ -51,32 +72,23 @@ class Templates:
     count: int
 
     def row(self, index: int) -> tuple[int, bool]:
-        """Id, and whether mirrored, of a row."""
+        """Return the marker id of a row, and whether it is mirrored."""
         return index % self.count, index >= 4 * self.count
 
 
-def _blurred(white: BoolArray, blur: float, per_cell: int) -> npt.NDArray[np.float32]:
-    """Levels (M, S, S), S = n per_cell, of markers (M, n, n) on white under a blur in cells."""
-    spread = _spread(white.shape[1], blur, per_cell)
-    padded = np.pad(white.astype(float), ((0, 0), (1, 1), (1, 1)), constant_values=1.0)
-    return np.asarray(spread @ padded @ spread.T, dtype=np.float32)
-
-
-@lru_cache(maxsize=64)
-def _spread(n: int, blur: float, per_cell: int) -> Array:
-    """(S, n + 2) how the Gaussian gathers a row of cells; the card around them has no end."""
-    x = (np.arange(n * per_cell) + 0.5) / per_cell
-    return gather(x, np.concatenate([[-9.0], np.arange(n + 1), [n + 9.0]]), blur)
+def _blurred(white: BoolArray, blur_cells: float, per_cell: int) -> npt.NDArray[np.float32]:
+    """Levels (M, S, S), S = n per_cell, of markers (M, n, n) on a white ground under a blur."""
+    return (1.0 - blurred_darkness(white, blur_cells, per_cell)).astype(np.float32)
 
 
 @lru_cache(maxsize=4)
 def load_templates(dictionary: str) -> Templates:
-    """The dictionary's templates."""
+    """Return the templates of a dictionary; the last four dictionaries are kept."""
     count = dictionary_size(dictionary)
     cells = np.stack([marker_cells(dictionary, k) for k in range(count)])
     sides = (cells, cells[:, :, ::-1])
     white = np.concatenate([np.rot90(side, turn, (1, 2)) for side in sides for turn in range(4)])
-    return Templates(white, _blurred(white, FIRST_BLUR, 1), count)
+    return Templates(white, _blurred(white, FIRST_BLUR_CELLS, 1), count)
 
 
 @dataclass(frozen=True)
@@ -84,17 +96,17 @@ class Reading:
     """A quadrilateral read as a marker.
 
     Attributes:
-        corners_px: (4, 2), in order around it.
+        corners_px: (4, 2) corners, in order around it.
         cell_px: (2,) shorter and longer extent of a cell, px: singular values of the map at the centre.
-        black: level of its black, and
-        white: of its white, as they are without blur.
-        depth: by how many grey levels the median of what is around it is above the median of its border.
+        black: grey level of its black, without blur.
+        white: grey level of its white, without blur.
+        depth: by how many grey levels the median of its surroundings is above the median of its border.
         framed: whether it is a dark frame with something bright in it.
-        quiet: (4,) level beside each edge, from edge 0-1 on; not a number off the image.
-        likeness: correlation with the nearest marker.
-        nearest_id: the marker it is most like.
-        mirrored: it is most like that marker's mirror image.
-        wrong_bits: cells that are not as in that marker, the border included.
+        quiet: (4,) grey levels beside each edge, from edge 0-1 on; NaN off the image.
+        likeness: correlation with the nearest marker, -1 to 1.
+        nearest_id: id of the marker that it is most like.
+        mirrored: whether it is most like that marker's mirror image.
+        wrong_bits: number of cells that differ from that marker's, the border included.
         visible: share of its cells that lie in the image.
         blur_cells: standard deviation of its blur, lens and pixel together, in cells.
     """
@@ -115,17 +127,17 @@ class Reading:
 
     @property
     def contrast(self) -> float:
-        """White minus black, grey levels."""
+        """Difference of white and black, grey levels."""
         return self.white - self.black
 
     @property
     def tilt_deg(self) -> float:
-        """Angle between the line of sight and the marker's normal, as a camera far away sees it."""
+        """Angle between the line of sight and the marker's normal, degrees, for a camera that is far away."""
         return float(np.degrees(np.arccos(min(self.cell_px[0] / self.cell_px[1], 1.0))))
 
     @property
     def side_px(self) -> float:
-        """Root of the area."""
+        """Side of a square of the same area, px."""
         return float(np.sqrt(abs(_area(self.corners_px))))
 
 
@@ -136,17 +148,27 @@ def _area(corners_px: Array) -> float:
 
 
 def image_from_cells(corners_px: Array, n: int) -> Array:
-    """Homography (3, 3) from cell coordinates, 0 to n to the right and down, to pixels."""
+    """Return the homography (3, 3) from cell coordinates, 0 to n to the right and down, to pixels."""
     square = np.array([[0, 0], [n, 0], [n, n], [0, n]], np.float32)
     return np.asarray(cv2.getPerspectiveTransform(square, corners_px.astype(np.float32)), dtype=float)
 
 
 def read_quad(image: Image, corners_px: Array, dictionary: str, *, promising: float = PROMISING) -> Reading:
-    """Read a quadrilateral (4, 2); one less than `promising` at the first look is not looked at finely."""
+    """Return what a quadrilateral holds, read as a marker.
+
+    Args:
+        image: grey, (height, width).
+        corners_px: (4, 2) corners, in order around it; they may lie outside the image.
+        dictionary: whose markers it is compared with.
+        promising: likeness at the first blur below which no other blur is tried.
+
+    Raises:
+        InputError: there is no such dictionary.
+    """
     n = cells_per_side(dictionary)
     image_cells = image_from_cells(corners_px, n)
     samples = _sample(image, image_cells, n)
-    levels = _cell_levels(samples)
+    levels = samples[PER_CELL // 2 :: PER_CELL, PER_CELL // 2 :: PER_CELL]
     ring, inner = levels[1:-1, 1:-1], levels[2:-2, 2:-2]
     border = np.concatenate([ring[0], ring[-1], ring[1:-1, 0], ring[1:-1, -1]])
     quiet = np.array([_median(edge[1:-1]) for edge in (levels[0], levels[:, -1], levels[-1], levels[:, 0])])
@@ -175,7 +197,11 @@ def read_quad(image: Image, corners_px: Array, dictionary: str, *, promising: fl
 def _middle(border: Array, inner: Array) -> float:
     """Level between black and white: half-way from the border to the brighter cells inside."""
     bright = inner[np.isfinite(inner)]
-    return (_median(border) + float(np.percentile(bright, 85))) / 2 if bright.size else 128.0
+    return (
+        (_median(border) + float(np.percentile(bright, WHITE_PERCENTILE))) / 2
+        if bright.size
+        else FIRST_MIDDLE
+    )
 
 
 def _median(values: Array) -> float:
@@ -214,15 +240,16 @@ def _sample(image: Image, image_cells: Array, n: int) -> Array:
     return np.where(inside, samples, np.nan)
 
 
-def _cell_levels(samples: Array) -> Array:
-    """Levels of the cells' middles, of which PER_CELL samples a side there are."""
-    middle = PER_CELL // 2
-    return samples[middle::PER_CELL, middle::PER_CELL]
-
-
 @dataclass(frozen=True)
 class Match:
-    """The most like template: its row, likeness and blur, and the levels that fit it best."""
+    """The template that cells are most like.
+
+    Attributes:
+        likeness: correlation with it.
+        row: of the template in `Templates`.
+        blur_cells: standard deviation of the blur, in cells.
+        black, white: grey levels that fit it best.
+    """
 
     likeness: float
     row: int
@@ -232,40 +259,36 @@ class Match:
 
 
 def _nearest(cells: Array, samples: Array, templates: Templates, promising: float) -> Match:
-    """The template most like what lies in the image.
+    """The template that is most like what lies in the image.
 
-    All are compared by the cells' middles, the best of them then by all samples and blurs.
+    All templates are compared by the cells' middles, then the best of them by all samples and blurs.
     """
     seen = np.isfinite(cells)
-    if seen.sum() < 4:
-        return Match(0.0, 0, FIRST_BLUR, 0.0, 0.0)
-    likeness = _correlate(templates.levels[:, seen], cells[seen])
+    if seen.sum() < MIN_CELLS:
+        return Match(0.0, 0, FIRST_BLUR_CELLS, 0.0, 0.0)
+    likeness = correlations(templates.levels[:, seen], cells[seen][None])[0]
     best = np.argsort(likeness)[-FINALISTS:]
     match = _fit(
-        float(likeness[best[-1]]), int(best[-1]), FIRST_BLUR, templates.levels[best[-1]][seen], cells[seen]
+        float(likeness[best[-1]]),
+        int(best[-1]),
+        FIRST_BLUR_CELLS,
+        templates.levels[best[-1]][seen],
+        cells[seen],
     )
     if match.likeness < promising:
         return match
     seen = np.isfinite(samples)
-    for blur in BLURS:
+    for blur in BLURS_CELLS:
         patterns = _blurred(templates.white[best], blur, PER_CELL)[:, seen]
-        likeness = _correlate(patterns, samples[seen])
+        likeness = correlations(patterns, samples[seen][None])[0]
         row = int(likeness.argmax())
-        if likeness[row] > match.likeness or blur == BLURS[0]:
+        if likeness[row] > match.likeness or blur == BLURS_CELLS[0]:
             match = _fit(float(likeness[row]), int(best[row]), blur, patterns[row], samples[seen])
     return match
 
 
 def _fit(likeness: float, row: int, blur: float, pattern: npt.NDArray[np.float32], values: Array) -> Match:
     """Black and white by least squares: values = black + (white - black) pattern."""
-    gain = likeness * float(values.std()) / max(float(pattern.std()), 1e-9)
+    gain = likeness * float(values.std()) / max(float(pattern.std()), MIN_DEVIATION)
     black = float(values.mean()) - gain * float(pattern.mean())
     return Match(likeness, row, blur, black, black + gain)
-
-
-def _correlate(patterns: npt.NDArray[np.float32], values: Array) -> Array:
-    """Correlation (M,) of each row of patterns (M, K) with values (K,)."""
-    offsets = values - values.mean()
-    deviations = patterns - patterns.mean(axis=1, keepdims=True)
-    size = np.linalg.norm(deviations, axis=1) * np.linalg.norm(offsets)
-    return np.asarray(deviations @ offsets / np.maximum(size, 1e-9), dtype=float)

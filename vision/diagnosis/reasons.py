@@ -1,4 +1,4 @@
-"""Why a candidate that was read is no detection: the limits, which of them it breaks, and how to say so."""
+"""Why a candidate is no detection: the limits, which of them it breaks, and how that is put into words."""
 
 from enum import Enum
 
@@ -9,42 +9,61 @@ from skyherd.markers.dictionary import cells_per_side
 from skyherd.vision.diagnosis.quad_reading import Reading
 
 ENOUGH_CELL_PX = 3.0
-"""Pixels a cell from which on hardly a marker is missed: 18 px for those of 4x4."""
+"""Pixels a cell from which on hardly a marker is missed. Measured: 18 px for the 6 cells of 4x4
+(`detectors/aruco_accuracy.toml`: 99.6 % are found)."""
 
 ENOUGH_CONTRAST = 40.0
-"""Grey levels between black and white, at least."""
+"""Smallest difference of white and black, grey levels, that is called enough. Chosen: ten times the usual
+noise and more."""
 
-BLUR_CELLS = 0.55
-"""Standard deviation of the blur, in cells, beyond which neighbouring cells run into each other."""
+MAX_BLUR_CELLS = 0.55
+"""Standard deviation of the blur, in cells, beyond which neighbouring cells run into each other. Chosen: half
+a cell and a little."""
 
 OBLIQUE_DEG = 60.0
-"""A marker with too few pixels only because it is seen at more than this is called oblique."""
+"""Tilt, degrees, beyond which a marker with too few pixels is called oblique instead. Derived: its cells are
+then half as high as wide, `cos 60°`."""
 
 QUIET_SHARE = 0.4
-"""A quiet zone must lie at least this share of the way from black to white on every side."""
+"""A quiet zone must lie at least this share of the way from black to white on every side. Chosen: a little
+less than half, since blur darkens a narrow zone."""
 
 BORDER_PX = 1.5
-"""A marker with a corner nearer to the image's border than this is cut."""
+"""A marker with a corner nearer to the image's border than this, px, is cut. Chosen: contours are found to
+about a pixel."""
 
 MARKER_LIKE = 0.6
-"""Likeness of a frame below which what is in it is taken to be no bits."""
+"""Likeness of a clear frame below which its content is not taken as bits. Chosen: below a marker with several
+wrong cells, above most other drawings."""
 
 KNOWN_SHARE = 0.75
-"""Of a cut marker so much must be seen to say which it is."""
+"""Share of a cut marker that must be in the image to say which marker it is. Chosen: less is like several."""
 
 CERTAIN = 0.9
-"""Likeness of what is plainly a marker; small or faint ones have to reach it, chance being like them too."""
+"""Likeness of what is plainly a marker. Small or faint candidates have to reach it, since chance is like some
+marker too. Chosen between such likenesses and those of undamaged markers, 0.95 and more."""
 
 MIN_CONTRAST = 8.0
+"""Difference of white and black, grey levels, that bits must exceed. Chosen: above the usual noise of 3."""
+
 BIT_SHARE = 0.3
-"""Bright cells lie above black by more than these: grey levels, and share of what is around the marker."""
+"""Share of the step from the border to the surroundings that the contrast of bits must exceed. Chosen: a
+white cell is as bright as the card but for blur."""
 
 DARK_LEVELS = 25.0
-"""A dark quadrilateral without bits is worth a word if what is around it is brighter by this."""
+"""A dark quadrilateral without bits is reported if its surroundings are brighter by this, grey levels.
+Chosen: fainter ones are shadows and texture."""
+
+MIN_QUIET_CONTRAST = 1.0
+"""Smallest contrast, grey levels, that the quiet zone's level is compared with, so that none divides by
+zero."""
 
 
 class Reason(Enum):
-    """Why a candidate is no detection."""
+    """Why a candidate is no detection; the values are the words that users read.
+
+    Of several reasons that hold, the first in this order is given.
+    """
 
     NO_BITS = "no bits"
     CUT = "cut by the border"
@@ -60,11 +79,11 @@ class Reason(Enum):
 
 
 def find_reason(reading: Reading, image_size_px: Array, *, again: bool) -> Reason:
-    """The first reason that holds, in the order of `Reason`.
+    """Return the first reason that holds, in the order of `Reason`; `OVERLOOKED` if none does.
 
     Args:
         reading: of the candidate.
-        image_size_px: (2,) width and height.
+        image_size_px: (2,) width and height of the image.
         again: whether its id was read without a fault elsewhere too.
     """
     exact = reading.wrong_bits == 0 and reading.likeness >= CERTAIN
@@ -77,7 +96,7 @@ def find_reason(reading: Reading, image_size_px: Array, *, again: bool) -> Reaso
         (Reason.REPEATED, exact and again),
         (Reason.OBLIQUE, reading.tilt_deg > OBLIQUE_DEG and short < ENOUGH_CELL_PX),
         (Reason.FEW_PIXELS, short < ENOUGH_CELL_PX),
-        (Reason.BLURRED, reading.blur_cells > BLUR_CELLS),
+        (Reason.BLURRED, reading.blur_cells > MAX_BLUR_CELLS),
         (Reason.NO_QUIET_ZONE, bool(_lacks_quiet(reading).any())),
         (Reason.WRONG_BITS, reading.wrong_bits > 0),
     )
@@ -89,24 +108,24 @@ def _has_bits(reading: Reading) -> bool:
     if reading.contrast <= max(MIN_CONTRAST, BIT_SHARE * reading.depth):
         return False
     clear = reading.framed and reading.cell_px[0] >= ENOUGH_CELL_PX and reading.contrast >= ENOUGH_CONTRAST
-    clear = clear and reading.blur_cells <= BLUR_CELLS and not _lacks_quiet(reading).any()
+    clear = clear and reading.blur_cells <= MAX_BLUR_CELLS and not _lacks_quiet(reading).any()
     return reading.likeness >= (MARKER_LIKE if clear else CERTAIN)
 
 
 def is_dark(reading: Reading) -> bool:
-    """Whether it stands out from what is around it, with bits in it or without."""
+    """Return whether a candidate is clearly darker than its surroundings, with bits in it or without."""
     return reading.depth >= DARK_LEVELS
 
 
 def is_cut(reading: Reading, image_size_px: Array) -> bool:
-    """Whether it reaches the border of the image."""
+    """Return whether a candidate reaches the border of an image of size (2,), width and height."""
     corners = reading.corners_px
     return bool(((corners < BORDER_PX) | (corners > image_size_px - 1 - BORDER_PX)).any())
 
 
 def _lacks_quiet(reading: Reading) -> Array:
     """(4,) whether the quiet zone beside each edge is too dark."""
-    share = (reading.quiet - reading.black) / max(reading.contrast, 1.0)
+    share = (reading.quiet - reading.black) / max(reading.contrast, MIN_QUIET_CONTRAST)
     return np.asarray(share < QUIET_SHARE)
 
 
@@ -129,11 +148,11 @@ WORDS = {
     "in part, dirty, or of another dictionary than {dictionary}",
     Reason.OVERLOOKED: "reads as id {id} without a fault, {cell_px:.1f} px a cell: try another detector",
 }
-"""What is said of each reason, and what to do about it."""
+"""What users read for each reason, with places for the numbers that `describe` fills in."""
 
 
 def describe(reason: Reason, reading: Reading, dictionary: str) -> str:
-    """The reason with its numbers, and what to do about it."""
+    """Return the reason with the numbers that were measured, and what to do about it, in words."""
     r, n = reading, cells_per_side(dictionary)
     like = f"most like id {r.nearest_id}"
     if r.wrong_bits:
@@ -154,7 +173,7 @@ def describe(reason: Reason, reading: Reading, dictionary: str) -> str:
         enough_contrast=ENOUGH_CONTRAST,
         blur_px=r.blur_cells * r.cell_px.mean(),
         blur_cells=r.blur_cells,
-        most_blur_cells=BLUR_CELLS,
+        most_blur_cells=MAX_BLUR_CELLS,
         tilt_deg=r.tilt_deg,
         dark_edges=int(_lacks_quiet(r).sum()),
         dictionary=dictionary,

@@ -1,20 +1,19 @@
-"""What a picture without detections most likely needs: another dictionary, or to be flipped."""
+"""What an image with few detections most likely needs: another dictionary, or to be flipped."""
 
 import numpy as np
-import numpy.typing as npt
 
 from skyherd.markers.dictionary import dictionary_names, dictionary_size, load_dictionary, marker_cells
 from skyherd.vision.detectors.opencv_tuned import ArucoDetector
 from skyherd.vision.detectors.registry import explain_mirrored
-
-Image = npt.NDArray[np.uint8]
+from skyherd.vision.grey import Image
 
 
 def suggest_dictionary(image: Image, dictionary: str) -> str | None:
-    """The dictionary that decodes more of a grey image than `dictionary` does, None if there is none.
+    """Return the dictionary that decodes more of a grey image than `dictionary` does; None if there is none.
 
-    Of those that decode as many, the one whose markers differ most, and of the sizes of one series the
-    smallest that has all ids found.
+    Of dictionaries that decode as many markers, the one whose markers differ most from each other is
+    preferred, and of a series such as 4X4_50 to 4X4_1000 the smallest that has all ids found. All
+    dictionaries are tried.
     """
     at_least = len(ArucoDetector(dictionary).detect(image)) + 1
     best = None
@@ -27,7 +26,11 @@ def suggest_dictionary(image: Image, dictionary: str) -> str | None:
 
 
 def suggest(image: Image, dictionary: str) -> str | None:
-    """What to try where little was found, in words; None if nothing helps."""
+    """Return what to try where little was found in a grey image, in words; None if nothing helps.
+
+    Raises:
+        InputError: the image is not a grey one of 8 bits, or there is no such dictionary.
+    """
     mirrored = explain_mirrored(image, dictionary)
     if mirrored is not None:
         return mirrored

@@ -1,1 +1,4 @@
-"""Markers measured from their pixels: the fit of the known pattern, verified and followed."""
+"""Markers measured by fitting their known pattern to the pixels; verified, and followed between images.
+
+`detector` is the entrance and says how the parts work together.
+"""

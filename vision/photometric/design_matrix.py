@@ -1,143 +1,146 @@
-"""The linear model of a marker's pixels around a pose: its columns, drawn at the image's own pixels.
+"""The linear model of a marker's pixels around a pose: its design matrix, drawn at the image's own pixels.
 
-With a marker's pattern T (`skyherd.vision.photometric.pattern`) at marker coordinates z = z(p) = x + iy,
+With a marker's pattern T (`skyherd.vision.photometric.pattern`) at marker coordinates z = z(p) = x + iy, the
+grey level of pixel p is
 
     I(p) ≈ a + b T + b (T_z · δz + T_log σ δ log σ) + g (1 - A) + (l_x x + l_y y) (r + T),
 
-with black a, contrast b, a step of the pose δz = d + (s + iθ) z + e z̄, a blur other than the pattern's,
-ground g beyond the card, and light l that changes over the marker, with r = a / b. Nothing is resampled but
-the pattern, so that the noise stays white.
+with black level a, contrast b (white minus black), a step of the pose δz = d + (s + iθ) z + e z̄ (shift d,
+scale s, rotation θ, squeeze e), a change of the blur's logarithm δ log σ, ground level g beyond the card, of
+which the card covers the share A, and light l that changes over the marker, with r = a / b. Everything that
+the pixels depend on is thus an unknown of one linear model, 12 in all.
+
+The pattern and its derivatives are read *at the image's own pixels*; the image itself is never resampled, so
+that its noise stays white.
+
+Ground seen through the blur near the card's edge has a texture, which the model does not describe. Pixels are
+therefore weighted by `1 / sqrt(1 + (t (1 - A))²)`, with t the texture's standard deviation over the noise:
+texture is noise too, and without the weights the covariance would promise too much.
 """
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
 import cv2
 import numpy as np
 import numpy.typing as npt
-from scipy.special import ndtr
 
-from skyherd.geometry import Array, BoolArray, ComplexArray, IntArray
+from skyherd.geometry import Array, BoolArray, IntArray
 from skyherd.vision.grey import Image
-from skyherd.vision.photometric.local_homography import Shapes
+from skyherd.vision.photometric.appearance import MarkerAppearances, ground_share
+from skyherd.vision.photometric.local_homography import LocalHomographies
 from skyherd.vision.photometric.pattern import Pattern
-from skyherd.vision.photometric.pixel_support import BLOCK, Floats, lines_within
+from skyherd.vision.photometric.pixel_support import BLOCK, Floats, pixels_within
 
 BLACK, CONTRAST, RIGHT, DOWN, TURN, GROW, BLUR, GROUND = range(8)
-SQUEEZE, LIGHT, PIXELS = [8, 9], [10, 11], 12
-POSE = [RIGHT, DOWN, TURN, GROW, *SQUEEZE]
-"""Rows of the model's columns, two for what has two components, and of the pixels below them."""
+"""Indices of the unknowns with one component, in the order of the model's columns."""
 
-ROWS = 16
-"""Rows of `Pixels.columns`, the last ones empty: products of matrices are fastest in multiples of this."""
+SQUEEZE, LIGHT = [8, 9], [10, 11]
+"""Indices of the unknowns with two components each."""
+
+UNKNOWNS = 12
+"""Number of unknowns of a marker. Derived: the indices above."""
+
+PIXEL_ROW = UNKNOWNS
+"""Index of the pixels' own values, which are stored beside the model's columns."""
+
+POSE = [RIGHT, DOWN, TURN, GROW, *SQUEEZE]
+"""Indices of the unknowns that make up a step of the pose."""
+
+PADDED_COLUMNS = 16
+"""Rows allocated in `DesignMatrices.columns`: the 12 unknowns and the pixels, filled up with zeros. Chosen:
+the next multiple of 16, at which products of single-precision matrices are fastest."""
 
 MIDDLE_GREY = 128.0
-"""Taken off the pixels, so that sums of their squares keep their digits."""
+"""Grey level that is subtracted from the pixels, so that sums of their squares keep their digits in single
+precision. Chosen: the middle of the 8-bit range."""
 
-ALIKE = 1.5
-"""Markers whose sides differ by no more than this factor are treated at once."""
-
-EDGE_REACH, PER_SIGMA = 4.0, 64
-"""Half-width of the table of the card's edge, σ, and its entries to a σ: nearest ones are right to 0.003."""
-
-_EDGE: Floats = ndtr(np.arange(-EDGE_REACH, EDGE_REACH + 1 / PER_SIGMA, 1 / PER_SIGMA)).astype(np.float32)
-_EDGE[[0, -1]] = 0.0, 1.0
+SIZE_RATIO = 1.5
+"""Markers whose sides differ by less than this factor share one padded array. Chosen: a larger factor means
+more padding, a smaller one more arrays."""
 
 
-@dataclass(frozen=True)
-class Looks:
-    """What N markers look like at their size and blur.
-
-    Attributes:
-        patterns: of each.
-        bends: of each, if they are squeezed.
-        sigmas: (N,) blurs, in marker sides.
-        limits: (N,) marker coordinates up to which pixels are read.
-        sees_ground: (N,) whether the ground beyond the card can be seen within them.
-        ratios: (N,) black over contrast.
-        half_card: where the card ends, in marker coordinates.
-        texture: deviation of the ground's texture over the noise.
-    """
-
-    patterns: list[Pattern]
-    bends: list[Pattern]
-    sigmas: Array
-    limits: Array
-    sees_ground: BoolArray
-    ratios: Array
-    half_card: float
-    texture: float
-
-    def take(self, rows: IntArray) -> "Looks":
-        """Some of them."""
-        return Looks(
-            [self.patterns[row] for row in rows],
-            [self.bends[row] for row in rows] if self.bends else [],
-            self.sigmas[rows],
-            self.limits[rows],
-            self.sees_ground[rows],
-            self.ratios[rows],
-            self.half_card,
-            self.texture,
-        )
-
-
-class Pixels:
+class DesignMatrices:
     """The pixels of some of an image's markers, and the model's columns at them.
 
     Attributes:
-        rows: (N,) which of the image's markers they are.
-        counts: (N,) pixels of each, as many as are kept.
-        columns: (N, 16, M) the model's columns and the pixels, all times the pixels' weights, 0 in padding.
+        rows: (N,) indices of these markers among those of the image.
+        x, y: (N, M) marker coordinates of the pixels, in sides.
+        counts: (N,) number of pixels used of each marker.
+        columns: (N, 16, M) the model's columns and, in row `PIXEL_ROW`, the pixels less `MIDDLE_GREY`, all
+            times the pixels' weights; 0 in padding and for pixels that are not used.
     """
 
-    def __init__(self, image: Image, rows: IntArray, shapes: Shapes, looks: Looks) -> None:
+    def __init__(
+        self, image: Image, rows: IntArray, homographies: LocalHomographies, appearances: MarkerAppearances
+    ) -> None:
         self.rows = rows
-        lines = lines_within(shapes, looks.limits, image.shape)
-        self.x, self.y, self.counts, self._padded = lines.x, lines.y, lines.counts, lines.padded
-        self.columns = np.empty((rows.size, ROWS, self.x.shape[1]), dtype=np.float32)
-        self.columns[:, PIXELS + 1 :] = 0.0
-        self._weigh(looks, shapes, lines.padded)
-        grey = np.subtract(image.ravel().take(lines.places, mode="wrap"), MIDDLE_GREY, dtype=np.float32)
-        np.multiply(grey, self.columns[:, BLACK], out=self.columns[:, PIXELS])
-        self._fill(looks, shapes)
+        support = pixels_within(homographies, appearances.read_limits, image.shape)
+        self.x, self.y, self.counts, self._mask = support.x, support.y, support.counts, support.mask
+        self.columns = np.empty((rows.size, PADDED_COLUMNS, self.x.shape[1]), dtype=np.float32)
+        self.columns[:, PIXEL_ROW + 1 :] = 0.0
+        self._set_weights(appearances, homographies)
+        grey = np.subtract(
+            image.ravel().take(support.flat_indices, mode="wrap"), MIDDLE_GREY, dtype=np.float32
+        )
+        np.multiply(grey, self.columns[:, BLACK], out=self.columns[:, PIXEL_ROW])
+        self._fill(appearances, homographies)
 
-    def grams(self) -> Floats:
-        """(N, 13, 13) inner products of the columns and the pixels."""
-        return (self.columns @ self.columns.transpose(0, 2, 1))[:, : PIXELS + 1, : PIXELS + 1]
+    def gram_matrices(self) -> Floats:
+        """Return the inner products (N, 13, 13) of the weighted columns and the pixels."""
+        size = PIXEL_ROW + 1
+        return (self.columns @ self.columns.transpose(0, 2, 1))[:, :size, :size]
 
-    def keep(self, wanted: BoolArray) -> None:
-        """Leave out all pixels but those wanted (N, M)."""
-        self.columns *= wanted[:, None]
+    def restrict(self, used: BoolArray) -> None:
+        """Set all pixels to zero, in place, but those marked in `used` (N, M)."""
+        self.columns *= used[:, None]
         self.counts = np.count_nonzero(self.columns[:, BLACK], axis=1)
 
-    def left(self, solutions: Array) -> Floats:
-        """(N, M): what the model at `solutions` (N, 12) leaves of the pixels, times their weights."""
-        model = np.zeros((self.rows.size, ROWS), dtype=np.float32)
-        model[:, :PIXELS], model[:, PIXELS] = -solutions, 1.0
+    def residuals(self, solutions: Array) -> Floats:
+        """Return the weighted residuals (N, M), grey levels, of the model at `solutions` (N, 12)."""
+        model = np.zeros((self.rows.size, PADDED_COLUMNS), dtype=np.float32)
+        model[:, :UNKNOWNS], model[:, PIXEL_ROW] = -solutions, 1.0
         return (model[:, None] @ self.columns)[:, 0]
 
-    def _weigh(self, looks: Looks, shapes: Shapes, padded: Floats) -> None:
-        """What of the ground is seen, and the pixels' weights: texture seen there is noise as well."""
+    def cell_residuals(self, solutions: Array, n_cells: int) -> tuple[Array, Array]:
+        """Return what the model at `solutions` (N, 12) leaves of the pixels, grey levels.
+
+        Returns:
+            The mean residual over each cell (N, n, n), and the largest absolute residual of a pixel (N,).
+        """
+        residuals, cells = self.residuals(solutions), self._cells(n_cells)
+        sizes = self._sum_over_cells(cells, self.columns[:, BLACK] > 0, n_cells)
+        means = self._sum_over_cells(cells, residuals, n_cells) / np.maximum(sizes, 1)
+        return means, np.maximum(residuals.max(axis=1), -residuals.min(axis=1)).astype(np.float64)
+
+    def cell_support(self, n_cells: int) -> Array:
+        """Return the share (N, n, n) of each cell's pixels that is used; 0 for a cell off the image."""
+        cells = self._cells(n_cells)
+        used, read = (
+            self._sum_over_cells(cells, which, n_cells) for which in (self.columns[:, BLACK] > 0, self._mask)
+        )
+        return np.asarray(used / np.maximum(read, 1))
+
+    def _set_weights(self, appearances: MarkerAppearances, homographies: LocalHomographies) -> None:
+        """Fill the columns of black, which are the pixels' weights, and of the ground seen."""
         weights, ground = self.columns[:, BLACK], self.columns[:, GROUND]
-        if not looks.sees_ground.any():
-            weights[...], ground[...] = padded, 0.0
+        if not appearances.reaches_ground.any():
+            weights[...], ground[...] = self._mask, 0.0
             return
-        ground[...] = seen_beyond(self.x, self.y, looks, shapes.squeezes / shapes.arms)
+        ground[...] = ground_share(self.x, self.y, appearances, homographies.squeezes / homographies.arms)
         np.multiply(ground, ground, out=weights)
-        weights *= np.float32(looks.texture**2)
+        weights *= np.float32(appearances.texture**2)
         weights += 1
-        np.divide(padded, np.sqrt(weights, out=weights), out=weights)
+        np.divide(self._mask, np.sqrt(weights, out=weights), out=weights)
         ground *= weights
 
-    def _fill(self, looks: Looks, shapes: Shapes) -> None:
-        """Read the patterns at the pixels and make the model's columns of them."""
+    def _fill(self, appearances: MarkerAppearances, homographies: LocalHomographies) -> None:
+        """Read the patterns at the pixels and make the model's other columns of them."""
         x, y, columns = self.x, self.y, self.columns.transpose(1, 0, 2)
         weights = columns[BLACK]
-        drawn = _read(looks.patterns, x, y)
-        if looks.bends:
-            self._bend(drawn, looks.bends, shapes)
+        drawn = _read(appearances.patterns, x, y)
+        if appearances.anisotropies:
+            self._add_anisotropy(drawn, appearances.anisotropies, homographies)
         np.multiply(drawn[..., 0], weights, out=columns[CONTRAST])
         slope_x, slope_y = (np.multiply(drawn[..., axis], weights) for axis in (1, 2))
         np.multiply(drawn[..., 3], weights, out=columns[BLUR])
@@ -148,84 +151,48 @@ class Pixels:
         np.subtract(-xx, yy, out=columns[GROW])
         np.subtract(yy, xx, out=columns[SQUEEZE[0]])
         np.subtract(-yx, xy, out=columns[SQUEEZE[1]])
-        light = looks.ratios.astype(np.float32)[:, None] * weights
+        light = appearances.black_ratios.astype(np.float32)[:, None] * weights
         light += columns[CONTRAST]
         np.multiply(x, light, out=columns[LIGHT[0]])
         np.multiply(y, light, out=columns[LIGHT[1]])
 
-    def _bend(self, drawn: Floats, bends: list[Pattern], shapes: Shapes) -> None:
-        """Take into T (N, M, 4) that a blur round in the image is not so in a squeezed marker's coordinates.
+    def _add_anisotropy(
+        self, drawn: Floats, anisotropies: list[Pattern], homographies: LocalHomographies
+    ) -> None:
+        """Correct T in `drawn` (N, M, 4), in place, for blur that is round in the image only.
 
-        Towards the horizon the marker shrinks by `w^(-3/2)` with `w = 1 + Re(h̄ m z)`, so that blur grows in
-        its coordinates, and the squeeze changes by `- h m̄ z / 2`.
+        Towards the horizon the marker shrinks by `w^(-3/2)` with `w = 1 + Re(h̄ m z)`, so that the blur grows
+        in its coordinates, and the squeeze changes by `- h m̄ z / 2`.
         """
-        x, y, bent = self.x, self.y, _read(bends, self.x, self.y)
-        squeezes = (shapes.squeezes / shapes.arms).astype(np.complex64)[:, None]
-        leans = (shapes.horizons * shapes.arms.conj() / 2).astype(np.complex64)[:, None]
+        x, y, factors = self.x, self.y, _read(anisotropies, self.x, self.y)
+        squeezes = (homographies.squeezes / homographies.arms).astype(np.complex64)[:, None]
+        leans = (homographies.horizons * homographies.arms.conj() / 2).astype(np.complex64)[:, None]
         squeeze_x = squeezes.real - (leans.real * x - leans.imag * y)
         squeeze_y = squeezes.imag - (leans.imag * x + leans.real * y)
-        drawn[..., 0] -= bent[..., 0] * squeeze_x + bent[..., 1] * squeeze_y
+        drawn[..., 0] -= factors[..., 0] * squeeze_x + factors[..., 1] * squeeze_y
         drawn[..., 0] += 3 * (leans.real * x + leans.imag * y) * drawn[..., 3]
 
-    def leavings(self, solutions: Array, n_cells: int) -> tuple[Array, Array]:
-        """What the model at `solutions` (N, 12) leaves, grey levels.
-
-        Returns:
-            Mean over each cell (N, n, n), and most of a pixel (N,).
-        """
-        left, cells = self.left(solutions), self._cells(n_cells)
-        sizes = self._over_cells(cells, self.columns[:, BLACK] > 0, n_cells)
-        means = self._over_cells(cells, left, n_cells) / np.maximum(sizes, 1)
-        return means, np.maximum(left.max(axis=1), -left.min(axis=1)).astype(np.float64)
-
-    def cells_seen(self, n_cells: int) -> Array:
-        """(N, n, n): which share of each cell's pixels was kept."""
-        cells = self._cells(n_cells)
-        kept, read = (
-            self._over_cells(cells, which, n_cells) for which in (self.columns[:, BLACK] > 0, self._padded)
-        )
-        return np.asarray(kept / np.maximum(read, 1))
-
-    def _over_cells(self, cells: IntArray, values: npt.NDArray[Any], n_cells: int) -> Array:
-        """(N, n, n) sums of values (N, M) over each cell."""
+    def _sum_over_cells(self, cells: IntArray, values: npt.NDArray[Any], n_cells: int) -> Array:
+        """Sums (N, n, n) of values (N, M) over each cell."""
         grid = n_cells + 2
         sums = np.bincount(cells, values.ravel(), minlength=self.rows.size * grid**2)
         return np.asarray(sums.reshape(self.rows.size, grid, grid)[:, 1:-1, 1:-1], dtype=np.float64)
 
     def _cells(self, n_cells: int) -> IntArray:
-        """(N M,) in which cell of all markers' each pixel lies, with a ring around for those outside."""
+        """Index (N M,) of each pixel's cell among those of all markers, each with a ring around it."""
         grid = n_cells + 2
-        down = self._cells_along(self.y, n_cells)
-        down += np.arange(0, self.rows.size * grid, grid)[:, None]
-        down *= grid
-        down += self._cells_along(self.x, n_cells)
-        return np.asarray(down.ravel())
+        cells = self._cells_along(self.y, n_cells)
+        cells += np.arange(0, self.rows.size * grid, grid)[:, None]
+        cells *= grid
+        cells += self._cells_along(self.x, n_cells)
+        return np.asarray(cells.ravel())
 
     @staticmethod
     def _cells_along(along: Floats, n_cells: int) -> IntArray:
-        """Cells, counted from 1, that marker coordinates (N, M) along one axis lie in."""
+        """Cells, counted from 1, of marker coordinates (N, M) along one axis; outside: 0 and n + 1."""
         cells = along * np.float32(n_cells)
         cells += np.float32(n_cells / 2 + 1)
         return np.clip(cells, 0, n_cells + 1.5, out=cells).astype(np.int64)
-
-
-def seen_beyond(x: Floats, y: Floats, looks: Looks, squeezes: ComplexArray) -> Floats:
-    """What of the ground beyond the card is seen at marker coordinates (N, M), `1 - A(x) A(y)`.
-
-    With the blur σ and the card's edge at h, `A(x) = Φ((h - |x|) / σ)`: the other edge is too far off to be
-    felt. Zero where a marker sees none within its limits. In the coordinates of a marker that is squeezed by
-    e = `squeezes` (N,), `z + e z̄`, blur that is round in the image has deviations `σ |1 ∓ e| / (1 - |e|²)`.
-    """
-    middle = EDGE_REACH * PER_SIGMA + 0.5
-
-    def covered(along: Floats, wide: Array) -> Floats:
-        per_side = PER_SIGMA / (looks.sigmas * wide)
-        edge = np.where(looks.sees_ground, looks.half_card * per_side + middle, np.inf)
-        place = edge.astype(np.float32)[:, None] - per_side.astype(np.float32)[:, None] * np.abs(along)
-        return _EDGE.take(np.clip(place, 0, 2 * middle - 1, out=place).astype(np.intp), mode="wrap")
-
-    x_wide, y_wide = (np.abs(1 + sign * squeezes) / (1 - np.abs(squeezes) ** 2) for sign in (-1, 1))
-    return np.asarray(1 - covered(x, x_wide) * covered(y, y_wide))
 
 
 def _read(patterns: list[Pattern], x: Floats, y: Floats) -> Floats:
@@ -241,13 +208,22 @@ def _read(patterns: list[Pattern], x: Floats, y: Floats) -> Floats:
     return values.reshape(*x.shape, *values.shape[3:])
 
 
-def take_pixels(image: Image, rows: IntArray, shapes: Shapes, looks: Looks) -> list[Pixels]:
-    """Pixels of the markers `rows`, those whose sides differ by less than `ALIKE` together."""
-    kinds = np.floor(np.log(shapes.sides_px()[rows]) / math.log(ALIKE))
-    if rows.size == len(shapes) and (kinds == kinds[0]).all():
-        return [Pixels(image, rows, shapes, looks)]
+def design_matrices_of(
+    image: Image, rows: IntArray, homographies: LocalHomographies, appearances: MarkerAppearances
+) -> list[DesignMatrices]:
+    """Return design matrices of the markers `rows` (R,), those of similar size (`SIZE_RATIO`) together.
+
+    Args:
+        image: grey, (height, width).
+        rows: indices of the markers to be read.
+        homographies: of all N markers.
+        appearances: of all N markers.
+    """
+    kinds = np.floor(np.log(homographies.sides_px()[rows]) / math.log(SIZE_RATIO))
+    if rows.size == len(homographies) and (kinds == kinds[0]).all():
+        return [DesignMatrices(image, rows, homographies, appearances)]
     return [
-        Pixels(image, alike, shapes.take(alike), looks.take(alike))
+        DesignMatrices(image, same_size, homographies.take(same_size), appearances.take(same_size))
         for kind in np.unique(kinds)
-        for alike in [rows[kinds == kind]]
+        for same_size in [rows[kinds == kind]]
     ]

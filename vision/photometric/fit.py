@@ -1,162 +1,133 @@
-"""Markers fitted to pixels: as well as the noise allows.
+"""Markers fitted to pixels, as well as the noise allows.
 
-Each step is Gauss and Newton's in all a marker's unknowns (`skyherd.vision.photometric.design_matrix`), with
-the squeezes of all markers as of one plane (`skyherd.vision.photometric.plane`) where that explains them, and
-light even where it is. The covariance is `σ_n² (JᵀJ)⁻¹`, with the noise σ_n from what the fit leaves of the
-pixels.
+Each step is a Gauss-Newton step in all of a marker's unknowns at once
+(`skyherd.vision.photometric.design_matrix`). Two hypotheses are tried on all markers of the image together,
+since they are then better tested than on one marker: that light does not change over the markers, and that
+the squeezes are those of one plane (`skyherd.vision.photometric.plane`). Where they hold, the unknowns
+concerned are held, which leaves fewer to be estimated. The error after a step is of third order in the step,
+so that one step is enough from a good prediction. The covariance is `σ_n² (JᵀJ)⁻¹`, with the standard
+deviation of the noise σ_n from the residuals themselves.
 """
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
 from skyherd.geometry import Array, BoolArray, IntArray
-from skyherd.markers.dictionary import card_side, cells_per_side
+from skyherd.markers.dictionary import cells_per_side
 from skyherd.vision.grey import Image
 from skyherd.vision.photometric import design_matrix
-from skyherd.vision.photometric.design_matrix import BLACK, LIGHT, MIDDLE_GREY, PIXELS, SQUEEZE, Looks
-from skyherd.vision.photometric.fit_result import Fits, fits_of, print_contrasts, weighted_median
-from skyherd.vision.photometric.least_squares import Solved
-from skyherd.vision.photometric.local_homography import Shapes
-from skyherd.vision.photometric.pattern import Pattern, blur_buckets, make_bend, make_pattern
-from skyherd.vision.photometric.pixel_samples import Taken
-from skyherd.vision.photometric.plane import Plane, fit_plane
+from skyherd.vision.photometric.appearance import anisotropies_of, appearances_of
+from skyherd.vision.photometric.common_unknowns import hold_common_unknowns
+from skyherd.vision.photometric.design_matrix import BLACK, MIDDLE_GREY, SQUEEZE
+from skyherd.vision.photometric.fit_result import FitResults, fit_results_of
+from skyherd.vision.photometric.least_squares import LeastSquaresSolution
+from skyherd.vision.photometric.local_homography import LocalHomographies
+from skyherd.vision.photometric.pixel_samples import PixelSamples
+from skyherd.vision.photometric.plane import Plane
 
-INSIDE_SIGMAS, OUTSIDE_SIGMAS = 1.2, 2.5
-"""Pixels are read to the latter beyond the black square, and to the former within the card's edge."""
+MAX_STEPS = 6
+"""Most steps from the place at which a quadrilateral was found. Chosen: what has not settled by then is
+refused."""
 
-SEEN_SIGMAS = 3.0
-"""Ground nearer than this to a pixel is seen by it."""
-
-TEXTURE = 30.0
-"""Deviation of the ground's grey levels that is reckoned with, where ground blurs into the card."""
-
-ROUNDS = 6
-"""Most steps taken from where a quadrilateral puts a marker."""
-
-FOLLOWED_ROUNDS = 12
-"""From where it was expected: one that turned otherwise lies far from that, and steps are cut."""
+MAX_STEPS_FROM_PREDICTION = 12
+"""Most steps from a predicted place. Chosen larger, since a robot that turned otherwise than predicted lies
+far from it, and steps are cut to `MAX_STEP`."""
 
 SETTLED_PX = 0.08
-"""A marker is settled once a step moves its sides by no more than this, at a noise of one grey level: as
-`∫ T' T'' = 0` over an edge, a step s leaves an error in proportion to s³, and noise one to itself."""
+"""A marker has settled once a step moves its sides by no more than this times the cube root of the noise in
+grey levels. Derived: as `∫ T' T'' = 0` over an edge, a step s leaves an error in proportion to s³, and the
+noise one in proportion to itself. A smaller limit costs more steps, a larger one leaves part of the step."""
 
-STRAIGHT_PX = 0.002
-"""Nor is it settled while the horizon last found would move a corner by more than this."""
+SETTLED_HORIZON_PX = 0.002
+"""A marker has not settled while the plane's last change moves one of its corners by more than this. Chosen:
+about the standard deviation of the position of a marker of 20 px (`photometric_accuracy.toml`)."""
 
 USUAL_NOISE = 3.0
-"""Standard deviation of a pixel, grey levels, until a camera's is known."""
+"""Assumed standard deviation of a pixel, grey levels, until a camera's is known. Chosen; it decides when a
+fit has settled and how texture is weighted, and is replaced after the first image with markers."""
 
-USUAL_RATIO = 0.15
-"""Black over contrast, until a fit tells."""
+MAX_STEP = 0.15
+"""Steps are cut to this length, in marker sides, radians and logarithms of scale alike. Chosen: the model is
+linear only over about one cell."""
 
-LARGEST_STEP = 0.15
-"""Steps are cut to this, in marker sides, radians and logarithms of scale."""
-
-LEAST_PIXELS = 2 * PIXELS
-"""A marker that is seen by fewer has no say on the plane: its noise is not known."""
+MIN_STEP = 1e-12
+"""Length below which a step counts as this long when it is compared with `MAX_STEP`; a step of zero would
+divide by zero."""
 
 OFF_CELL = 0.25
-"""A cell is not of the colour it should have if it leaves more than this share of the contrast."""
+"""A cell has the wrong colour if its mean residual exceeds this share of the contrast. Chosen: a cell of the
+wrong colour leaves about half of it under a blur of 0.4 cells, and more under less."""
 
-COVERING, COVERING_SIGMAS = 0.25, 6.0
-"""A pixel that leaves more than this share of the contrast, and so many deviations of the noise, shows
-something else than the marker: wrong poses and blurs leave less once a fit is near."""
-
-PALE = 0.6
-"""Less than this share of the print contrast (`fit_result`) that most pixels tell is no print."""
-
-UNEVEN = 8.0
-"""Light is taken as uneven once the markers' mean chi-squared exceeds its mean by so many deviations."""
+OUTLIER_SHARE, OUTLIER_SIGMAS = 0.25, 6.0
+"""A pixel whose residual exceeds both this share of the contrast and this many standard deviations of the
+noise shows something other than the marker. Chosen: wrong poses and blurs leave less once a fit is near."""
 
 
 def fit_markers(
     image: Image,
     dictionary: str,
     ids: IntArray,
-    shapes: Shapes,
+    homographies: LocalHomographies,
     sigma_px: float,
     plane: Plane,
     noise: float = USUAL_NOISE,
-    rounds: int = ROUNDS,
-) -> tuple[Fits, Plane]:
-    """Fit markers `ids` (N,) that lie near `shapes`, a pixel or two or a tenth of a side from the truth.
+    max_steps: int = MAX_STEPS,
+) -> tuple[FitResults, Plane]:
+    """Fit markers `ids` (N,) that lie near `homographies`: a pixel or two, or a tenth of a side, away.
+
+    Nothing is refused here. A fit that went wrong shows it by its residuals, which
+    `skyherd.vision.photometric.verify` judges.
 
     Args:
         image: grey, (height, width).
         dictionary: of the markers.
-        ids: (N,), at least one.
-        shapes: N of them, where to begin.
-        sigma_px: blur of lens and pixel together, as far as it is known.
-        plane: that the markers lie on, as far as it is known.
+        ids: (N,) marker ids, at least one.
+        homographies: N of them, where to begin.
+        sigma_px: standard deviation of the blur of lens and pixel together, as far as it is known.
+        plane: of the markers, as far as it is known.
         noise: standard deviation of a pixel, grey levels, as far as it is known.
-        rounds: most steps taken.
+        max_steps: most steps taken; a marker that has settled takes no more.
 
     Returns:
-        The fits, and the plane that they say the markers lie on.
+        The results, in the order of `ids`, and the plane that they put the markers on.
     """
-    middle = complex(image.shape[1] - 1, image.shape[0] - 1) / 2
-    sides_px = shapes.sides_px()
-    looks = looks_of(dictionary, ids, sigma_px / sides_px, plane, noise)
-    taken, n_cells = Taken(ids.size), cells_per_side(dictionary)
-    start = shapes = replace(shapes, horizons=plane.horizons(shapes.centers - middle))
+    middle = image_middle(image)
+    sides_px = homographies.sides_px()
+    appearances = appearances_of(dictionary, ids, sigma_px / sides_px, plane, noise)
+    samples, n_cells = PixelSamples(ids.size), cells_per_side(dictionary)
+    start = homographies = replace(homographies, horizons=plane.horizons(homographies.centers - middle))
     rows, right = np.arange(ids.size), np.ones(ids.size, dtype=bool)
-    for number in range(1, rounds + 1):
-        start = shapes if rows.size == ids.size else start.put(rows, shapes.take(rows))
-        taken.take(image, rows, start, looks)
-        solved = taken.solved()
+    for number in range(1, max_steps + 1):
+        start = homographies if rows.size == ids.size else start.put(rows, homographies.take(rows))
+        samples.read(image, rows, start, appearances)
+        solution = samples.solution()
         if number > 1:  # before, a start that is a pixel off may leave as much as a wrong cell
-            contrasts, noises = solved.contrasts()[rows], solved.noises()[rows]
-            means, peaks = taken.leavings(rows, solved, n_cells)
-            right[rows] = _cells_are_right(means, contrasts) & ~jut(peaks, contrasts, noises)
-        heard = _heard(solved, right)
-        even = solved.holding(LIGHT, np.zeros((ids.size, 2)))
-        solved = solved if _is_uneven(solved, even, heard) else even
-        plane, squeezes = common_plane(solved, start, middle, heard)
-        solved = solved.holding(SQUEEZE, squeezes)
-        looks = replace(looks, ratios=(solved.values[:, BLACK] + MIDDLE_GREY) / solved.contrasts())
-        looks = replace(looks, bends=_bends(dictionary, ids, sigma_px / sides_px, plane))
-        shapes, moved_px = stepped(solved, start)
-        shapes = replace(shapes, horizons=plane.horizons(shapes.centers - middle))
-        bent_px = np.abs(shapes.horizons - start.horizons) * sides_px**2 / 2
-        unsettled = (moved_px > SETTLED_PX * np.cbrt(noise)) | (bent_px > STRAIGHT_PX)
-        rows = np.flatnonzero(unsettled & (right | (number < rounds / 2)))
+            contrasts, noise_stds = solution.contrasts()[rows], solution.noise_stds()[rows]
+            means, peaks = samples.cell_residuals(rows, solution, n_cells)
+            outliers = has_outlier_pixels(peaks, contrasts, noise_stds)
+            right[rows] = _cells_are_right(means, contrasts) & ~outliers
+        solution, plane = hold_common_unknowns(solution, start, middle, right)
+        appearances = replace(
+            appearances,
+            black_ratios=(solution.values[:, BLACK] + MIDDLE_GREY) / solution.contrasts(),
+            anisotropies=anisotropies_of(dictionary, ids, sigma_px / sides_px, plane),
+        )
+        homographies, moved_px = stepped(solution, start)
+        homographies = replace(homographies, horizons=plane.horizons(homographies.centers - middle))
+        bent_px = np.abs(homographies.horizons - start.horizons) * sides_px**2 / 2
+        unsettled = (moved_px > SETTLED_PX * np.cbrt(noise)) | (bent_px > SETTLED_HORIZON_PX)
+        rows = np.flatnonzero(unsettled & (right | (number < max_steps / 2)))
         if not rows.size:
             break
-    leavings = taken.leavings(np.arange(ids.size), solved, n_cells)
-    variances = plane.variances(shapes.centers - middle)
-    return fits_of(ids, solved, shapes, leavings, moved_px, sigma_px, variances), plane
+    residuals = samples.cell_residuals(np.arange(ids.size), solution, n_cells)
+    variances = plane.variances(homographies.centers - middle)
+    return fit_results_of(ids, solution, homographies, residuals, moved_px, sigma_px, variances), plane
 
 
-def _bends(dictionary: str, ids: IntArray, relative_sigmas: Array, plane: Plane) -> list[Pattern]:
-    """What blur does to squeezed markers; nothing to look for on a plane that is not."""
-    if plane == Plane():
-        return []
-    return _patterns(make_bend, dictionary, ids, relative_sigmas)
-
-
-def _patterns(
-    make: Callable[[str, int, int], Pattern], dictionary: str, ids: IntArray, relative_sigmas: Array
-) -> list[Pattern]:
-    buckets = blur_buckets(relative_sigmas).tolist()
-    return [make(dictionary, marker, bucket) for marker, bucket in zip(ids.tolist(), buckets, strict=True)]
-
-
-def looks_of(dictionary: str, ids: IntArray, relative_sigmas: Array, plane: Plane, noise: float) -> Looks:
-    """What markers of `ids` (N,) look like under blurs (N,), in marker sides."""
-    quiet = (card_side(dictionary) - 1) / 2
-    beyond = np.clip(quiet - INSIDE_SIGMAS * relative_sigmas, 0, OUTSIDE_SIGMAS * relative_sigmas)
-    return Looks(
-        patterns=_patterns(make_pattern, dictionary, ids, relative_sigmas),
-        bends=_bends(dictionary, ids, relative_sigmas, plane),
-        sigmas=relative_sigmas,
-        limits=0.5 + beyond,
-        sees_ground=quiet - beyond < SEEN_SIGMAS * relative_sigmas,
-        ratios=np.full(ids.size, USUAL_RATIO),
-        half_card=0.5 + quiet,
-        texture=TEXTURE / noise,
-    )
+def image_middle(image: Image) -> complex:
+    """Return the centre of an image (height, width), u + iv, px: the origin of `Plane`'s points."""
+    return complex(image.shape[1] - 1, image.shape[0] - 1) / 2
 
 
 def _cells_are_right(cell_means: Array, contrasts: Array) -> BoolArray:
@@ -164,51 +135,28 @@ def _cells_are_right(cell_means: Array, contrasts: Array) -> BoolArray:
     return np.asarray(np.abs(cell_means).max(axis=(1, 2)) < OFF_CELL * contrasts)
 
 
-def jut(peaks: Array, contrasts: Array, noises: Array) -> BoolArray:
-    """Which of N fits leave much more of some pixel than noise does: something may lie over the marker."""
-    return np.asarray(peaks > np.maximum(COVERING * contrasts, COVERING_SIGMAS * noises))
+def has_outlier_pixels(peaks: Array, contrasts: Array, noise_stds: Array) -> BoolArray:
+    """Return which of N fits (N,) leave much more of some pixel than noise does: something may cover it.
 
-
-def _heard(solved: Solved, right: BoolArray) -> BoolArray:
-    """Which of N fits have a say on what all markers of an image share; all, if none is `right`.
-
-    Not heard is what is not fitted yet, is covered in part, or may be ground that was taken for a marker:
-    much of it is paler.
+    Args:
+        peaks: (N,) largest absolute residual of a pixel, grey levels.
+        contrasts: (N,) grey levels from black to white.
+        noise_stds: (N,) standard deviations of the noise, grey levels.
     """
-    if not right.any():
-        return np.ones_like(right)
-    contrasts = solved.contrasts()
-    prints = print_contrasts(solved.values[:, BLACK] + MIDDLE_GREY, contrasts)
-    told = right * solved.pixels * (contrasts / solved.noises()) ** 2
-    return right & (prints > PALE * weighted_median(prints, told))
+    return np.asarray(peaks > np.maximum(OUTLIER_SHARE * contrasts, OUTLIER_SIGMAS * noise_stds))
 
 
-def _is_uneven(solved: Solved, even: Solved, heard: BoolArray) -> bool:
-    """Whether light changes over the markers, by the mean of their chi-squared of two degrees of freedom."""
-    chi_squared = ((even.squares - solved.squares) / solved.noises() ** 2 / 2)[heard]
-    return bool(chi_squared.mean() > 1 + UNEVEN / np.sqrt(chi_squared.size))
+def stepped(
+    solution: LeastSquaresSolution, homographies: LocalHomographies
+) -> tuple[LocalHomographies, Array]:
+    """Return the homographies moved by the solution's step, cut to `MAX_STEP`.
 
-
-def common_plane(solved: Solved, shapes: Shapes, middle: complex, heard: BoolArray) -> tuple[Plane, Array]:
-    """The plane, by the markers heard, and the unknowns for squeeze and shear (N, 2) that put all on it."""
-    contrasts = solved.contrasts()
-    found = solved.values[:, SQUEEZE] @ np.array([1, 1j]) / contrasts
-    spread = solved.inverses[:, SQUEEZE, SQUEEZE].mean(axis=1)
-    spread = np.where((spread > 0) & (solved.pixels > LEAST_PIXELS) & heard, spread, np.inf)
-    points = shapes.centers - middle
-    squeezes = (shapes.squeezes + shapes.arms * found) / shapes.arms.conj()
-    plane = fit_plane(points, squeezes, spread * (solved.noises() / contrasts) ** 2)
-    if plane.shared:
-        found = (plane.squeezes(points) * shapes.arms.conj() - shapes.squeezes) / shapes.arms
-    return plane, np.stack([found.real, found.imag], axis=1) * contrasts[:, None]
-
-
-def stepped(solved: Solved, shapes: Shapes) -> tuple[Shapes, Array]:
-    """The shapes moved as solved, cut to `LARGEST_STEP`, and by how much (N,) their sides' middles, px."""
-    steps = solved.values / solved.contrasts()[:, None]
+    Also returned is how far the uncut step moves the middles of the sides (N,), px.
+    """
+    steps = solution.values / solution.contrasts()[:, None]
     shift = steps[:, design_matrix.RIGHT] + 1j * steps[:, design_matrix.DOWN]
     grow = steps[:, design_matrix.GROW] + 1j * steps[:, design_matrix.TURN]
     squeeze = steps[:, SQUEEZE] @ np.array([1, 1j])
     size = np.sqrt(np.abs(shift) ** 2 + (np.abs(grow) ** 2 + np.abs(squeeze) ** 2) / 4)
-    cut = np.minimum(1.0, LARGEST_STEP / np.maximum(size, 1e-12))
-    return shapes.moved(cut * shift, cut * grow, cut * squeeze), size * shapes.sides_px()
+    cut = np.minimum(1.0, MAX_STEP / np.maximum(size, MIN_STEP))
+    return homographies.moved(cut * shift, cut * grow, cut * squeeze), size * homographies.sides_px()

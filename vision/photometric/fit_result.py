@@ -1,4 +1,4 @@
-"""How markers were fitted: their poses, with covariances, and what the fits leave of the pixels."""
+"""How markers were fitted: their poses with covariances, and what the fits leave of the pixels."""
 
 from dataclasses import dataclass
 
@@ -7,37 +7,37 @@ import numpy as np
 from skyherd.geometry import Array, IntArray
 from skyherd.markers.dictionary import cells_per_side
 from skyherd.vision.photometric import design_matrix
-from skyherd.vision.photometric.design_matrix import BLACK, BLUR, CONTRAST, MIDDLE_GREY, PIXELS, SQUEEZE
-from skyherd.vision.photometric.least_squares import Solved
-from skyherd.vision.photometric.local_homography import Shapes
-from skyherd.vision.row_record import Rows
+from skyherd.vision.photometric.design_matrix import BLACK, BLUR, CONTRAST, MIDDLE_GREY, SQUEEZE, UNKNOWNS
+from skyherd.vision.photometric.least_squares import LeastSquaresSolution
+from skyherd.vision.photometric.local_homography import LocalHomographies
+from skyherd.vision.row_record import RowRecord
 
 
 @dataclass(frozen=True)
-class Fits(Rows):
+class FitResults(RowRecord):
     """How N markers were fitted.
 
     Attributes:
-        ids: (N,).
-        shapes: where they lie.
-        covariances: (N, 3, 3) of (u, v, heading).
-        blacks: (N,) grey level of black.
+        ids: (N,) marker ids.
+        homographies: where the markers lie in the image.
+        covariances: (N, 3, 3) of (u, v, heading), in px², px·rad, rad².
+        blacks: (N,) grey levels of black.
         contrasts: (N,) grey levels from black to white.
-        noises: (N,) standard deviation of what is left of the pixels, grey levels.
-        log_blurs: (N,) by how much the blur differs from what it was taken for.
-        blurs_cells: (N,) what it was taken for, in cells.
-        pixels: (N,) pixels read.
-        cell_means: (N, n, n) mean of what is left over each cell, grey levels.
-        peaks: (N,) most that is left of a pixel, grey levels.
-        moved_px: (N,) by how much the last step moved the sides.
+        noise_stds: (N,) standard deviations of the pixels' residuals, grey levels.
+        log_blurs: (N,) logarithm of the blur found over the blur assumed.
+        blurs_cells: (N,) standard deviation of the blur assumed, in cells.
+        pixels: (N,) number of pixels used.
+        cell_means: (N, n, n) mean residual over each cell, grey levels.
+        peaks: (N,) largest absolute residual of a pixel, grey levels.
+        moved_px: (N,) how far the last step moved the middles of the sides, px.
     """
 
     ids: IntArray
-    shapes: Shapes
+    homographies: LocalHomographies
     covariances: Array
     blacks: Array
     contrasts: Array
-    noises: Array
+    noise_stds: Array
     log_blurs: Array
     blurs_cells: Array
     pixels: Array
@@ -46,83 +46,96 @@ class Fits(Rows):
     moved_px: Array
 
     def print_contrasts(self) -> Array:
-        """(N,) print contrast of each."""
+        """Return the print contrasts (N,), a share of white; see the function of this name."""
         return print_contrasts(self.blacks, self.contrasts)
 
 
 def print_contrasts(blacks: Array, contrasts: Array) -> Array:
-    """(N,) `(white - black) / white`: of the print alone, whatever light falls on it."""
+    """Return the print contrasts (N,), `(white - black) / white`.
+
+    Light falls on black and white alike, so that this ratio depends on the print alone: it is the same in sun
+    and shade.
+    """
     return np.asarray(contrasts / np.maximum(blacks + contrasts, 1.0))
 
 
 def weighted_median(values: Array, weights: Array) -> float:
-    """Of values (N,), where half of the weights (N,) is reached."""
+    """Return the value, of (N,), at which the weights (N,), summed in order of value, reach one half."""
     order = np.argsort(values)
-    told = np.cumsum(weights[order])
-    return float(values[order][np.searchsorted(told, told[-1] / 2)])
+    total = np.cumsum(weights[order])
+    return float(values[order][np.searchsorted(total, total[-1] / 2)])
 
 
-def no_fits(dictionary: str) -> Fits:
-    """None at all."""
-    n, none, points = cells_per_side(dictionary), np.zeros(0), np.zeros(0, dtype=complex)
-    shapes = Shapes(points, points, points, points)
-    covariances, cells = np.zeros((0, 3, 3)), np.zeros((0, n, n))
-    return Fits(
-        np.zeros(0, dtype=np.int64),
-        shapes,
-        covariances,
-        none,
-        none,
-        none,
-        none,
-        none,
-        none,
-        cells,
-        none,
-        none,
+def no_fit_results(dictionary: str) -> FitResults:
+    """Return results of zero markers, with the array shapes that markers of `dictionary` have."""
+    n, empty, points = cells_per_side(dictionary), np.zeros(0), np.zeros(0, dtype=complex)
+    scalars = {
+        name: empty
+        for name in ("blacks", "contrasts", "noise_stds", "log_blurs", "blurs_cells", "pixels", "peaks")
+    }
+    return FitResults(
+        ids=np.zeros(0, dtype=np.int64),
+        homographies=LocalHomographies(points, points, points, points),
+        covariances=np.zeros((0, 3, 3)),
+        cell_means=np.zeros((0, n, n)),
+        moved_px=empty,
+        **scalars,
     )
 
 
-def fits_of(
+def fit_results_of(
     ids: IntArray,
-    solved: Solved,
-    shapes: Shapes,
-    leavings: tuple[Array, Array],
+    solution: LeastSquaresSolution,
+    homographies: LocalHomographies,
+    cell_residuals: tuple[Array, Array],
     moved_px: Array,
     sigma_px: float,
     squeeze_variances: Array,
-) -> Fits:
-    """What a solution says of N markers, that took them to these shapes; `leavings` as of `Taken`."""
-    cell_means, peaks = leavings
-    return Fits(
+) -> FitResults:
+    """Return the results of N markers from the solution of the fit's last step.
+
+    Args:
+        ids: (N,) marker ids.
+        solution: of the last step.
+        homographies: after the last step.
+        cell_residuals: as `PixelSamples.cell_residuals` returns them.
+        moved_px: (N,) how far the last step moved the middles of the sides.
+        sigma_px: standard deviation of the blur that was assumed, px.
+        squeeze_variances: (N,) variances of each component of the squeezes that were held.
+    """
+    cell_means, peaks = cell_residuals
+    return FitResults(
         ids=ids,
-        shapes=shapes,
-        covariances=_covariances(solved, shapes, squeeze_variances),
-        blacks=solved.values[:, BLACK] + MIDDLE_GREY,
-        contrasts=solved.values[:, CONTRAST],
-        noises=solved.noises(),
-        log_blurs=solved.values[:, BLUR] / solved.contrasts(),
-        blurs_cells=sigma_px / shapes.sides_px() * cell_means.shape[1],
-        pixels=solved.pixels,
+        homographies=homographies,
+        covariances=_covariances(solution, homographies, squeeze_variances),
+        blacks=solution.values[:, BLACK] + MIDDLE_GREY,
+        contrasts=solution.values[:, CONTRAST],
+        noise_stds=solution.noise_stds(),
+        log_blurs=solution.values[:, BLUR] / solution.contrasts(),
+        blurs_cells=sigma_px / homographies.sides_px() * cell_means.shape[1],
+        pixels=solution.pixels,
         cell_means=cell_means,
         peaks=peaks,
         moved_px=moved_px,
     )
 
 
-def _covariances(solved: Solved, shapes: Shapes, squeeze_variances: Array) -> Array:
-    """(N, 3, 3) of (u, v, heading): the unknowns' covariance through the marker's shape.
+def _covariances(
+    solution: LeastSquaresSolution, homographies: LocalHomographies, squeeze_variances: Array
+) -> Array:
+    """Covariances (N, 3, 3) of (u, v, heading): those of the unknowns, mapped through the homographies.
 
-    A step moves the centre by `m d + k d̄` and turns forward by `Re((m + k) / (m - k)) (θ - e_shear)`; shear
-    that is held as the plane has it varies as the plane does.
+    A step moves the centre by `m d + k d̄` and turns forward by `Re((m + k) / (m - k)) (θ - e_shear)`. A
+    shear that is held at the plane's value varies as the plane does.
     """
-    right, down = shapes.arms + shapes.squeezes, 1j * (shapes.arms - shapes.squeezes)
-    turn = (right / (shapes.arms - shapes.squeezes)).real
-    to_pose = np.zeros((len(shapes), 3, PIXELS))
+    right = homographies.arms + homographies.squeezes
+    down = 1j * (homographies.arms - homographies.squeezes)
+    turn = (right / (homographies.arms - homographies.squeezes)).real
+    to_pose = np.zeros((len(homographies), 3, UNKNOWNS))
     for column, axis in ((design_matrix.RIGHT, right), (design_matrix.DOWN, down)):
         to_pose[:, 0, column], to_pose[:, 1, column] = axis.real, axis.imag
     to_pose[:, 2, design_matrix.TURN], to_pose[:, 2, SQUEEZE[1]] = turn, -turn
-    scale = (solved.noises() / solved.contrasts()) ** 2
-    covariances = to_pose @ solved.inverses @ to_pose.transpose(0, 2, 1) * scale[:, None, None]
+    scale = (solution.noise_stds() / solution.contrasts()) ** 2
+    covariances = to_pose @ solution.inverse_normals @ to_pose.transpose(0, 2, 1) * scale[:, None, None]
     covariances[:, 2, 2] += turn**2 * squeeze_variances
     return np.asarray(covariances)

@@ -1,8 +1,13 @@
-"""Least squares of many markers at once, from Gram matrices, with unknowns held or set free at will.
+"""Least squares of many markers at once, from Gram matrices, with unknowns held or free.
 
-All columns of a marker's model and its pixels make one matrix of inner products. Its solution x with every
-unknown free also gives that with some of them held at h, `x - C_xh C_hh⁻¹ (x_h - h)` with C the inverse
-normal matrix: hypotheses are compared without looking at the pixels again.
+All columns of a marker's model, together with its pixels, make one matrix of inner products. The solution x
+with every unknown free also gives the solution in which some of them, h, are held at values x_h = v,
+
+    x' = x - C_xh C_hh⁻¹ (x_h - v),   C' = C - C_xh C_hh⁻¹ C_hx,
+
+with C the inverse normal matrix; the sum of squares grows by `(x_h - v)ᵀ C_hh⁻¹ (x_h - v)`. One Gram matrix
+a marker thus answers every question that is asked by holding unknowns (is the light even? do the squeezes
+belong to one plane?) without looking at the pixels again.
 """
 
 from dataclasses import dataclass
@@ -10,73 +15,92 @@ from dataclasses import dataclass
 import numpy as np
 
 from skyherd.geometry import Array
-from skyherd.vision.photometric.design_matrix import CONTRAST, GROUND, PIXELS
+from skyherd.vision.photometric.design_matrix import CONTRAST, GROUND, PIXEL_ROW, UNKNOWNS
 
 GROUND_RIDGE = 3e-4
-"""Added to the ground's own element of the Gram matrix, since there may be none to be seen: a deviation of
-58 σ_n about the card's white."""
+"""Added to the ground's diagonal element of the normal matrix, since there may be no ground to be seen: a
+prior of standard deviation `1 / sqrt(3e-4)` = 58 times the noise about the card's white. Derived from that
+deviation, which is chosen: a smaller ridge lets an unseen ground take any value."""
+
+RIDGE = 1e-9
+"""Added to the other diagonal elements of the normal matrix, so that a column of zeros (no contrast) makes no
+singular matrix. Chosen far below the element of any column that is not zero, which it leaves as it is."""
 
 SINGLE_PRECISION = 3e-6
-"""Relative error of the sums in a Gram matrix, at most."""
+"""Relative error of the sums in a Gram matrix, at most. Each diagonal element is raised by this share, so
+that two columns that are equal to within rounding make no singular matrix."""
 
-LEAST_CONTRAST = 4.0
-"""Grey levels between black and white under which nothing is there to be fitted."""
+MIN_SQUARES = 1e-9
+"""Smallest sum of squared residuals, grey levels squared, which keeps the noise of a perfect fit positive.
+Chosen far below the rounding noise of a single pixel, 1/12."""
 
-_RIDGE = np.diag(np.where(np.arange(PIXELS) == GROUND, GROUND_RIDGE, 1e-9))
-_PARTED = 1 + SINGLE_PRECISION * np.eye(PIXELS)
+MIN_CONTRAST = 4.0
+"""Smallest contrast, grey levels, that steps are divided by. Chosen: there is nothing to be fitted below it,
+and a marker counts only from `skyherd.vision.photometric.verify.MIN_MARKER_CONTRAST` on."""
+
+_RIDGES = np.diag(np.where(np.arange(UNKNOWNS) == GROUND, GROUND_RIDGE, RIDGE))
+_RAISED_DIAGONAL = 1 + SINGLE_PRECISION * np.eye(UNKNOWNS)
 
 
 @dataclass(frozen=True)
-class Solved:
-    """Solutions for N markers.
+class LeastSquaresSolution:
+    """Least-squares solutions for N markers.
 
     Attributes:
         values: (N, 12) the unknowns, in the order of `skyherd.vision.photometric.design_matrix`.
-        inverses: (N, 12, 12) inverse normal matrices C, zero for what is held.
-        squares: (N,) sum of squares left.
-        pixels: (N,) pixels read.
+        inverse_normals: (N, 12, 12) inverse normal matrices C; rows and columns of held unknowns are zero.
+        residual_squares: (N,) sums of squared weighted residuals, grey levels squared.
+        pixels: (N,) number of pixels used.
         free: number of unknowns that are not held.
     """
 
     values: Array
-    inverses: Array
-    squares: Array
+    inverse_normals: Array
+    residual_squares: Array
     pixels: Array
-    free: int = PIXELS
+    free: int = UNKNOWNS
 
     @classmethod
-    def of(cls, grams: Array, pixels: Array) -> "Solved":
-        """Solve for all unknowns of Gram matrices (N, 13, 13), of so many pixels (N,) each."""
-        right = grams[:, :PIXELS, PIXELS]
-        # Sums in single precision are right to 1e-6 or so: columns nearer than that are parted.
-        inverses = np.linalg.inv((grams[:, :PIXELS, :PIXELS] + _RIDGE) * _PARTED).astype(float)
-        values: Array = (inverses @ right[..., None])[..., 0]
-        squares: Array = np.maximum(grams[:, PIXELS, PIXELS] - (values * right).sum(axis=1), 1e-9)
-        return cls(values, inverses, squares, pixels)
+    def of_grams(cls, grams: Array, pixels: Array) -> "LeastSquaresSolution":
+        """Solve for all unknowns, from Gram matrices (N, 13, 13) of `pixels` (N,) pixels each.
 
-    def holding(self, rows: list[int], at: Array) -> "Solved":
-        """The same with the unknowns `rows` held at values (N, len(rows)), by which the squares grow.
-
-        They never shrink, which rounding may make them where pixels are too few to tell the unknowns.
+        The last row and column of a Gram matrix are the inner products with the pixels' values.
         """
-        off = (self.values[:, rows] - at)[..., None]
-        blocks = self._blocks(rows)
-        gain = self.inverses[:, :, rows] @ blocks
-        return Solved(
-            values=self.values - (gain @ off)[..., 0],
-            inverses=self.inverses - gain @ self.inverses[:, rows],
-            squares=self.squares + np.maximum(off.transpose(0, 2, 1) @ blocks @ off, 0.0)[:, 0, 0],
+        right = grams[:, :UNKNOWNS, PIXEL_ROW]
+        normals = (grams[:, :UNKNOWNS, :UNKNOWNS] + _RIDGES) * _RAISED_DIAGONAL
+        inverse_normals = np.linalg.inv(normals).astype(float)
+        values: Array = (inverse_normals @ right[..., None])[..., 0]
+        squares: Array = np.maximum(
+            grams[:, PIXEL_ROW, PIXEL_ROW] - (values * right).sum(axis=1), MIN_SQUARES
+        )
+        return cls(values, inverse_normals, squares, pixels)
+
+    def constrained(self, unknowns: list[int], at: Array) -> "LeastSquaresSolution":
+        """Return the solution in which `unknowns` are held at values `at` (N, len(unknowns)).
+
+        The sums of squares never shrink, although rounding would make them where the pixels are too few to
+        determine the unknowns.
+        """
+        offset = (self.values[:, unknowns] - at)[..., None]
+        blocks = np.linalg.inv(self.inverse_normals[:, unknowns][:, :, unknowns]).astype(float)
+        gain = self.inverse_normals[:, :, unknowns] @ blocks
+        growth = np.maximum(offset.transpose(0, 2, 1) @ blocks @ offset, 0.0)[:, 0, 0]
+        return LeastSquaresSolution(
+            values=self.values - (gain @ offset)[..., 0],
+            inverse_normals=self.inverse_normals - gain @ self.inverse_normals[:, unknowns],
+            residual_squares=self.residual_squares + growth,
             pixels=self.pixels,
-            free=self.free - len(rows),
+            free=self.free - len(unknowns),
         )
 
-    def _blocks(self, rows: list[int]) -> Array:
-        return np.linalg.inv(self.inverses[:, rows][:, :, rows]).astype(float)
+    def noise_stds(self) -> Array:
+        """Return the standard deviations (N,) of a pixel about the model, grey levels.
 
-    def noises(self) -> Array:
-        """(N,) standard deviation of a pixel about the model."""
-        return np.asarray(np.sqrt(self.squares / np.maximum(self.pixels - self.free, 1.0)))
+        The square root of the sum of squares over the degrees of freedom, pixels less free unknowns (1 at
+        least).
+        """
+        return np.asarray(np.sqrt(self.residual_squares / np.maximum(self.pixels - self.free, 1.0)))
 
     def contrasts(self) -> Array:
-        """(N,) grey levels, not below `LEAST_CONTRAST`."""
-        return np.maximum(self.values[:, CONTRAST], LEAST_CONTRAST)
+        """Return the contrasts (N,), grey levels, not below `MIN_CONTRAST`, so that they can divide."""
+        return np.maximum(self.values[:, CONTRAST], MIN_CONTRAST)

@@ -1,12 +1,14 @@
-"""How markers lie in an image: a local homography each.
+"""The image of each marker as a local homography.
 
-A marker's plane has coordinates z = right + i down, in marker sides from its centre. Its image is
+A marker's plane has coordinates z = right + i down, in marker sides, with the origin at the marker's centre.
+The image of a point z is
 
     p(z) = p_0 + (m z + k z̄) / (1 + Re(h̄ (m z + k z̄))),
 
-with the centre p_0 = u + iv, the arm m that a similarity would have, the squeeze k by which the image differs
-from one, and the horizon h, all complex. The squeeze in image axes, `ε = k / m̄`, does not depend on how the
-marker is turned.
+with four complex parameters: the centre p_0 = u + iv, px; the arm m, px, which is the similarity part; the
+squeeze k, px, by which the affine image of the square differs from a square; and the horizon h, 1/px, which
+is the projective part. The squeeze in image axes, `ε = k / m̄`, does not depend on how the marker is turned
+in the image, so that the markers of one plane can be compared by it (`skyherd.vision.photometric.plane`).
 """
 
 from dataclasses import dataclass, replace
@@ -15,18 +17,18 @@ from functools import cached_property
 import numpy as np
 
 from skyherd.geometry import Array, ComplexArray, fit_squares, to_complex
-from skyherd.vision.row_record import Rows
+from skyherd.vision.row_record import RowRecord
 
 
 @dataclass(frozen=True)
-class Shapes(Rows):
-    """Images of N markers.
+class LocalHomographies(RowRecord):
+    """Homographies from marker coordinates to the image, for N markers; the symbols are the module's.
 
     Attributes:
-        centers: (N,) p_0, px.
-        arms: (N,) m, px.
-        squeezes: (N,) k, px.
-        horizons: (N,) h, 1/px.
+        centers: (N,) images p_0 of the markers' centres, px.
+        arms: (N,) similarity parts m, px.
+        squeezes: (N,) squeezes k, px.
+        horizons: (N,) projective parts h, 1/px.
     """
 
     centers: ComplexArray
@@ -38,14 +40,19 @@ class Shapes(Rows):
         return int(self.centers.size)
 
     @classmethod
-    def of_corners(cls, corners_px: Array) -> "Shapes":
-        """Least-squares affine shapes of corners (N, 4, 2)."""
+    def of_corners(cls, corners_px: Array) -> "LocalHomographies":
+        """Return the affine maps nearest to image corners (N, 4, 2), by least squares; horizons are zero."""
         squares = fit_squares(to_complex(corners_px))
         horizons = np.zeros(len(corners_px), dtype=complex)
         return cls(squares.centers, squares.arms, squares.squeezes, horizons)
 
-    def moved(self, shift: ComplexArray, grow: ComplexArray, squeeze: ComplexArray) -> "Shapes":
-        """After `z ↦ shift + (1 + grow) z + squeeze z̄` in marker coordinates, to first order in each."""
+    def moved(self, shift: ComplexArray, grow: ComplexArray, squeeze: ComplexArray) -> "LocalHomographies":
+        """Return the homographies after a small step of each marker in its own coordinates.
+
+        The step is `z ↦ shift + (1 + grow) z + squeeze z̄`, with (N,) complex `shift`, `grow` (real part:
+        scale, imaginary part: rotation) and `squeeze`; the result is right to first order in each of them.
+        Horizons stay.
+        """
         return replace(
             self,
             centers=self.centers + self.arms * shift + self.squeezes * shift.conj(),
@@ -54,14 +61,18 @@ class Shapes(Rows):
         )
 
     def images(self, z: ComplexArray) -> ComplexArray:
-        """Images (N, M) of points (M,) of the marker's plane."""
+        """Return the image points (N, M), u + iv, of points z (M,) of each marker's plane."""
         away = self.arms[:, None] * z + self.squeezes[:, None] * z.conj()
         return np.asarray(self.centers[:, None] + away / (1 + (self.horizons.conj()[:, None] * away).real))
 
-    def scaled(self, factor: float) -> "Shapes":
-        """In an image shrunk by `factor`: pixel p is at `(p - (factor - 1) / 2) / factor` of it."""
+    def scaled(self, factor: float) -> "LocalHomographies":
+        """Return the homographies into an image shrunk by means over `factor` x `factor` pixels.
+
+        Pixel centres have whole coordinates, so that the point p lies at `(p - (factor - 1) / 2 (1 + i)) /
+        factor` in the shrunk image. A factor below 1 enlarges.
+        """
         middle = (factor - 1) / 2 * (1 + 1j)
-        return Shapes(
+        return LocalHomographies(
             (self.centers - middle) / factor,
             self.arms / factor,
             self.squeezes / factor,
@@ -69,7 +80,7 @@ class Shapes(Rows):
         )
 
     def sides_px(self) -> Array:
-        """Square roots of the areas of the markers' affine images: local scale, px a side."""
+        """Return the (N,) sides, px: square roots of the areas of the markers' affine images."""
         return self._sides_px
 
     @cached_property
@@ -78,14 +89,17 @@ class Shapes(Rows):
 
     @cached_property
     def _areas(self) -> Array:
-        """`|m|² - |k|²`, px²."""
+        """Areas (N,) of the affine images, `|m|² - |k|²`, px²."""
         m, k = self.arms, self.squeezes
         return np.asarray(m.real**2 + m.imag**2 - (k.real**2 + k.imag**2))
 
     def headings_rad(self) -> Array:
-        """Directions of forward, z = -i."""
+        """Return the (N,) directions in the image of the forward axis z = -i, from +u to +v."""
         return np.angle(-1j * (self.arms - self.squeezes))
 
     def axes(self) -> tuple[ComplexArray, ComplexArray]:
-        """X and Y (N,), 1/px: a point p from the centre is `z = (Re(X̄ p) + i Re(Ȳ p)) / (1 - Re(h̄ p))`."""
+        """Return the axes X and Y, each (N,), 1/px, that take image points back to marker coordinates.
+
+        A point p, relative to the centre, is `z = (Re(X̄ p) + i Re(Ȳ p)) / (1 - Re(h̄ p))`.
+        """
         return (self.arms - self.squeezes) / self._areas, 1j * (self.arms + self.squeezes) / self._areas

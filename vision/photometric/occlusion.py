@@ -1,10 +1,12 @@
-"""Markers that are covered in part, fitted by what is seen of them.
+"""Markers that are covered in part, fitted to those of their pixels that are visible.
 
-Least squares hear every pixel, so that a neighbour's card over a corner, a leaf or a cable pulls at the pose.
-Here pixels that leave more than a limit are left out and the others fitted again. The limit falls from half
-the contrast, which no noise reaches, to `CUT` deviations of the noise: what no pose explains goes first, and
-by the time that edges count the pose is nearly right (graduated non-convexity: Blake and Zisserman, Visual
-Reconstruction, 1987).
+Ordinary least squares uses every pixel, so that a neighbour's card over a corner, a leaf or a cable pulls at
+the pose. Here pixels whose residual exceeds a limit are left out, not averaged in, and the others are fitted
+again. The limit falls from half the contrast, which no noise reaches, to `INLIER_SIGMAS` standard deviations
+of the noise: pixels that no pose explains are left out first, and by the time that pixels along the edges
+count, the pose is nearly right (graduated non-convexity: Blake and Zisserman, Visual Reconstruction, 1987).
+
+A bit of which not half is seen counts as wrong, so that no bit is ever guessed.
 """
 
 from dataclasses import replace
@@ -14,72 +16,85 @@ import numpy as np
 from skyherd.geometry import Array
 from skyherd.markers.dictionary import cells_per_side
 from skyherd.vision.grey import Image
-from skyherd.vision.photometric.design_matrix import BLACK, CONTRAST, MIDDLE_GREY, PIXELS, POSE, SQUEEZE
-from skyherd.vision.photometric.fit import common_plane, looks_of, stepped
-from skyherd.vision.photometric.fit_result import Fits, fits_of
-from skyherd.vision.photometric.pixel_samples import Taken
+from skyherd.vision.photometric.appearance import appearances_of
+from skyherd.vision.photometric.common_unknowns import common_plane
+from skyherd.vision.photometric.design_matrix import BLACK, CONTRAST, MIDDLE_GREY, POSE, SQUEEZE, UNKNOWNS
+from skyherd.vision.photometric.fit import image_middle, stepped
+from skyherd.vision.photometric.fit_result import FitResults, fit_results_of
+from skyherd.vision.photometric.pixel_samples import PixelSamples
 from skyherd.vision.photometric.plane import Plane
 
-CUT = 4.0
-"""Deviations of the noise beyond which a pixel is left out in the end: one in 16000 by chance."""
+INLIER_SIGMAS = 4.0
+"""Residual beyond which a pixel is left out in the last rounds, standard deviations of the noise. Derived:
+one pixel in 16000 of a normal distribution exceeds it. At half of it one in 22 would be left out, which makes
+the noise look smaller; at twice as much faint covers would count."""
 
-FALL, LAST_ROUNDS = 0.5, 2
-"""By how much the limit falls in each round, and rounds at the last one."""
+LIMIT_FACTOR = 0.5
+"""Factor by which the limit falls in each round. Chosen: nearer to 1 takes more rounds, nearer to 0 leaves
+out edges before the pose is right."""
 
-LEAST_SEEN = 0.5
-"""Of a cell with a bit so much must be seen, and explained, for the bit to be known."""
+FINAL_ROUNDS = 2
+"""Rounds after the limit has reached its last value. Chosen: one in which the pixels are chosen, and one that
+is fitted to them."""
+
+MIN_VISIBLE_SHARE = 0.5
+"""Share of a cell's pixels that must be visible, and explained, for its bit to be known. Chosen: most of the
+cell; less would let a bit be guessed from its edge."""
 
 
 def fit_visible(
-    image: Image, dictionary: str, fits: Fits, sigma_px: float, plane: Plane, noise: float
-) -> Fits:
-    """The same markers, fitted by those of their pixels that agree on a pose.
+    image: Image, dictionary: str, fits: FitResults, sigma_px: float, plane: Plane, noise: float
+) -> FitResults:
+    """Return the same markers, fitted to those of their pixels that agree on a pose.
 
     Args:
         image: grey, (height, width).
         dictionary: of the markers.
-        fits: N of them, at least one, as all their pixels have them.
-        sigma_px: blur of lens and pixel together.
-        plane: that all the image's markers seem to lie on. How these are squeezed they tell by themselves:
-            what covers them may have had its part in it.
+        fits: of N markers, at least one, to all their pixels.
+        sigma_px: standard deviation of the blur of lens and pixel together.
+        plane: of all the image's markers, from which blur in marker coordinates follows. The squeezes of the
+            covered markers are found from themselves, since what covers them may have affected the plane.
         noise: standard deviation of a pixel, grey levels.
 
     Returns:
-        The fits. A cell of the border that is not seen leaves nothing; one with a bit leaves as much as a
-        wrong one does, so that a marker some bit of which is hidden is never verified.
+        The new results. A hidden cell of the black border leaves no residual; a hidden cell with a bit leaves
+        as much as a wrong one, so that a marker with a hidden bit is never verified.
     """
-    n_cells, middle = cells_per_side(dictionary), complex(image.shape[1] - 1, image.shape[0] - 1) / 2
-    looks = looks_of(dictionary, fits.ids, sigma_px / fits.shapes.sides_px(), plane, noise)
-    looks = replace(looks, ratios=fits.blacks / fits.contrasts)
-    rows, shapes = np.arange(fits.ids.size), fits.shapes
-    values = np.zeros((rows.size, PIXELS))
+    n_cells, middle = cells_per_side(dictionary), image_middle(image)
+    appearances = appearances_of(dictionary, fits.ids, sigma_px / fits.homographies.sides_px(), plane, noise)
+    appearances = replace(appearances, black_ratios=fits.blacks / fits.contrasts)
+    rows, homographies = np.arange(fits.ids.size), fits.homographies
+    values = np.zeros((rows.size, UNKNOWNS))
     values[:, BLACK], values[:, CONTRAST] = fits.blacks - MIDDLE_GREY, fits.contrasts
-    taken = Taken(rows.size)
+    samples = PixelSamples(rows.size)
     limits = fits.contrasts / 2
     for _ in range(_rounds(fits.contrasts, noise)):
         values[:, POSE] = 0.0  # the last round's step was taken
-        taken.take(image, rows, shapes, looks, explained=(values, limits))
-        solved = taken.solved()
-        plane, squeezes = common_plane(solved, shapes, middle, np.ones(rows.size, dtype=bool))
-        solved = solved.holding(SQUEEZE, squeezes)
-        values = solved.values.copy()
-        shapes, moved_px = stepped(solved, shapes)
-        shapes = replace(shapes, horizons=plane.horizons(shapes.centers - middle))
-        limits = np.maximum(FALL * limits, CUT * np.minimum(noise, solved.noises()))
-    means, peaks = taken.leavings(rows, solved, n_cells)
-    means = _as_wrong_where_hidden(means, taken.cells_seen(rows, n_cells), solved.contrasts())
-    variances = plane.variances(shapes.centers - middle)
-    return fits_of(fits.ids, solved, shapes, (means, peaks), moved_px, sigma_px, variances)
+        samples.read(image, rows, homographies, appearances, inlier_limits=(values, limits))
+        solution = samples.solution()
+        plane, squeezes = common_plane(solution, homographies, middle, np.ones(rows.size, dtype=bool))
+        solution = solution.constrained(SQUEEZE, squeezes)
+        values = solution.values.copy()
+        homographies, moved_px = stepped(solution, homographies)
+        homographies = replace(homographies, horizons=plane.horizons(homographies.centers - middle))
+        limits = np.maximum(LIMIT_FACTOR * limits, INLIER_SIGMAS * np.minimum(noise, solution.noise_stds()))
+    means, peaks = samples.cell_residuals(rows, solution, n_cells)
+    means = _hidden_bits_as_wrong(means, samples.cell_support(rows, n_cells), solution.contrasts())
+    variances = plane.variances(homographies.centers - middle)
+    return fit_results_of(fits.ids, solution, homographies, (means, peaks), moved_px, sigma_px, variances)
 
 
 def _rounds(contrasts: Array, noise: float) -> int:
-    """As many as the limit takes to fall to `CUT` deviations of the noise, and `LAST_ROUNDS`."""
-    falls = np.log(CUT * noise / (contrasts.max() / 2)) / np.log(FALL)
-    return int(np.ceil(max(falls, 0.0))) + LAST_ROUNDS
+    """Rounds until the limit has fallen to its last value, and `FINAL_ROUNDS` more."""
+    falls = np.log(INLIER_SIGMAS * noise / (contrasts.max() / 2)) / np.log(LIMIT_FACTOR)
+    return int(np.ceil(max(falls, 0.0))) + FINAL_ROUNDS
 
 
-def _as_wrong_where_hidden(cell_means: Array, seen: Array, contrasts: Array) -> Array:
-    """(N, n, n) what cells leave: their mean where enough of them is seen, else all there is for a bit."""
-    of_bits = np.zeros(seen.shape[1:])
-    of_bits[1:-1, 1:-1] = 1.0
-    return np.where(seen < LEAST_SEEN, of_bits * contrasts[:, None, None], cell_means)
+def _hidden_bits_as_wrong(cell_means: Array, support: Array, contrasts: Array) -> Array:
+    """Mean residuals (N, n, n), in which a cell with too little support leaves the whole contrast.
+
+    That holds for cells with a bit; hidden cells of the border leave zero.
+    """
+    has_bit = np.zeros(support.shape[1:])
+    has_bit[1:-1, 1:-1] = 1.0
+    return np.where(support < MIN_VISIBLE_SHARE, has_bit * contrasts[:, None, None], cell_means)

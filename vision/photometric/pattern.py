@@ -1,7 +1,7 @@
 """What a marker looks like under blur, and how that changes with pose and blur: the templates of the fit.
 
-In marker coordinates z = right + i down, of unit side and with black as 0 and white as 1, a marker on endless
-white, seen under a Gaussian of standard deviation σ, separates (`skyherd.markers.blur_model`):
+In marker coordinates z = right + i down, in sides, with black as 0 and white as 1, a marker on an endless
+white ground seen under a Gaussian of standard deviation σ separates (`skyherd.markers.blur_model`):
 
     T(y, x) = 1 - Σ_r Σ_c E_r(y) B_rc E_c(x),   B_rc = 1 where the cell is black,
 
@@ -22,22 +22,36 @@ from skyherd.markers.blur_model import Gathered, gather_with_derivatives
 from skyherd.markers.dictionary import marker_cells
 
 BLUR_STEP = 1.05
-"""Patterns are kept for blurs, in sides, in this geometric progression; the fit takes up the rest."""
+"""Patterns are kept for blurs, in sides, in this geometric progression; the fit's unknown `BLUR` takes up the
+rest, 2.5 % at most. Chosen: a smaller step means more patterns in memory, a larger one more error of second
+order."""
 
 SAMPLES_PER_SIGMA = 3.0
-"""Bilinear reading adds `f (1 - f) h² T'' / 2`, which is `h² T'' / 12` on average and is taken off
-beforehand. What is left is `h² T'' / 12 = 0.11 x 0.24 / 12` of the contrast at most along an edge: 0.45 of
-200 levels; at corners up to twice that, and a quarter of it in the root mean square."""
+"""Samples of a pattern to one standard deviation of its blur. Derived: bilinear reading at a fraction f
+between samples h apart adds `f (1 - f) h² T'' / 2`, which is `h² T'' / 12` on average and is subtracted
+beforehand. The rest is `h² T'' / 12 = 0.11 x 0.24 / 12` of the contrast at most along an edge, 0.45 of 200
+grey levels; at corners up to twice that; and a quarter of it in the root mean square. Both h² and the error
+fall by four at twice the value."""
 
 MAX_SAMPLES = 640
-"""Patterns of large markers are sampled less finely, so that each takes 6.5 MB at most."""
+"""Most samples of a pattern along each side; patterns of large, sharp markers are sampled less finely.
+Derived from memory: 640² samples of four channels of 4 bytes are 6.5 MB."""
 
 REACH_SIGMAS = 4.0
+"""How far a pattern reaches beyond the black square, standard deviations of the blur. Chosen: beyond it T is
+1 to within 3e-5, as the pattern's outermost samples, which are repeated, say."""
 
 
 @dataclass(frozen=True)
 class Pattern:
-    """T, T_x, T_y, T_log σ of one marker, (S, S, 4) float32, at samples `rate z + center`."""
+    """Sampled functions of marker coordinates, for one marker at one blur.
+
+    Attributes:
+        values: (S, S, channels) float32, read-only. Sample (row, column) is at the marker coordinates (x, y)
+            with `column = rate x + center` and `row = rate y + center`.
+        rate: samples to a marker side.
+        center: index of the marker's centre along both axes.
+    """
 
     values: npt.NDArray[np.float32]
     rate: float
@@ -52,7 +66,7 @@ def _pattern(values: Array, rate: float) -> Pattern:
 
 
 def blur_buckets(relative_sigmas: Array) -> IntArray:
-    """Indices (N,) of the patterns nearest to blurs (N,), in marker sides."""
+    """Return the buckets (N,) with `BLUR_STEP ** bucket` nearest to blurs (N,), in marker sides."""
     return np.rint(np.log(relative_sigmas) / math.log(BLUR_STEP)).astype(np.int64)
 
 
@@ -66,17 +80,23 @@ def _axis(extent: float, sigma: float) -> tuple[Array, float]:
 
 @lru_cache(maxsize=256)
 def make_pattern(dictionary: str, marker_id: int, bucket: int) -> Pattern:
-    """Pattern of a marker at a blur of `BLUR_STEP ** bucket` marker sides."""
+    """Return T, T_x, T_y and T_log σ of a marker, (S, S, 4), at a blur of `BLUR_STEP ** bucket` marker sides.
+
+    Results are kept, the last 256 of them.
+
+    Raises:
+        InputError: there is no such dictionary, or no marker of that id in it.
+    """
     sigma = BLUR_STEP**bucket
     x, rate = _axis(0.5 + REACH_SIGMAS * sigma, sigma)
     product, e = _products(dictionary, marker_id, x, sigma)
     curvature = sigma**2 * e.curvature
-    bend = product(e.value, curvature) + product(curvature, e.value)
+    log_blur = product(e.value, curvature) + product(curvature, e.value)
     channels = [
-        1.0 + product(e.value, e.value) - bend / (12 * (sigma * rate) ** 2),
+        1.0 + product(e.value, e.value) - log_blur / (12 * (sigma * rate) ** 2),
         product(e.value, e.slope),
         product(e.slope, e.value),
-        bend,
+        log_blur,
     ]
     return _pattern(np.stack(channels, axis=-1), rate)
 
@@ -96,12 +116,16 @@ def _products(
 
 
 @lru_cache(maxsize=256)
-def make_bend(dictionary: str, marker_id: int, bucket: int) -> Pattern:
-    """What a blur that is round in the image does where the marker is squeezed: (S, S, 2) float32.
+def make_anisotropy(dictionary: str, marker_id: int, bucket: int) -> Pattern:
+    """Return how T changes where a marker is squeezed, (S, S, 2), at a blur of `BLUR_STEP ** bucket` sides.
 
-    A squeeze z ↦ z + e z̄ leaves in marker coordinates a blur of variances σ² (1 ∓ 2 e_x) and covariance
-    -2 σ² e_y, to first order, and so changes T by `- e_x σ² (T_xx - T_yy) - 2 e_y σ² T_xy`: the two factors
-    of -e.
+    Blur that is round in the image is not round in the coordinates of a squeezed marker. A squeeze
+    z ↦ z + e z̄ leaves there a blur of variances σ² (1 ∓ 2 e_x) and covariance -2 σ² e_y, to first order, and
+    so changes T by `- e_x σ² (T_xx - T_yy) - 2 e_y σ² T_xy`: the two channels are the factors of -e_x and
+    -e_y. Results are kept, the last 256 of them.
+
+    Raises:
+        InputError: there is no such dictionary, or no marker of that id in it.
     """
     sigma = BLUR_STEP**bucket
     x, rate = _axis(0.5 + REACH_SIGMAS * sigma, sigma)

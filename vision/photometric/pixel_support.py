@@ -1,4 +1,4 @@
-"""Which pixels of an image lie within a marker, line by line, and where in the marker's coordinates."""
+"""The pixels that lie within each marker, with their marker coordinates."""
 
 from dataclasses import dataclass
 
@@ -6,83 +6,108 @@ import numpy as np
 import numpy.typing as npt
 
 from skyherd.geometry import Array, ComplexArray, IntArray
-from skyherd.vision.photometric.local_homography import Shapes
+from skyherd.vision.photometric.local_homography import LocalHomographies
 
 Floats = npt.NDArray[np.float32]
 
 BLOCK = 64
-"""Pixels are padded to a multiple of this: OpenCV reads a pattern at blocks of points."""
+"""Pixel counts are padded to a multiple of this number, so that `cv2.remap` can read a pattern at a
+rectangular block of points. Chosen: larger blocks add more padding, smaller ones more rows to each call."""
+
+MIN_AXIS_PER_PX = 1e-12
+"""Smallest slope along a line, in marker sides per pixel, that is divided by; an axis that is exactly at
+right angles to a line would divide by zero. Chosen far below 1 / image width, so that the bounds it gives lie
+outside any image."""
 
 
 @dataclass(frozen=True)
-class Lines:
-    """Pixels of N markers, line by line, each marker's filled up to the same number M with its centre.
+class PixelSupport:
+    """The pixels of N markers, line by line; each row is filled up to the same length M by padding.
 
     Attributes:
-        counts: (N,) pixels of each.
-        padded: (N, M) 1 for a pixel, 0 for one that only fills up.
-        places: (N, M) where the pixels are in the image.
-        x, y: (N, M) marker coordinates.
+        counts: (N,) number of pixels of each marker.
+        mask: (N, M) 1 for a pixel, 0 for padding.
+        flat_indices: (N, M) indices of the pixels into the flattened image; meaningless in padding.
+        x, y: (N, M) marker coordinates of the pixels' centres, in sides; 0 in padding.
     """
 
     counts: IntArray
-    padded: Floats
-    places: IntArray
+    mask: Floats
+    flat_indices: IntArray
     x: Floats
     y: Floats
 
 
-def lines_within(shapes: Shapes, limits: Array, image_shape: tuple[int, ...]) -> Lines:
-    """The pixels of an image that lie within `limits` (N,) of the markers' centres, in marker coordinates.
+def pixels_within(
+    homographies: LocalHomographies, limits: Array, image_shape: tuple[int, ...]
+) -> PixelSupport:
+    """Return the pixels of an image (height, width) whose marker coordinates are within ± `limits` (N,).
 
-    Each line of pixels meets the strips `|x| < limit` and `|y| < limit` in intervals: their common part.
+    Each image line meets the strips `|x| < limit` and `|y| < limit` in two intervals; the pixels of a line
+    are the common part of both, cut off at the image's border. The limits hold for the affine part of the
+    homography: the horizon is applied to the coordinates only.
     """
-    right, down = shapes.arms + shapes.squeezes, 1j * (shapes.arms - shapes.squeezes)
+    right = homographies.arms + homographies.squeezes
+    down = 1j * (homographies.arms - homographies.squeezes)
     reach = limits * (np.abs(right.imag) + np.abs(down.imag))
-    corner = shapes.centers.real.round() + 1j * shapes.centers.imag.round()
-    off = shapes.centers - corner
+    corner = homographies.centers.real.round() + 1j * homographies.centers.imag.round()
+    offset = homographies.centers - corner
     # Lines and columns are counted from the pixels nearest to the centres: small numbers, without rounding.
-    lines = np.ceil(off.imag - reach)[:, None] + np.arange(int(2 * reach.max()) + 1)
-    v = lines - off.imag[:, None]
+    lines = np.ceil(offset.imag - reach)[:, None] + np.arange(int(2 * reach.max()) + 1)
+    v = lines - offset.imag[:, None]
     low, high = -corner.real[:, None], image_shape[1] - 1 - corner.real[:, None]
-    for axis in shapes.axes():
-        per_u = np.where(np.abs(axis.real) < 1e-12, 1e-12, axis.real)
-        middle = off.real[:, None] - (axis.imag / per_u)[:, None] * v
+    for axis in homographies.axes():
+        per_u = np.where(np.abs(axis.real) < MIN_AXIS_PER_PX, MIN_AXIS_PER_PX, axis.real)
+        middle = offset.real[:, None] - (axis.imag / per_u)[:, None] * v
         half = (limits / np.abs(per_u))[:, None]
         low, high = np.maximum(low, np.ceil(middle - half)), np.minimum(high, np.floor(middle + half))
-    on = lines + corner.imag[:, None]
-    meets = (on >= 0) & (on < image_shape[0]) & (high >= low)
+    in_image = lines + corner.imag[:, None]
+    meets = (in_image >= 0) & (in_image < image_shape[0]) & (high >= low)
     counts = np.where(meets, high - low + 1, 0).astype(np.int64)
-    return _laid_out(shapes, corner, np.where(meets, low, 0), lines, counts, image_shape[1])
+    return _padded(homographies, corner, np.where(meets, low, 0), lines, counts, image_shape[1])
 
 
-def _laid_out(
-    shapes: Shapes, corner: ComplexArray, low: Array, lines: Array, counts: IntArray, width: int
-) -> Lines:
-    """Pixels from `low` (N, L), `counts` of them, on `lines`, both from pixels `corner` (N,)."""
+def _padded(
+    homographies: LocalHomographies,
+    corner: ComplexArray,
+    low: Array,
+    lines: Array,
+    counts: IntArray,
+    width: int,
+) -> PixelSupport:
+    """Lay the intervals of pixels out in rows of equal length.
+
+    Args:
+        homographies: of the N markers.
+        corner: (N,) the pixels nearest to the centres, from which lines and columns are counted.
+        low: (N, L) first column of each interval.
+        lines: (N, L) line of each interval.
+        counts: (N, L) pixels of each interval.
+        width: of the image, px.
+    """
     totals = counts.sum(axis=1)
     size = -(-max(int(totals.max()), 1) // BLOCK) * BLOCK
-    padded = (np.arange(size) < totals[:, None]).astype(np.float32)
+    mask = (np.arange(size) < totals[:, None]).astype(np.float32)
     counts = np.column_stack([counts, size - totals]).ravel()
     starts = np.cumsum(counts) - counts
     low, lines = (np.column_stack([place, np.zeros(len(place))]).ravel() for place in (low, lines))
-    columns = np.arange(padded.size, dtype=np.int32)
+    columns = np.arange(mask.size, dtype=np.int32)
     columns += np.repeat((low - starts).astype(np.int32), counts)
-    columns = columns.reshape(padded.shape)
-    rows = np.repeat(lines.astype(np.int32), counts).reshape(padded.shape)
-    off = (shapes.centers - corner).astype(np.complex64)[:, None]
-    u, v = columns.astype(np.float32) - off.real, rows.astype(np.float32) - off.imag
+    columns = columns.reshape(mask.shape)
+    rows = np.repeat(lines.astype(np.int32), counts).reshape(mask.shape)
+    offset = (homographies.centers - corner).astype(np.complex64)[:, None]
+    u, v = columns.astype(np.float32) - offset.real, rows.astype(np.float32) - offset.imag
 
     def along(axis: ComplexArray) -> Floats:
-        """`Re(axis̄ p)` of all pixels p, from their markers' centres."""
+        """`Re(axis̄ p)` of all pixels p, relative to their markers' centres."""
         real, imag = axis.real.astype(np.float32)[:, None], axis.imag.astype(np.float32)[:, None]
         return np.asarray(real * u + imag * v)
 
-    x, y = (along(axis) * padded for axis in shapes.axes())
-    if shapes.horizons.any():
-        nearness = 1 - along(shapes.horizons) * padded
+    x, y = (along(axis) * mask for axis in homographies.axes())
+    if homographies.horizons.any():
+        nearness = 1 - along(homographies.horizons) * mask
         x, y = x / nearness, y / nearness
     rows *= width
     rows += columns
     rows += (corner.imag * width + corner.real).astype(np.int32)[:, None]
-    return Lines(totals, padded, rows, x, y)
+    return PixelSupport(totals, mask, rows, x, y)

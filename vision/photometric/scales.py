@@ -1,8 +1,8 @@
-"""Markers of any size fitted at a size that serves: large ones in an image shrunk by a power of two.
+"""Markers of any size, each fitted at a resolution that suits it: large ones in a shrunk image.
 
 A large marker has more pixels than are of use, and its pattern would have to be kept at as many. Shrunk by
-means over k x k pixels, an image has the blur `σ'² = (σ² - 1/12) / k² + 1/12`: the lens's part shrinks, the
-pixel's does not.
+means over k x k pixels, an image has a blur of variance `σ'² = (σ² - 1/12) / k² + 1/12`, px²: the lens's part
+shrinks, that of the square pixel, 1/12, does not.
 """
 
 import math
@@ -14,101 +14,110 @@ import numpy as np
 
 from skyherd.geometry import UNIFORM_VARIANCE, IntArray
 from skyherd.vision.grey import Image
-from skyherd.vision.photometric.fit import ROUNDS, fit_markers
-from skyherd.vision.photometric.fit_result import Fits
-from skyherd.vision.photometric.local_homography import Shapes
+from skyherd.vision.photometric.fit import MAX_STEPS, fit_markers
+from skyherd.vision.photometric.fit_result import FitResults
+from skyherd.vision.photometric.local_homography import LocalHomographies
 from skyherd.vision.photometric.occlusion import fit_visible
 from skyherd.vision.photometric.plane import Plane
 
 LARGEST_SIDE_PX = 144.0
-"""Larger markers are fitted in a shrunk image."""
+"""Side, px, above which a marker is fitted in an image shrunk by 2, 4, 8 and so on, so that its side there is
+between 72 and 144 px. Chosen: a smaller value makes large markers less precise, a larger one costs time and
+memory with its square."""
 
 
 def fit_all_sizes(
     image: Image,
     dictionary: str,
     ids: IntArray,
-    shapes: Shapes,
+    homographies: LocalHomographies,
     sigma_px: float,
     plane: Plane,
     noise: float,
-    rounds: int = ROUNDS,
-) -> tuple[Fits, Plane]:
-    """As `fit_markers`, each marker at a resolution that suits it; the smallest tell the plane."""
-    told = plane
-    octaves = _octaves(shapes)
+    max_steps: int = MAX_STEPS,
+) -> tuple[FitResults, Plane]:
+    """Do as `fit_markers`, with each marker at a resolution that suits it.
+
+    Arguments and results are those of `fit_markers` and refer to the full-size image. The results come in
+    order of size if some markers are large; the plane is that of the smallest ones.
+    """
+    octaves = _octaves(homographies)
     if not octaves.any():
-        return fit_markers(image, dictionary, ids, shapes, sigma_px, plane, noise, rounds)
-    parts: list[Fits] = []
+        return fit_markers(image, dictionary, ids, homographies, sigma_px, plane, noise, max_steps)
+    parts: list[FitResults] = []
+    fitted_plane = plane
     for octave in np.unique(octaves):
-        rows, level = octaves == octave, Level(image, 2 ** int(octave))
+        rows, scaled = octaves == octave, ScaledImage(image, 2 ** int(octave))
         fits, here = fit_markers(
-            level.image,
+            scaled.image,
             dictionary,
             ids[rows],
-            shapes.take(rows).scaled(level.shrink),
-            level.sigma_px(sigma_px),
-            level.plane(plane),
-            level.noise(noise),
-            rounds,
+            homographies.take(rows).scaled(scaled.shrink),
+            scaled.sigma_px(sigma_px),
+            scaled.plane(plane),
+            scaled.noise(noise),
+            max_steps,
         )
-        parts.append(level.full_size(fits))
+        parts.append(scaled.full_size(fits))
         if len(parts) == 1:
-            told = replace(here, horizon=here.horizon / level.shrink)
-    return reduce(Fits.joined, parts), told
+            fitted_plane = replace(here, horizon=here.horizon / scaled.shrink)
+    return reduce(FitResults.joined, parts), fitted_plane
 
 
-def visible_all_sizes(
-    image: Image, dictionary: str, fits: Fits, sigma_px: float, plane: Plane, noise: float
-) -> Fits:
-    """As `fit_visible`, each marker at a resolution that suits it, in the order of `fits`."""
-    octaves, visible = _octaves(fits.shapes), fits
+def fit_visible_all_sizes(
+    image: Image, dictionary: str, fits: FitResults, sigma_px: float, plane: Plane, noise: float
+) -> FitResults:
+    """Do as `fit_visible`, with each marker at a resolution that suits it; in the order of `fits`."""
+    octaves, visible = _octaves(fits.homographies), fits
     for octave in np.unique(octaves):
-        rows, level = np.flatnonzero(octaves == octave), Level(image, 2 ** int(octave))
+        rows, scaled = np.flatnonzero(octaves == octave), ScaledImage(image, 2 ** int(octave))
         covered = fits.take(rows)
-        seen = fit_visible(
-            level.image,
+        refitted = fit_visible(
+            scaled.image,
             dictionary,
-            replace(covered, shapes=covered.shapes.scaled(level.shrink)),
-            level.sigma_px(sigma_px),
-            level.plane(plane),
-            level.noise(noise),
+            replace(covered, homographies=covered.homographies.scaled(scaled.shrink)),
+            scaled.sigma_px(sigma_px),
+            scaled.plane(plane),
+            scaled.noise(noise),
         )
-        visible = visible.put(rows, level.full_size(seen))
+        visible = visible.put(rows, scaled.full_size(refitted))
     return visible
 
 
-def _octaves(shapes: Shapes) -> IntArray:
-    """(N,) how often the image is to be halved for each marker."""
-    octaves = np.maximum(np.ceil(np.log2(shapes.sides_px() / LARGEST_SIDE_PX)), 0)
+def _octaves(homographies: LocalHomographies) -> IntArray:
+    """How often (N,) the image is to be halved for each marker."""
+    octaves = np.maximum(np.ceil(np.log2(homographies.sides_px() / LARGEST_SIDE_PX)), 0)
     return np.asarray(octaves, dtype=np.int64)
 
 
-class Level:
-    """An image shrunk by means over `shrink` x `shrink` pixels, and what is known of it at that size."""
+class ScaledImage:
+    """An image shrunk by means over `shrink` x `shrink` pixels, and what is known of it at that size.
+
+    Lines and columns that make no whole square are left out. With `shrink` 1 the image is used as it is.
+    """
 
     def __init__(self, image: Image, shrink: int) -> None:
         self.shrink = shrink
         self.image = image if shrink == 1 else _shrunk(image, shrink)
 
     def sigma_px(self, sigma_px: float) -> float:
-        """Blur of lens and pixel, small pixels."""
+        """Return the blur of lens and pixel in shrunk pixels, from that in full-size pixels."""
         return math.sqrt(max((sigma_px**2 - UNIFORM_VARIANCE) / self.shrink**2, 0.0) + UNIFORM_VARIANCE)
 
     def noise(self, noise: float) -> float:
-        """Standard deviation of a small pixel, grey levels: a mean's, rounded once more."""
+        """Return the standard deviation of a shrunk pixel, grey levels: that of a mean, rounded once more."""
         return noise if self.shrink == 1 else math.hypot(noise / self.shrink, UNIFORM_VARIANCE**0.5)
 
     def plane(self, plane: Plane) -> Plane:
-        """The plane in small pixels."""
+        """Return the plane in shrunk pixels: its horizon is a reciprocal length."""
         return replace(plane, horizon=plane.horizon * self.shrink)
 
-    def full_size(self, fits: Fits) -> Fits:
-        """Fits in this image as of the full-size one."""
+    def full_size(self, fits: FitResults) -> FitResults:
+        """Return results of fits in the shrunk image in pixels of the full-size one."""
         scale = np.diag([self.shrink, self.shrink, 1.0])
         return replace(
             fits,
-            shapes=fits.shapes.scaled(1 / self.shrink),
+            homographies=fits.homographies.scaled(1 / self.shrink),
             covariances=scale @ fits.covariances @ scale,
             pixels=fits.pixels * self.shrink**2,
             moved_px=fits.moved_px * self.shrink,

@@ -1,8 +1,8 @@
-"""Where markers will be in the next image: each goes on as it went from the last but one to the last.
+"""Where markers will be in the next image, extrapolated from the last two.
 
-A step that turns and grows as the marker does is what a robot on an arc makes, or a camera that turns or
-zooms; a camera that flies past makes steps that do not. Each marker's next step is taken to be of the kind
-that its last one was nearer to.
+Two kinds of motion are told apart. A robot on an arc, or a camera that turns or zooms, moves a marker's
+centre by steps that turn and grow as the marker's arm does; a camera that flies past moves it by equal steps.
+Each marker's next step is taken to be of the kind that its last step was nearer to.
 """
 
 from dataclasses import dataclass
@@ -10,66 +10,80 @@ from dataclasses import dataclass
 import numpy as np
 
 from skyherd.geometry import BoolArray, ComplexArray, IntArray
-from skyherd.vision.photometric.local_homography import Shapes
+from skyherd.vision.photometric.local_homography import LocalHomographies
 
 
 @dataclass(frozen=True)
 class Tracks:
-    """Markers being followed.
+    """The markers being followed, as they were in the last image.
 
     Attributes:
-        time_s: of the image they were last seen in.
-        ids: (N,).
-        shapes: as last seen.
-        velocities: (N,) of the centres, px/s; zero for a marker seen once.
-        growths: (N,) of the arms, 1/s: real part growth, imaginary part turn.
-        turning: (N,) whether the centres' steps turn and grow with the arms.
+        time_s: when the last image was taken.
+        ids: (N,) marker ids.
+        homographies: of the markers in the last image.
+        velocities: (N,) of the centres, px/s, complex; zero for a marker seen once.
+        arm_log_rates: (N,) rates of the arms' logarithms, 1/s: real part growth, imaginary part rotation.
+        on_arc: (N,) whether the centres' steps turn and grow with the arms.
     """
 
     time_s: float
     ids: IntArray
-    shapes: Shapes
+    homographies: LocalHomographies
     velocities: ComplexArray
-    growths: ComplexArray
-    turning: BoolArray
+    arm_log_rates: ComplexArray
+    on_arc: BoolArray
 
     def elapsed_s(self, time_s: float) -> float:
-        """Time since the last image; 1 for images that come without times."""
+        """Return the time since the last image, s; 1 if the images' times do not increase."""
         return time_s - self.time_s if time_s > self.time_s else 1.0
 
-    def predicted(self, time_s: float) -> Shapes:
-        """Shapes at `time_s`: arms go on turning and growing, and so do the steps of centres that turn."""
+    def predicted(self, time_s: float) -> LocalHomographies:
+        """Return the homographies expected at `time_s`.
+
+        Arms go on turning and growing at their rates; so do the steps of centres `on_arc`, while the other
+        centres go on straight. The squeezes, which are fixed in image axes, turn with the arms.
+        """
         elapsed = self.elapsed_s(time_s)
-        turn = np.exp(self.growths * elapsed)
-        return Shapes(
-            self.shapes.centers + self.velocities * np.where(self.turning, turn, 1) * elapsed,
-            self.shapes.arms * turn,
-            self.shapes.squeezes * turn.conj(),
-            self.shapes.horizons,
+        turn = np.exp(self.arm_log_rates * elapsed)
+        return LocalHomographies(
+            centers=self.homographies.centers + self.velocities * np.where(self.on_arc, turn, 1) * elapsed,
+            arms=self.homographies.arms * turn,
+            squeezes=self.homographies.squeezes * turn.conj(),
+            horizons=self.homographies.horizons,
         )
 
-    def seen(self, time_s: float, ids: IntArray, shapes: Shapes) -> "Tracks":
-        """Tracks of the markers in the next image; those followed before have a velocity."""
+    def updated(self, time_s: float, ids: IntArray, homographies: LocalHomographies) -> "Tracks":
+        """Return the tracks after an image at `time_s` that shows markers `ids` (N,) at `homographies`.
+
+        Markers that were followed before get a velocity; markers that are not among `ids` are dropped.
+        """
         elapsed = self.elapsed_s(time_s)
-        velocities, growths = np.zeros((2, ids.size), dtype=complex)
-        turning = np.ones(ids.size, dtype=bool)
+        velocities, rates = np.zeros((2, ids.size), dtype=complex)
+        on_arc = np.ones(ids.size, dtype=bool)
         now, before = np.nonzero(ids[:, None] == self.ids)
-        velocities[now] = (shapes.centers[now] - self.shapes.centers[before]) / elapsed
-        growths[now] = np.log(shapes.arms[now] / self.shapes.arms[before]) / elapsed
+        velocities[now] = (homographies.centers[now] - self.homographies.centers[before]) / elapsed
+        rates[now] = np.log(homographies.arms[now] / self.homographies.arms[before]) / elapsed
         straight = self.velocities[before]
-        turned = straight * np.exp(self.growths[before] * elapsed)
-        turning[now] = np.abs(velocities[now] - turned) <= np.abs(velocities[now] - straight)
-        return Tracks(time_s, ids, shapes, velocities, growths, turning)
+        turned = straight * np.exp(self.arm_log_rates[before] * elapsed)
+        on_arc[now] = np.abs(velocities[now] - turned) <= np.abs(velocities[now] - straight)
+        return Tracks(time_s, ids, homographies, velocities, rates, on_arc)
 
 
 def no_tracks() -> Tracks:
-    """Nothing followed yet."""
-    none = np.zeros(0, dtype=complex)
-    return Tracks(0.0, np.zeros(0, dtype=np.int64), Shapes(none, none, none, none), none, none, none.real > 0)
+    """Return tracks of no marker, at time 0."""
+    empty = np.zeros(0, dtype=complex)
+    return Tracks(
+        time_s=0.0,
+        ids=np.zeros(0, dtype=np.int64),
+        homographies=LocalHomographies(empty, empty, empty, empty),
+        velocities=empty,
+        arm_log_rates=empty,
+        on_arc=np.zeros(0, dtype=bool),
+    )
 
 
-def in_view(shapes: Shapes, image_shape: tuple[int, ...]) -> BoolArray:
-    """Which markers (N,) have their centres in an image (height, width)."""
+def in_view(homographies: LocalHomographies, image_shape: tuple[int, ...]) -> BoolArray:
+    """Return which markers (N,) have their centres inside an image (height, width)."""
     height, width = image_shape
-    from_middle = shapes.centers - complex(width - 1, height - 1) / 2
+    from_middle = homographies.centers - complex(width - 1, height - 1) / 2
     return np.asarray((np.abs(from_middle.real) < width / 2) & (np.abs(from_middle.imag) < height / 2))

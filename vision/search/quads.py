@@ -1,8 +1,8 @@
 """Dark quadrilaterals in an image: where markers may be.
 
-Of the boundaries of the dark regions (`skyherd.vision.search.regions`) those that enclose an area as a square
-does are kept, four corners are taken on each, and a line is fitted to each of the four sides. All boundaries
-of an image are treated at once.
+Of the boundaries of the dark regions (`skyherd.vision.search.regions`), those are kept that enclose an area
+as a square does. Four corners are taken on each, and a line is fitted to each of the four sides. All
+boundaries of an image are treated at once, by NumPy operations on all of their points.
 """
 
 import math
@@ -13,36 +13,59 @@ import numpy.typing as npt
 from skyherd.geometry import Array, BoolArray, ComplexArray, IntArray, to_points
 from skyherd.vision.search.regions import dark_boundaries
 
-MIN_SIDE_PX = 7.0
-"""Shortest side of a dark region that is looked at, between centres of its outermost pixels."""
+MIN_QUAD_SIDE_PX = 7.0
+"""Shortest side of a dark region that is looked at, px between the centres of its outermost pixels. Chosen: a
+marker of 8 px, half a pixel further out on either side, is the smallest that can be told from others. It is
+smaller than `opencv_tuned.MIN_MARKER_SIDE_PX`, since bits need not be readable one by one here."""
 
 MIN_COMPACTNESS = 0.035
-"""Least area over squared length; a square's is 1/16, or 1/8 when its steps run diagonally."""
+"""Smallest area over squared length of the boundary. Chosen: a little over half of a square's 1/16 (1/8 when
+its steps run diagonally), so that squares seen at a slant pass and lines do not."""
 
 GROWTH_PX = 0.5
-"""Dark regions end at the centres of their outermost pixels: the edge is half a pixel further out."""
+"""By how much the sides are moved outwards, px. Derived: boundaries run through the centres of the outermost
+pixels of a region, whose edge is half a pixel further out."""
 
-ROUNDED = 0.125
-"""Share of a side at either end that is not used to fit its line."""
+ROUNDED_SHARE = 0.125
+"""Share of a side at either end that is not used to fit its line, since blur rounds the corners. Chosen:
+larger leaves fewer points, smaller bends the line."""
 
-LEAST_POINTS = math.ceil(4 * MIN_SIDE_PX / math.sqrt(2))
-"""A square whose sides run diagonally has a boundary of side / sqrt(2) pixels a side."""
+SIDE_END_WEIGHT = 1e-6
+"""Weight of the points at the rounded ends, so that a side of a few pixels still has a line. Chosen far below
+1, the weight of the others."""
+
+MIN_LENGTH_PX = 1e-12
+"""Smallest length that a direction is divided by; a side of one point has no direction."""
+
+MIN_CROSSING = 1e-6
+"""Smallest sine of the angle between two sides that are made to meet; sides more parallel than this have no
+corner, and the quadrilateral is refused."""
+
+MIN_POINTS = math.ceil(4 * MIN_QUAD_SIDE_PX / math.sqrt(2))
+"""Smallest number of boundary points. Derived: a square whose sides run diagonally has a boundary of
+`side / sqrt(2)` pixels a side."""
 
 MAX_SIDE_RATIO = 3.0
+"""Largest ratio of a quadrilateral's sides. Chosen: more is not a marker that could be read."""
+
 MAX_AREA_MISMATCH = 0.3
-"""Largest ratio of sides, and relative difference between the areas of a region and its quadrilateral."""
+"""Largest relative difference between the areas of a region and of its quadrilateral. Chosen: a quadrilateral
+through four corners of some other outline misses more."""
 
 
 def find_quads(image: npt.NDArray[np.uint8]) -> Array:
-    """Corners (N, 4, 2) of the dark quadrilaterals in a grey image, clockwise as seen, in no set order."""
-    boundaries = dark_boundaries(image, LEAST_POINTS)
+    """Return the corners (N, 4, 2), px, of the dark quadrilaterals in a grey image (height, width).
+
+    Corners run clockwise as seen and begin with any of the four.
+    """
+    boundaries = dark_boundaries(image, MIN_POINTS)
     points, lengths = boundaries.points, boundaries.lengths
     if not lengths.size:
         return np.zeros((0, 4, 2))
     starts = np.cumsum(lengths) - lengths
     area = _areas(points, starts, lengths)
     # Outer boundaries run one way round, those of holes the other.
-    square = (area > MIN_SIDE_PX**2 / 2) & (area > MIN_COMPACTNESS * lengths**2)
+    square = (area > MIN_QUAD_SIDE_PX**2 / 2) & (area > MIN_COMPACTNESS * lengths**2)
     if not square.any():
         return np.zeros((0, 4, 2))
     points, lengths, area = points[np.repeat(square, lengths)], lengths[square], area[square]
@@ -70,7 +93,7 @@ def _rows_of_largest(values: Array, starts: IntArray, lengths: IntArray) -> IntA
 
 
 def _corner_rows(points: ComplexArray, starts: IntArray, lengths: IntArray) -> IntArray:
-    """Rows (N, 4) of four corners along each boundary.
+    """RowRecord (N, 4) of four corners along each boundary.
 
     The first is farthest from the boundary's middle, the second farthest from the first, the others
     farthest from the diagonal between them on either side.
@@ -102,12 +125,12 @@ def _sides(
     counts = np.maximum(np.diff(np.append(begins, points.size)), 0)
     # The ends of a stretch are rounded by blur and left out.
     share = (np.arange(points.size) - np.repeat(begins, counts)) / np.repeat(np.maximum(counts, 1), counts)
-    weight = (np.abs(share - 0.5) <= 0.5 - ROUNDED).astype(float) + 1e-6
+    weight = (np.abs(share - 0.5) <= 0.5 - ROUNDED_SHARE).astype(float) + SIDE_END_WEIGHT
     mean = np.add.reduceat(weight * points, begins) / np.add.reduceat(weight, begins)
     along = np.sqrt(np.add.reduceat(weight * (points - np.repeat(mean, counts)) ** 2, begins))
     chord = np.roll(points[begins].reshape(-1, 4), -1, axis=1).ravel() - points[begins]
     along = np.where((along.conj() * chord).real < 0, -along, along)
-    along /= np.maximum(np.abs(along), 1e-12)
+    along /= np.maximum(np.abs(along), MIN_LENGTH_PX)
     return np.asarray(mean.reshape(-1, 4), dtype=complex), np.asarray(along.reshape(-1, 4))
 
 
@@ -118,7 +141,7 @@ def _lines_met(means: ComplexArray, along: ComplexArray) -> ComplexArray:
     before_means = np.take(means, [3, 0, 1, 2], axis=1)
     before = np.take(along, [3, 0, 1, 2], axis=1)
     crossing = _cross(before, along)
-    crossing = np.where(np.abs(crossing) < 1e-6, np.inf, crossing)
+    crossing = np.where(np.abs(crossing) < MIN_CROSSING, np.inf, crossing)
     corners = before_means + before * (_cross(means - before_means, along) / crossing)
     return np.asarray(corners[:, ::-1])
 
@@ -133,7 +156,7 @@ def _is_quad(corners: ComplexArray, area: Array) -> BoolArray:
     shortest = lengths.min(axis=1)
     return np.asarray(
         convex
-        & (shortest >= MIN_SIDE_PX)
+        & (shortest >= MIN_QUAD_SIDE_PX)
         & (lengths.max(axis=1) <= MAX_SIDE_RATIO * shortest)
         & (np.abs(inside - grown) <= MAX_AREA_MISMATCH * inside)
     )

@@ -1,8 +1,9 @@
 """Boundaries of the dark regions of an image: where markers may be.
 
-A pixel is dark if it is below the mean of its surroundings by a constant. An image of half the size tells
-first where that may be worth asking: around a marker's edge pixels are dark by much and in number, those of
-noise and texture are not. The places found are laid side by side and treated as one image.
+A pixel is dark if it is below the mean of its surroundings by a constant. An image of half the size shows
+first where dark pixels crowd: around a marker's edge they are dark by much and in number, those of noise and
+texture are not. The places found are laid side by side in one smaller image, so that empty parts of the image
+cost nothing, and all of them are treated at once.
 """
 
 from dataclasses import dataclass
@@ -14,41 +15,50 @@ from skyherd.geometry import ComplexArray, IntArray
 from skyherd.vision.grey import Image
 
 SMOOTHING_PX = 3
-"""Width of the box that takes noise off before the threshold."""
+"""Width, px, of the box filter that takes noise off before the threshold. Chosen: the smallest there is; a
+wider one closes cells of small markers."""
 
 SHARPENING_PX = 5
-"""Width of the box whose mean, taken twice, is taken off again: blur closes the white between a border and
-its ground."""
+"""Width, px, of the box filter whose mean, taken twice, is subtracted again: blur otherwise closes the white
+between a marker's border and a dark ground. Chosen: about the size of a blurred edge."""
 
 WINDOWS_PX = (9, 21)
-"""Widths of the surroundings: small ones part crowded edges, large ones fill thick borders."""
+"""Widths, px, of the surroundings. Chosen: small ones separate crowded edges, large ones fill thick
+borders."""
 
 DARKER = 10
-"""By how many grey levels a dark pixel is below the mean of its surroundings, in the sharpened image."""
+"""By how many grey levels a dark pixel is below the mean of its surroundings, in the sharpened image. Chosen:
+half of it takes in noise, twice as much loses faint markers."""
 
 COARSE_WINDOW = 5
-"""Width of the boxes in the image of half the size, for surroundings and crowds alike."""
+"""Width, px of the image of half the size, of the surroundings there and of the boxes in which dark pixels
+are counted. Chosen: about a small marker."""
 
-CROWDED, LEAST_CROWDED, MOST_CROWDED = 2.2, 2.0, 6.0
-"""A crowd's mean darkness must be so many times the whole image's, within these bounds in grey levels."""
+CROWD_FACTOR, MIN_CROWD, MAX_CROWD = 2.2, 2.0, 6.0
+"""Pixels crowd where the mean darkness of a box is so many times that of the whole image, within these bounds
+in grey levels. Derived: noise of standard deviation σ is dark by 0.4 σ on average, to 0.12 σ over 25 pixels,
+so that 2.2 times as much is four standard deviations off."""
 
-AROUND = 9
-"""Width of the box around each crowded pixel, in the image of half the size, that is looked at."""
+CROWD_REACH = 9
+"""Width, px of the image of half the size, of the box around each crowded pixel that is looked at. Chosen: an
+edge's crowd must reach over the marker's border."""
 
 MARGIN_PX = 16
-"""What the boxes above reach, rounded up to an even number: (5 - 1) + (21 - 1) / 2 pixels."""
+"""Width of the margin around each place. Derived from what the box filters above reach, `(5 - 1) + (21 - 1) /
+2` px, rounded up to an even number."""
 
-MOST_LAID_OUT = 0.33
-"""Share of the image beyond which it is treated whole."""
+MAX_MOSAIC_SHARE = 0.33
+"""Share of the image's area beyond which the image is treated as a whole. Chosen: then laying out costs more
+than it saves."""
 
 
 @dataclass(frozen=True)
 class Boundaries:
-    """B closed boundaries of an image's dark regions, anticlockwise as seen; those of holes run clockwise.
+    """B closed boundaries of dark regions, anticlockwise as seen; those of holes in them run clockwise.
 
     Attributes:
-        points: (P,) of all of them, one after the other, `u + iv`.
-        lengths: (B,) how many points each has.
+        points: (P,) points of all boundaries, one boundary after the other, u + iv, px.
+        lengths: (B,) number of points of each.
     """
 
     points: ComplexArray
@@ -56,14 +66,14 @@ class Boundaries:
 
 
 @dataclass(frozen=True)
-class Sheet:
-    """Places of an image side by side.
+class Mosaic:
+    """K places of an image, laid side by side in one image.
 
     Attributes:
-        image: of all of them.
-        mask: what of it belongs to them, in half the size.
-        begins: (K,) their first columns.
-        offsets: (K,) from the sheet to the image, `u + iv`.
+        image: of all places.
+        mask: half the size, 255 where a pixel belongs to a place.
+        begins: (K,) the first column of each place.
+        offsets: (K,) shift from the mosaic to the image, u + iv, px.
     """
 
     image: Image
@@ -72,23 +82,26 @@ class Sheet:
     offsets: ComplexArray
 
 
-def dark_boundaries(image: Image, least_points: int) -> Boundaries:
-    """Boundaries of so many points or more; an odd last line or column of the image is not looked at."""
+def dark_boundaries(image: Image, min_points: int) -> Boundaries:
+    """Return the boundaries of an image's dark regions that have `min_points` points or more.
+
+    An odd last line or column of the image (height, width) is not looked at.
+    """
     none = Boundaries(np.zeros(0, dtype=complex), np.zeros(0, dtype=np.int64))
     height, width = (side - side % 2 for side in image.shape)
     if min(height, width) == 0:
         return none
-    sheet = _lay_out(image[:height, :width])
-    mask = cv2.resize(sheet.mask, sheet.image.shape[::-1], interpolation=cv2.INTER_NEAREST)
-    dark = cv2.bitwise_and(_dark(sheet.image), mask)
+    mosaic = _mosaic(image[:height, :width])
+    mask = cv2.resize(mosaic.mask, mosaic.image.shape[::-1], interpolation=cv2.INTER_NEAREST)
+    dark = cv2.bitwise_and(_dark(mosaic.image), mask)
     contours, _ = cv2.findContours(dark, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
-    boundaries = [contour for contour in contours if len(contour) >= least_points]
+    boundaries = [contour for contour in contours if len(contour) >= min_points]
     if not boundaries:
         return none
     lengths = np.array([len(boundary) for boundary in boundaries])
     joined = np.concatenate(boundaries)[:, 0].astype(float)
-    place = np.searchsorted(sheet.begins, joined[np.cumsum(lengths) - lengths, 0], side="right") - 1
-    return Boundaries(joined[:, 0] + 1j * joined[:, 1] + np.repeat(sheet.offsets[place], lengths), lengths)
+    place = np.searchsorted(mosaic.begins, joined[np.cumsum(lengths) - lengths, 0], side="right") - 1
+    return Boundaries(joined[:, 0] + 1j * joined[:, 1] + np.repeat(mosaic.offsets[place], lengths), lengths)
 
 
 def _dark(image: Image) -> Image:
@@ -100,16 +113,16 @@ def _dark(image: Image) -> Image:
     return np.asarray(dark, dtype=np.uint8)
 
 
-def _lay_out(image: Image) -> Sheet:
-    """The places of an image that are worth a look, or all of it if they are many."""
-    busy = _busy(image)
-    contours, _ = cv2.findContours(busy, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
+def _mosaic(image: Image) -> Mosaic:
+    """The places of an image where dark pixels crowd, or all of it if they are many."""
+    crowded_mask = _crowded(image)
+    contours, _ = cv2.findContours(crowded_mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
     boxes = np.array([cv2.boundingRect(contour) for contour in contours], dtype=np.int64).reshape(-1, 4)
     low = 2 * boxes[:, :2] - MARGIN_PX
     widths, heights = (2 * boxes[:, 2:] + 2 * MARGIN_PX).T
     height = int(heights.max(initial=0))
-    if not boxes.size or height * widths.sum() > MOST_LAID_OUT * image.size:
-        return Sheet(image, busy, np.zeros(1, dtype=np.int64), np.zeros(1, dtype=complex))
+    if not boxes.size or height * widths.sum() > MAX_MOSAIC_SHARE * image.size:
+        return Mosaic(image, crowded_mask, np.zeros(1, dtype=np.int64), np.zeros(1, dtype=complex))
     begins = np.cumsum(widths) - widths
     mask = np.zeros((height // 2, int(widths.sum()) // 2), dtype=np.uint8)
     for contour, shift in zip(contours, (np.column_stack([begins, 0 * begins]) - low) // 2, strict=True):
@@ -117,23 +130,25 @@ def _lay_out(image: Image) -> Sheet:
     crops = [
         _crop(image, x, y, width, height) for (x, y), width in zip(low.tolist(), widths.tolist(), strict=True)
     ]
-    return Sheet(np.hstack(crops), mask, begins, low[:, 0] - begins + 1j * low[:, 1])
+    return Mosaic(np.hstack(crops), mask, begins, low[:, 0] - begins + 1j * low[:, 1])
 
 
-def _busy(image: Image) -> Image:
-    """255 around pixels of the image of half the size that are dark in a crowd."""
+def _crowded(image: Image) -> Image:
+    """255 around the pixels, of the image of half the size, where dark pixels crowd."""
     half = np.asarray(
         cv2.resize(image, (image.shape[1] // 2, image.shape[0] // 2), interpolation=cv2.INTER_AREA),
         dtype=np.uint8,
     )
     darkness = np.asarray(cv2.subtract(_mean(half, COARSE_WINDOW), half), dtype=np.uint8)
-    crowd = np.clip(CROWDED * cv2.mean(darkness)[0], LEAST_CROWDED, MOST_CROWDED)
+    crowd = np.clip(CROWD_FACTOR * cv2.mean(darkness)[0], MIN_CROWD, MAX_CROWD)
     _, crowded = cv2.threshold(_mean(darkness, COARSE_WINDOW), crowd, 255, cv2.THRESH_BINARY)
-    return np.asarray(cv2.dilate(crowded, np.ones((AROUND, AROUND), dtype=np.uint8)), dtype=np.uint8)
+    return np.asarray(
+        cv2.dilate(crowded, np.ones((CROWD_REACH, CROWD_REACH), dtype=np.uint8)), dtype=np.uint8
+    )
 
 
 def _crop(image: Image, u: int, v: int, width: int, height: int) -> Image:
-    """A part of an image, mirrored where it goes beyond the border, as the boxes' means have it."""
+    """A part of an image, mirrored beyond the border, as box filters do at the border of a whole image."""
     inside = image[max(v, 0) : v + height, max(u, 0) : u + width]
     top, left = max(-v, 0), max(-u, 0)
     below, right = height - top - inside.shape[0], width - left - inside.shape[1]

@@ -1,16 +1,26 @@
 """The detectors that are measured: by name skyherd's own and the peers, or any other as `module:factory`."""
 
-import os
-import sys
 from importlib import import_module
-from typing import cast
 
-from skyherd.errors import InputError, SkyherdError
-from skyherd.vision import Detector, create_detector, detector_names
-from skyherd.vision.detectors.peers import FAMILIES, REFINEMENTS
+from skyherd.errors import SkyherdError
+from skyherd.vision import (
+    APRILTAG_FAMILIES,
+    DEFAULT_DICTIONARY,
+    Detector,
+    create_detector,
+    detector_names,
+    peer_names,
+)
 
-DEFAULT_DICTIONARY = "4X4_50"
-"""Marker dictionary of the frames if none is asked for."""
+__all__ = [
+    "DEFAULT_DICTIONARY",
+    "REFERENCE",
+    "EntrantError",
+    "default_entrants",
+    "dictionary_for",
+    "is_ours",
+    "make_entrant",
+]
 
 APRILTAG_DICTIONARY = "APRILTAG_36h11"
 """Dictionary of the frames of AprilTag 3, which knows no other than its own families."""
@@ -32,41 +42,18 @@ def default_entrants() -> list[str]:
 
 
 def dictionary_for(name: str, dictionary: str) -> str:
-    """Dictionary of the frames for a detector: the one asked for, but for AprilTag 3 one that it knows."""
-    return APRILTAG_DICTIONARY if name == "apriltag3" and dictionary not in FAMILIES else dictionary
+    """Dictionary of a detector's frames: the one asked for, but for AprilTag 3, which has its own."""
+    return APRILTAG_DICTIONARY if name == "apriltag3" and dictionary not in APRILTAG_FAMILIES else dictionary
 
 
 def make_entrant(name: str, dictionary: str, *, corrected: bool = True) -> Detector:
-    """Make a new detector.
-
-    Args:
-        name: as `skyherd.vision.create_detector` knows it, or `module:factory` with a function of the
-            dictionary that returns a detector; the module is imported from the current folder as well.
-        dictionary: of the markers.
-        corrected: take the constant biases off that the peers are known to have.
-
-    Raises:
-        InputError: there is no detector of that name, or it cannot be made.
-    """
-    if ":" not in name:
-        return create_detector(name, dictionary=dictionary, corrected=corrected)
-    module_name, _, factory_name = name.partition(":")
-    if os.getcwd() not in sys.path:
-        sys.path.insert(0, os.getcwd())
-    try:
-        factory = getattr(import_module(module_name), factory_name)
-        return cast(Detector, factory(dictionary))
-    except Exception as error:
-        raise InputError(
-            f"detector {name}",
-            f"{type(error).__name__}: {error}",
-            "`module:factory` with factory(dictionary) that returns a detector, importable from here",
-        ) from None
+    """A new detector; InputError if there is none of that name or it cannot be made."""
+    return create_detector(name, dictionary=dictionary, corrected=corrected)
 
 
 def is_ours(name: str) -> bool:
     """Whether a detector is skyherd's own: neither a peer nor a `module:factory`."""
-    return ":" not in name and name not in REFINEMENTS and name != "apriltag3"
+    return ":" not in name and name not in peer_names()
 
 
 def _installed(module: str) -> bool:

@@ -8,10 +8,8 @@ from rich.table import Table
 
 from skyherd.cli.console import ProgressReporter, complain, out, warn
 from skyherd.errors import InputError
-from skyherd.inspection.inspector import DETECTIONS, FileResult, Inspector
-from skyherd.inspection.table import FORMATS
-from skyherd.vision import detector_names
-from skyherd.vision.diagnosis.reasons import Reason
+from skyherd.inspection import DETECTIONS, FORMATS, FileResult, Inspector
+from skyherd.vision import Reason, detector_names
 
 SHOWN_IDS = 16
 SHOWN_REJECTIONS = 20

@@ -1,1 +1,32 @@
-"""Finding markers in picture and video files: what `skyherd detect` does."""
+"""Finding markers in picture and video files, for people: what `skyherd detect` does.
+
+`Inspector` runs a detector over files and leaves tables (`detection_rows`, `rejection_rows`) and annotated
+pictures (`Annotator`) in a folder.
+"""
+
+from skyherd.inspection.annotator import Annotator
+from skyherd.inspection.inspector import DETECTIONS, REJECTIONS, FileResult, Inspector
+from skyherd.inspection.table import (
+    CORNERS,
+    FORMATS,
+    Format,
+    Place,
+    detection_rows,
+    open_table,
+    rejection_rows,
+)
+
+__all__ = [
+    "CORNERS",
+    "DETECTIONS",
+    "FORMATS",
+    "REJECTIONS",
+    "Annotator",
+    "FileResult",
+    "Format",
+    "Inspector",
+    "Place",
+    "detection_rows",
+    "open_table",
+    "rejection_rows",
+]

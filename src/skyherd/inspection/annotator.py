@@ -1,4 +1,7 @@
-"""Pictures of what a detector found and what it rejected, legible at any size."""
+"""Annotated pictures of what a detector found and what it rejected, legible at any size of the image.
+
+Small images are enlarged by a whole factor, and lines and letters grow with large ones.
+"""
 
 from collections.abc import Sequence
 
@@ -10,26 +13,43 @@ from skyherd.drawing.canvas import Color, Image, draw_arrows, draw_lines, draw_t
 from skyherd.drawing.palette import PAPER, UNIT_COLORS, rgb
 from skyherd.geometry import Array, to_points
 from skyherd.messages import Detections
-from skyherd.vision.diagnosis.explain import Rejection
-from skyherd.vision.diagnosis.reasons import Reason
+from skyherd.vision import Reason, Rejection
 
 FOUND_COLOR, REJECTED_COLOR, PLAIN_COLOR = rgb(UNIT_COLORS[0]), rgb(UNIT_COLORS[1]), rgb(UNIT_COLORS[6])
+"""Colours of detections, of rejections, and of dark quadrilaterals without bits."""
 
 LEAST_SIDE_PX = 640
-"""What the longer side of an annotated picture has at least, unless asked otherwise."""
+"""Smallest longer side of an annotated picture, px, unless asked otherwise. Chosen: ids can then be read."""
 
 FULL_SIDE_PX = 1280
-"""Beyond this, lines and letters grow with the longer side."""
+"""Longer side, px, beyond which lines and letters grow in proportion. Chosen: a usual screen's width."""
 
 FONT_PX, LINE_PX = 15, 2
+"""Height of letters and width of lines, px, in pictures of up to `FULL_SIDE_PX`. Chosen to be legible."""
+
+ARROW_SIDES, MIN_ARROW_PX = 0.45, 14
+"""Length of the forward arrows, in marker sides, and their smallest length, px. Chosen: short beside the
+marker."""
+
+LABEL_REACH_SIDES = 0.72
+"""Distance of a label from the centre, in marker sides. Derived: a little more than half of a square's
+diagonal."""
+
+
+PREFERENCE = 1e-6
+"""Pixels hidden, by which each next place for a label counts as worse: of equal places the first is taken."""
 
 
 class Annotator:
-    """Draws on pictures of one size.
+    """Draws detections and rejections on images of one size.
 
     Args:
-        size_px: width and height of the pictures to be annotated.
-        least_side_px: smaller pictures are enlarged by a whole factor until their longer side has so many.
+        size_px: width and height of the images to be annotated.
+        least_side_px: smaller images are enlarged by a whole factor until their longer side has this many.
+
+    Attributes:
+        zoom: the factor of enlargement.
+        scale: the factor by which lines and letters grow.
     """
 
     def __init__(self, size_px: tuple[int, int], *, least_side_px: int = LEAST_SIDE_PX) -> None:
@@ -41,7 +61,11 @@ class Annotator:
     def draw(
         self, image: npt.NDArray[np.uint8], detections: Detections, rejections: Sequence[Rejection] = ()
     ) -> Image:
-        """RGB copy of a grey image, `zoom` times as large: outlines, arrows, ids, numbered rejections."""
+        """Return an RGB copy of a grey image, `zoom` times as large, with what was found and rejected.
+
+        Detections have an outline, an arrow forward and their id. Rejections have an outline, and a number
+        and a reason unless they are dark quadrilaterals without bits.
+        """
         enlarged = cv2.resize(image, None, fx=self.zoom, fy=self.zoom, interpolation=cv2.INTER_NEAREST)
         picture = np.asarray(cv2.cvtColor(enlarged, cv2.COLOR_GRAY2RGB), dtype=np.uint8)
         likely = [r for r in rejections if r.reason is not Reason.NO_BITS]
@@ -54,7 +78,7 @@ class Annotator:
         return picture
 
     def _shown(self, points_px: Array) -> Array:
-        """Places in the enlarged picture of points of the image."""
+        """Points (..., 2) of the image in the enlarged picture, px."""
         return np.asarray((points_px + 0.5) * self.zoom - 0.5)
 
     def _outline(self, picture: Image, squares_px: list[Array], color: Color, width_px: int) -> None:
@@ -71,7 +95,7 @@ class Annotator:
         """Forward arrows, from the middles of the front edges outwards."""
         ahead = to_points(np.exp(1j * detections.headings_rad))
         sides = detections.sides_px[:, None] * self.zoom
-        lengths = np.maximum(0.45 * sides, 14 * self.scale)
+        lengths = np.maximum(ARROW_SIDES * sides, MIN_ARROW_PX * self.scale)
         starts = self._shown(detections.centers_px) + sides / 2 * ahead
         draw_arrows(picture, starts, starts + lengths * ahead, FOUND_COLOR, rgb(PAPER), scale=self.scale)
 
@@ -82,7 +106,9 @@ class Annotator:
             return
         centers_px = self._shown(np.array(centers))
         reaches = (
-            self.zoom * np.array([*detections.sides_px, *(r.reading.side_px for r in rejections)]) * 0.72
+            self.zoom
+            * np.array([*detections.sides_px, *(r.reading.side_px for r in rejections)])
+            * LABEL_REACH_SIDES
         )
         texts = [str(marker_id) for marker_id in detections.ids.tolist()]
         texts += [f"{k + 1}: {r.reason.value}" for k, r in enumerate(rejections)]
@@ -112,7 +138,7 @@ class Annotator:
             boxes[:, None, :2], taken[None, :, :2]
         )
         hidden = overlap.clip(0).prod(axis=2).sum(axis=1)
-        return np.asarray(boxes[int(np.argmin(hidden + 1e-6 * np.arange(turns.size)))])
+        return np.asarray(boxes[int(np.argmin(hidden + PREFERENCE * np.arange(turns.size)))])
 
     def _write(self, picture: Image, text: str, box: Array, color: Color) -> None:
         left, top, right, bottom = box

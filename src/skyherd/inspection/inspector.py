@@ -1,4 +1,7 @@
-"""Detection on files: pictures, folders of them and videos in; annotated ones and tables out."""
+"""Detection on files: pictures, folders of pictures, and videos in; annotated pictures and tables out.
+
+Each file gets a detector of its own, so that nothing learned from one file affects another.
+"""
 
 from collections import Counter
 from contextlib import ExitStack
@@ -30,31 +33,31 @@ from skyherd.inspection.table import (
 from skyherd.markers.dictionary import load_dictionary
 from skyherd.messages import Detections
 from skyherd.progress import NO_PROGRESS, Progress
-from skyherd.vision import Detector, create_detector
-from skyherd.vision.diagnosis.explain import Rejection, explain
-from skyherd.vision.diagnosis.suggestions import suggest
+from skyherd.vision import Detector, Rejection, create_detector, explain, suggest
 
 DETECTIONS, REJECTIONS = "detections", "rejected"
+"""Names of the two tables, without their endings."""
 
 FEW = 3
-"""With fewer detections in a picture something is likely wrong with it, and a hint is looked for."""
+"""With fewer detections in a picture a hint is looked for, since something is likely to be wrong with it.
+Chosen: pictures of robots usually show more."""
 
 Grey = npt.NDArray[np.uint8]
 
 
 @dataclass
 class FileResult:
-    """What became of one file.
+    """What was found in one file.
 
     Attributes:
         file: the picture or video.
-        frames: how many pictures were looked at.
+        frames: number of images that were looked at.
         ids: how often each marker was detected.
         rejections: of a picture, all; of a video, those of its last frame.
         reasons: how often each reason for a rejection was given.
-        hint: what to try, if little was detected.
-        trouble: why it could not be read, if so.
-        picture: the annotated file.
+        hint: what to try if little was detected, in words; None if enough was, or nothing helps.
+        trouble: why the file could not be read; None if it could.
+        picture: the annotated picture or video; None if the file could not be read.
     """
 
     file: Path
@@ -71,11 +74,11 @@ class Inspector:
     """Runs a detector over files and leaves tables and annotated pictures in a folder.
 
     Args:
-        detector: name, as `skyherd.vision.create_detector` knows it.
-        dictionary: name of the dictionary.
-        explained: also say why candidates were rejected.
-        kind: of the tables.
-        progress: is told how many frames of each file are done.
+        detector: name or `module:factory`, as for `skyherd.vision.create_detector`.
+        dictionary: name of the marker dictionary.
+        explained: whether to say why candidates were rejected, too; much slower.
+        kind: format of the tables.
+        progress: is given how many frames of each file are done.
 
     Raises:
         InputError: there is no such detector or dictionary.
@@ -96,7 +99,17 @@ class Inspector:
         self._progress = progress
 
     def inspect(self, target: Path, folder: Path, *, force: bool = False) -> list[FileResult]:
-        """Look at a picture, a video, or all in a folder; a file that cannot be read is a trouble of its own.
+        """Run the detector over a picture, a video, or all pictures and videos in a folder.
+
+        In a folder, a file that cannot be read does not stop the others: its result has `trouble`.
+
+        Args:
+            target: the file or folder.
+            folder: where tables and annotated files are written; made if it is not there.
+            force: whether `folder` may exist.
+
+        Returns:
+            One result for each file, in the order of their names.
 
         Raises:
             InputError: there is nothing to look at, a single file cannot be read, or the folder exists.

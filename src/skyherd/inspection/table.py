@@ -1,8 +1,8 @@
-"""Detections and rejections as tables: CSV, or JSON lines, one marker a row.
+"""Detections and rejections as tables: CSV, or JSON lines, with one row for each marker.
 
-Columns of detections: file, frame (videos: number from 0), time_s (videos), id, u_px, v_px, heading_deg
-(from +u to +v), side_px, the standard deviations of u, v and heading, empty where the detector does not
-state them, and the corners, the first two ahead. JSON has corners and the covariance of (u px, v px, heading
+Columns of detections: file; frame (of videos, from 0); time_s (of videos); id; u_px; v_px; heading_deg (from
++u to +v); side_px; the standard deviations of u, v and heading, empty where the detector does not state them;
+and the corners, the first two ahead. JSON lines have the corners and the covariance of (u px, v px, heading
 rad) as lists.
 """
 
@@ -19,24 +19,42 @@ import numpy as np
 
 from skyherd.errors import OutputError
 from skyherd.messages import Detections
-from skyherd.vision.diagnosis.explain import Rejection
+from skyherd.vision import Rejection
 
 Format = Literal["csv", "jsonl"]
 FORMATS: tuple[Format, ...] = get_args(Format)
+"""Formats of the tables: comma-separated values, and one JSON object a line."""
 
 CORNERS = [f"corner{k}_{axis}_px" for k in range(4) for axis in "uv"]
+"""Columns of the four corners, the first two ahead."""
+
 STDS = ["std_u_px", "std_v_px", "std_heading_deg"]
+"""Columns of the standard deviations; empty where the detector does not know them."""
+
 WHERE = ["file", "frame", "time_s"]
+"""Columns that say which image a row is about, as the fields of `Place`."""
+
 DETECTION_COLUMNS = [*WHERE, "id", "u_px", "v_px", "heading_deg", "side_px", *STDS, *CORNERS]
+"""Columns of the table of detections."""
+
 MEASURED = ["cell_px", "contrast", "blur_px", "tilt_deg", "likeness", "nearest_id", "wrong_cells"]
+"""Columns of what was measured of a rejected candidate (`Reading`)."""
+
 REJECTION_COLUMNS = [*WHERE, "reason", "u_px", "v_px", "side_px", *MEASURED, *CORNERS, "words"]
+"""Columns of the table of rejections."""
 
 Row = dict[str, Any]
 
 
 @dataclass(frozen=True)
 class Place:
-    """Which picture a row is of; frame and time are None for picture files."""
+    """Which image a row is about.
+
+    Attributes:
+        file: name of the file.
+        frame: number in a video, from 0; None for pictures.
+        time_s: from the start of a video; None for pictures.
+    """
 
     file: str
     frame: int | None = None
@@ -44,7 +62,10 @@ class Place:
 
 
 def detection_rows(place: Place, found: Detections) -> Iterator[Row]:
-    """One row a marker."""
+    """Yield one row for each marker detected in an image.
+
+    A covariance that is all zero means unknown; its columns are None.
+    """
     for k, marker_id in enumerate(found.ids.tolist()):
         covariance = found.covariances[k]
         stds = np.sqrt(np.diag(covariance)) * (1.0, 1.0, np.degrees(1.0)) if covariance.any() else [None] * 3
@@ -62,7 +83,7 @@ def detection_rows(place: Place, found: Detections) -> Iterator[Row]:
 
 
 def rejection_rows(place: Place, rejections: Sequence[Rejection]) -> Iterator[Row]:
-    """One row a candidate."""
+    """Yield one row for each rejected candidate of an image, with what was measured of it."""
     for rejection in rejections:
         reading = rejection.reading
         yield {
@@ -84,7 +105,7 @@ def rejection_rows(place: Place, rejections: Sequence[Rejection]) -> Iterator[Ro
 
 
 class Table:
-    """An open table, to which rows are added."""
+    """An open table, to which rows are added; made by `open_table`."""
 
     def __init__(self, stream: TextIO, columns: list[str], kind: Format) -> None:
         self._stream, self._kind = stream, kind
@@ -93,7 +114,7 @@ class Table:
             self._writer.writeheader()
 
     def add(self, row: Row) -> None:
-        """Write one row."""
+        """Write one row; keys that are no columns are left out of CSV, and kept in JSON lines."""
         if self._kind == "csv":
             corners = dict(zip(CORNERS, np.ravel(row["corners_px"]), strict=True))
             self._writer.writerow({key: _short(value) for key, value in (row | corners).items()})
@@ -103,7 +124,7 @@ class Table:
 
 
 def _short(value: Any) -> Any:
-    """Numbers to a ten-thousandth and at least five figures, arrays as lists."""
+    """Numbers rounded to a ten-thousandth or, if small, to five figures; arrays as lists."""
     if isinstance(value, np.ndarray):
         return [_short(item) for item in value]
     if isinstance(value, float):
@@ -113,7 +134,14 @@ def _short(value: Any) -> Any:
 
 @contextmanager
 def open_table(path: Path, columns: list[str], kind: Format) -> Iterator[Table]:
-    """A table that gets its name when it is whole; if the body raises, nothing is left of it.
+    """Open a table for the body of a `with` statement; it gets its name when it is complete.
+
+    If the body raises, nothing is left of the table.
+
+    Args:
+        path: of the table; an existing file is replaced.
+        columns: in their order.
+        kind: csv or jsonl.
 
     Raises:
         OutputError: it cannot be written.

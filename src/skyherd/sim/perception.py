@@ -21,8 +21,7 @@ from skyherd.render import (
     project_team,
 )
 from skyherd.sim.world import World
-from skyherd.vision import create_detector, explain_mirrored
-from skyherd.vision.detectors.accuracy import DetectorAccuracy, load_accuracy
+from skyherd.vision import DetectorAccuracy, create_detector, explain_mirrored, load_accuracy
 
 Image = npt.NDArray[np.uint8]
 

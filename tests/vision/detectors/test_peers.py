@@ -13,9 +13,17 @@ from skyherd.geometry import apply_homography, wrap_angle
 from skyherd.markers.dictionary import pose_of_corners
 from skyherd.vision import create_detector, detector_names
 from skyherd.vision.detectors import peers
-from skyherd.vision.detectors.peers import FAMILIES, REFINEMENTS, PeerDetector, headings_in_plane, peer_names
+from skyherd.vision.detectors.peers import (
+    APRILTAG_FAMILIES,
+    REFINEMENTS,
+    PeerDetector,
+    headings_in_plane,
+    peer_names,
+)
 
-DICTIONARIES = [(name, "4X4_50") for name in REFINEMENTS] + [("apriltag3", family) for family in FAMILIES]
+DICTIONARIES = [(name, "4X4_50") for name in REFINEMENTS] + [
+    ("apriltag3", family) for family in APRILTAG_FAMILIES
+]
 BIAS_PX = {
     "opencv": 0.0,
     "opencv-subpix": 0.0,

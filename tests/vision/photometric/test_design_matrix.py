@@ -4,32 +4,33 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from skyherd.vision.photometric.design_matrix import Looks, seen_beyond, take_pixels
-from skyherd.vision.photometric.local_homography import Shapes
+from skyherd.vision.photometric.appearance import MarkerAppearances, ground_share
+from skyherd.vision.photometric.design_matrix import design_matrices_of
+from skyherd.vision.photometric.local_homography import LocalHomographies
 from skyherd.vision.photometric.pattern import blur_buckets, make_pattern
 
 DICTIONARY, SIGMA, HALF_CARD = "4X4_50", 0.03, 0.5 + 1 / 6
 ROUND = np.zeros(1, dtype=complex)
 
 
-def looks(count, *, sees_ground=True, limit=0.55):
+def appearances(count, *, reaches_ground=True, limit=0.55):
     """Of markers 0, 1, ... under a blur of `SIGMA`."""
     bucket = int(blur_buckets(np.array([SIGMA]))[0])
-    return Looks(
+    return MarkerAppearances(
         patterns=[make_pattern(DICTIONARY, marker, bucket) for marker in range(count)],
-        bends=[],
+        anisotropies=[],
         sigmas=np.full(count, SIGMA),
-        limits=np.full(count, limit),
-        sees_ground=np.full(count, sees_ground),
-        ratios=np.full(count, 0.15),
+        read_limits=np.full(count, limit),
+        reaches_ground=np.full(count, reaches_ground),
+        black_ratios=np.full(count, 0.15),
         half_card=HALF_CARD,
         texture=6.0,
     )
 
 
-def shapes(centers, arms, squeezes=None, horizons=None):
+def homographies(centers, arms, squeezes=None, horizons=None):
     none = np.zeros(len(centers), dtype=complex)
-    return Shapes(
+    return LocalHomographies(
         np.array(centers, dtype=complex),
         np.array(arms, dtype=complex),
         none if squeezes is None else np.array(squeezes, dtype=complex),
@@ -40,13 +41,13 @@ def shapes(centers, arms, squeezes=None, horizons=None):
 def test_ground_is_seen_beyond_the_card_only():
     """As the law has it: entries are 1/64 σ apart, so that nearest ones are off by `φ(0) / 128`: 0.003."""
     x, y = (z.ravel()[None].astype(np.float32) for z in np.mgrid[-0.9:0.9:61j, -0.9:0.9:61j])
-    seen = seen_beyond(x, y, looks(1), ROUND)
+    seen = ground_share(x, y, appearances(1), ROUND)
     inside = (ndtr((z + HALF_CARD) / SIGMA) - ndtr((z - HALF_CARD) / SIGMA) for z in (x, y))
     law = 1 - np.prod(list(inside), axis=0)
     np.testing.assert_allclose(seen, law, atol=2 * 0.0032)
     assert seen.min() < 1e-4
     assert seen.max() > 1 - 1e-4
-    assert not seen_beyond(x, y, looks(1, sees_ground=False), ROUND).any()
+    assert not ground_share(x, y, appearances(1, reaches_ground=False), ROUND).any()
 
 
 @pytest.mark.parametrize("squeeze", [0.14, -0.14, 0.1 - 0.1j])
@@ -61,7 +62,7 @@ def test_blur_is_not_round_in_a_squeezed_marker(squeeze):
         ndtr((z + HALF_CARD) / deviation) - ndtr((z - HALF_CARD) / deviation)
         for z, deviation in zip((x, y), deviations, strict=True)
     ]
-    seen = seen_beyond(x, y, looks(1), np.array([e]))
+    seen = ground_share(x, y, appearances(1), np.array([e]))
     np.testing.assert_allclose(seen, 1 - np.prod(inside, axis=0), atol=2 * 0.0032)
 
 
@@ -73,13 +74,13 @@ def test_pixels_are_those_within_the_limits_and_know_where_they_are(horizon):
     """
     width, height = 3000, 90
     image = np.random.default_rng(1).integers(0, 255, (height, width)).astype(np.uint8)
-    where = shapes(
+    where = homographies(
         [2950.3 + 40.7j, 12.4 + 8.9j, 1500.5 + 89.2j],
         [20 * np.exp(0.4j), 24 * np.exp(2.0j), 22.0],
         [1.0 + 0.5j, 0.0, -0.7j],
         [horizon] * 3,
     )
-    (pixels,) = take_pixels(image, np.arange(3), where, looks(3))
+    (pixels,) = design_matrices_of(image, np.arange(3), where, appearances(3))
     v, u = np.mgrid[:height, :width]
     for row, (across, down) in enumerate(zip(*where.axes(), strict=True)):
         p = u + 1j * v - where.centers[row]
@@ -98,9 +99,9 @@ def test_pixels_are_those_within_the_limits_and_know_where_they_are(horizon):
 def test_means_over_cells_are_those_of_the_pixels_in_them():
     """With nothing explained, each cell's mean is that of its own pixels; padding counts in none."""
     image = np.random.default_rng(2).integers(0, 255, (80, 160)).astype(np.uint8)
-    where = shapes([40.2 + 39.6j, 120.7 + 40.1j], [30.0, 29.0 * np.exp(0.7j)])
-    (pixels,) = take_pixels(image, np.arange(2), where, looks(2, sees_ground=False))
-    means, _ = pixels.leavings(np.zeros((2, 12)), 6)
+    where = homographies([40.2 + 39.6j, 120.7 + 40.1j], [30.0, 29.0 * np.exp(0.7j)])
+    (pixels,) = design_matrices_of(image, np.arange(2), where, appearances(2, reaches_ground=False))
+    means, _ = pixels.cell_residuals(np.zeros((2, 12)), 6)
     v, u = np.mgrid[:80, :160]
     for row, (across, down) in enumerate(zip(*where.axes(), strict=True)):
         p = u + 1j * v - where.centers[row]

@@ -9,7 +9,7 @@ from skyherd.markers.dictionary import card_side, pose_of_corners
 from skyherd.render import Camera, CameraPose, Ground, Renderer, Sensor, project_markers
 from skyherd.vision import PhotometricDetector
 from skyherd.vision.photometric.fit import fit_markers
-from skyherd.vision.photometric.local_homography import Shapes
+from skyherd.vision.photometric.local_homography import LocalHomographies
 from skyherd.vision.photometric.plane import Plane
 from skyherd.vision.photometric.verify import verified
 from skyherd.vision.search.decode import decode_quads
@@ -95,7 +95,7 @@ def test_an_unknown_blur_is_found(psf_px):
         detector.detect(
             renderer.render(camera, CameraPose((0, 0), 10.0), ids, positions, rng.uniform(-3, 3, 6))
         )
-    assert detector.cameras[0].sigma_px == pytest.approx(total_sigma_px(psf_px), rel=0.08)
+    assert detector.estimates[0].sigma_px == pytest.approx(total_sigma_px(psf_px), rel=0.08)
 
 
 def near(side_px, heading, center, seed=0):
@@ -105,7 +105,7 @@ def near(side_px, heading, center, seed=0):
     at = np.array([[center.real, -center.imag]]) / side_px
     image = renderer.render(camera, CameraPose((0.0, 0.0), 1.0), np.array([9]), at, np.array([-heading]))
     arm = 1j * side_px * np.exp(1j * heading)
-    start = Shapes(*(np.array([value], dtype=complex) for value in (center, arm, 0, 0)))
+    start = LocalHomographies(*(np.array([value], dtype=complex) for value in (center, arm, 0, 0)))
     return image, start
 
 
@@ -115,10 +115,10 @@ def test_a_perfect_fit_recovers_the_pose_from_two_pixels_away():
     off = start.moved(np.array([0.04 - 0.04j]), np.array([0.03 + 0.05j]), np.array([0.01 + 0j]))
     fits, plane = fit_markers(image, DICTIONARY, np.array([9]), off, total_sigma_px(0.8), Plane())
     # Quantised to 8 bits, sigma 0.29 grey: the bound at noise 2 is 0.0018 px, here 0.0003 px; five times it.
-    assert abs(fits.shapes.centers[0] - center) < 0.0015
-    assert abs(fits.shapes.headings_rad()[0] - heading) < 5 * np.radians(0.0087) * 0.29 / 2 + 2e-4
-    assert abs(fits.shapes.sides_px()[0] - 30.0) < 0.01
-    assert abs(fits.shapes.squeezes[0]) < 0.02, "px: no more than a side is off"
+    assert abs(fits.homographies.centers[0] - center) < 0.0015
+    assert abs(fits.homographies.headings_rad()[0] - heading) < 5 * np.radians(0.0087) * 0.29 / 2 + 2e-4
+    assert abs(fits.homographies.sides_px()[0] - 30.0) < 0.01
+    assert abs(fits.homographies.squeezes[0]) < 0.02, "px: no more than a side is off"
     assert not plane.horizon
 
 
@@ -142,7 +142,7 @@ def test_the_plane_of_a_tilted_camera_is_found():
     image = renderer.render(camera, pose, np.arange(16), grid, np.linspace(-3, 3, 16))
     detector = PhotometricDetector(DICTIONARY)
     detector.detect(image)
-    plane = detector.cameras[0].plane
+    plane = detector.estimates[0].plane
     assert plane.shared
     # Each squeeze is known to 2 / 200 / 30 or so over 16 markers: 1e-4; the horizon to that over 200 px.
     assert abs(abs(plane.horizon) - np.tan(tilt) / focal) < 5e-6
@@ -152,7 +152,7 @@ def test_the_plane_of_a_tilted_camera_is_found():
 def test_ground_taken_for_markers_has_no_say():
     """Smooth blobs that quadrilaterals were found in, each fitted well as a pale marker squeezed in its own
     way: what is told of the real markers beside them is as without them. It would differ by a deviation and
-    more, if the blobs were heard on the plane that all share."""
+    more, if the blobs had a say on the plane that all share."""
     rng = np.random.default_rng(3)
     ground = np.clip(gaussian_filter(rng.standard_normal((640, 640)), 4.0) * 300 + 128, 0, 255)
     renderer = Renderer(DICTIONARY, 1.0, Ground(0, contrast=0.0), Sensor(0.0, rng))
@@ -167,25 +167,25 @@ def test_ground_taken_for_markers_has_no_say():
     image[blank] = ground[blank]
     image = np.clip(np.rint(image + 2.0 * rng.standard_normal(image.shape)), 0, 255).astype(np.uint8)
 
-    real = Shapes.of_corners(truth.corners_px)
+    real = LocalHomographies.of_corners(truth.corners_px)
     decoded = decode_quads(image, find_quads(image), DICTIONARY, total_sigma_px(0.8))
-    found = Shapes.of_corners(decoded.corners_px)
+    found = LocalHomographies.of_corners(decoded.corners_px)
     beside = np.abs(found.centers[:, None] - real.centers).min(axis=1) > side_px
     assert np.count_nonzero(beside) >= 3
     both = real.joined(found.take(beside))
     both_ids = np.concatenate([ids, decoded.ids[beside]])
     alone, _ = fit_markers(image, DICTIONARY, ids, real, total_sigma_px(0.8), Plane(), 2.0)
     fits, plane = fit_markers(image, DICTIONARY, both_ids, both, total_sigma_px(0.8), Plane(), 2.0)
-    assert plane == Plane(), "the camera looks straight down"
-    off = np.abs(fits.shapes.headings_rad()[:9] - alone.shapes.headings_rad())
+    assert plane == Plane(), "the camera appearances straight down"
+    off = np.abs(fits.homographies.headings_rad()[:9] - alone.homographies.headings_rad())
     assert (off < 0.05 * np.sqrt(alone.covariances[:, 2, 2])).all()
 
 
 @pytest.mark.parametrize("aspect", [0.75, 4 / 3])
 def test_squeezes_of_small_markers_have_no_error_in_common(aspect):
     """Ground that blurs into cards of 18 px is seen through a blur that is not round in the coordinates of
-    a squeezed marker. Taken as round it shifts all squeezes by 9e-5 (aspect 4/3) or 5e-4 (3/4); here the mean
-    over 24 images must be right to five deviations of its own, as their scatter tells them."""
+    a squeezed marker. Taken as round it shifts all squeezes by 9e-5 (aspect 4/3) or 5e-4 (3/4); here the
+    mean over 24 images must be right to five deviations of its own, as their scatter tells them."""
     rng = np.random.default_rng(2)
     ground, images = Ground(2, sigma_px=total_sigma_px(0.8)), 24
     renderer = Renderer(DICTIONARY, 1.0, ground, Sensor(2.0, rng))
@@ -196,7 +196,7 @@ def test_squeezes_of_small_markers_have_no_error_in_common(aspect):
         at, headings = grid + rng.uniform(-1.5, 1.5, grid.shape), rng.uniform(-np.pi, np.pi, 16)
         detector = PhotometricDetector(DICTIONARY)
         detector.detect(renderer.render(camera, pose, np.arange(16), at, headings))
-        squeezes.append(detector.cameras[0].plane.squeeze)
+        squeezes.append(detector.estimates[0].plane.squeeze)
     off = np.array(squeezes) - (1 - aspect) / (1 + aspect)
     deviation = np.sqrt(np.var(off) / 2 / images)
     assert deviation < 3e-5

@@ -3,15 +3,28 @@
 import numpy as np
 import pytest
 
-from skyherd.vision.photometric.design_matrix import BLACK, CONTRAST, GROUND, LIGHT, PIXELS, SQUEEZE
-from skyherd.vision.photometric.least_squares import GROUND_RIDGE, LEAST_CONTRAST, SINGLE_PRECISION, Solved
+from skyherd.vision.photometric.design_matrix import (
+    BLACK,
+    CONTRAST,
+    GROUND,
+    LIGHT,
+    PIXEL_ROW,
+    SQUEEZE,
+    UNKNOWNS,
+)
+from skyherd.vision.photometric.least_squares import (
+    GROUND_RIDGE,
+    MIN_CONTRAST,
+    SINGLE_PRECISION,
+    LeastSquaresSolution,
+)
 
 MARKERS, ROWS = 12, 300
 
 
-def grown(solved, held, at):
-    """By how much the squares grow where unknowns are held."""
-    return solved.holding(held, at).squares - solved.squares
+def grown(solution, held, at):
+    """By how much the sum of squares grows where unknowns are held."""
+    return solution.constrained(held, at).residual_squares - solution.residual_squares
 
 
 HELD = [LIGHT, SQUEEZE, [GROUND], [*SQUEEZE, *LIGHT]]
@@ -21,9 +34,9 @@ HELD = [LIGHT, SQUEEZE, [GROUND], [*SQUEEZE, *LIGHT]]
 def problem():
     """Columns (N, 12, M), the first all ones, pixels (N, M) and their Gram matrices."""
     rng = np.random.default_rng(0)
-    columns = rng.normal(size=(MARKERS, PIXELS, ROWS))
+    columns = rng.normal(size=(MARKERS, UNKNOWNS, ROWS))
     columns[:, BLACK] = 1.0
-    pixels = np.einsum("ni,nim->nm", rng.normal(size=(MARKERS, PIXELS)), columns) + rng.normal(
+    pixels = np.einsum("ni,nim->nm", rng.normal(size=(MARKERS, UNKNOWNS)), columns) + rng.normal(
         0, 0.5, (MARKERS, ROWS)
     )
     both = np.concatenate([columns, pixels[:, None]], axis=1)
@@ -31,12 +44,12 @@ def problem():
 
 
 def solve(grams, pixels=ROWS):
-    return Solved.of(grams, np.full(len(grams), float(pixels)))
+    return LeastSquaresSolution.of_grams(grams, np.full(len(grams), float(pixels)))
 
 
 def ridge_of(columns):
     """What is added to the squares of each column (12,)."""
-    ground = GROUND_RIDGE * np.equal(range(PIXELS), GROUND)
+    ground = GROUND_RIDGE * np.equal(range(UNKNOWNS), GROUND)
     return SINGLE_PRECISION * ((columns**2).sum(axis=1) + ground) + ground
 
 
@@ -44,11 +57,11 @@ def least_squares(columns, pixels, held=(), at=()):
     """Unknowns and sum of squares by `np.linalg.lstsq`, those held moved to the pixels' side; what parts
     columns, and the ridge on the ground, are more rows."""
     design = np.concatenate([columns, np.diag(np.sqrt(ridge_of(columns)))], axis=1).T
-    target = np.append(pixels, np.zeros(PIXELS)) - design[:, list(held)] @ np.asarray(at)
-    free = [i for i in range(PIXELS) if i not in held]
+    target = np.append(pixels, np.zeros(UNKNOWNS)) - design[:, list(held)] @ np.asarray(at)
+    free = [i for i in range(UNKNOWNS) if i not in held]
     values, squares, rank, _ = np.linalg.lstsq(design[:, free], target, rcond=None)
     assert rank == len(free)
-    whole = np.zeros(PIXELS)
+    whole = np.zeros(UNKNOWNS)
     whole[free], whole[list(held)] = values, at
     return whole, squares[0]
 
@@ -58,43 +71,43 @@ def least_squares(columns, pixels, held=(), at=()):
 
 def test_solutions_are_those_of_least_squares(problem):
     columns, pixels, grams = problem
-    solved = solve(grams)
+    solution = solve(grams)
     for row in range(MARKERS):
         values, squares = least_squares(columns[row], pixels[row])
-        np.testing.assert_allclose(solved.values[row], values, atol=1e-8)
-        assert solved.squares[row] == pytest.approx(squares, rel=1e-8)
-    np.testing.assert_allclose(solved.pixels, ROWS)
-    np.testing.assert_allclose(solved.noises(), np.sqrt(solved.squares / (ROWS - PIXELS)))
-    assert solved.noises().mean() == pytest.approx(0.5, rel=5 / np.sqrt(2 * MARKERS * ROWS))
+        np.testing.assert_allclose(solution.values[row], values, atol=1e-8)
+        assert solution.residual_squares[row] == pytest.approx(squares, rel=1e-8)
+    np.testing.assert_allclose(solution.pixels, ROWS)
+    np.testing.assert_allclose(solution.noise_stds(), np.sqrt(solution.residual_squares / (ROWS - UNKNOWNS)))
+    assert solution.noise_stds().mean() == pytest.approx(0.5, rel=5 / np.sqrt(2 * MARKERS * ROWS))
 
 
 @pytest.mark.parametrize("held", HELD, ids=str)
 def test_holding_is_solving_without_those_columns(problem, held):
     columns, pixels, grams = problem
     at = np.random.default_rng(1).normal(size=(MARKERS, len(held)))
-    solved = solve(grams).holding(held, at)
-    free = [i for i in range(PIXELS) if i not in held]
+    solution = solve(grams).constrained(held, at)
+    free = [i for i in range(UNKNOWNS) if i not in held]
     for row in range(MARKERS):
         values, squares = least_squares(columns[row], pixels[row], held, at[row])
-        np.testing.assert_allclose(solved.values[row], values, atol=1e-8)
-        assert solved.squares[row] == pytest.approx(squares, rel=1e-8)
+        np.testing.assert_allclose(solution.values[row], values, atol=1e-8)
+        assert solution.residual_squares[row] == pytest.approx(squares, rel=1e-8)
         normal = grams[row][np.ix_(free, free)]
         normal += np.diag(ridge_of(columns[row])[free])
         np.testing.assert_allclose(
-            solved.inverses[row][np.ix_(free, free)], np.linalg.inv(normal), atol=1e-10
+            solution.inverse_normals[row][np.ix_(free, free)], np.linalg.inv(normal), atol=1e-10
         )
-        np.testing.assert_allclose(solved.inverses[row][held], 0, atol=1e-14)
-    assert solved.free == len(free)
+        np.testing.assert_allclose(solution.inverse_normals[row][held], 0, atol=1e-14)
+    assert solution.free == len(free)
 
 
 def test_holding_twice_is_holding_both(problem):
     _, _, grams = problem
     at = np.random.default_rng(2).normal(size=(MARKERS, 4))
-    one = solve(grams).holding(SQUEEZE, at[:, :2]).holding(LIGHT, at[:, 2:])
-    both = solve(grams).holding([*SQUEEZE, *LIGHT], at)
+    one = solve(grams).constrained(SQUEEZE, at[:, :2]).constrained(LIGHT, at[:, 2:])
+    both = solve(grams).constrained([*SQUEEZE, *LIGHT], at)
     np.testing.assert_allclose(one.values, both.values, atol=1e-10)
-    np.testing.assert_allclose(one.squares, both.squares, rtol=1e-10)
-    assert one.free == both.free == PIXELS - 4
+    np.testing.assert_allclose(one.residual_squares, both.residual_squares, rtol=1e-10)
+    assert one.free == both.free == UNKNOWNS - 4
 
 
 @pytest.mark.parametrize("held", HELD, ids=str)
@@ -113,7 +126,7 @@ def test_growth_is_the_difference_of_the_squares(problem, held):
 def test_what_noise_adds_to_unknowns_that_are_none_is_chi_squared():
     """Growth over the noise's variance has mean 2 for two unknowns: to 5 deviations of a mean of 400."""
     rng = np.random.default_rng(4)
-    columns = rng.normal(size=(400, PIXELS, ROWS))
+    columns = rng.normal(size=(400, UNKNOWNS, ROWS))
     columns[:, BLACK] = 1.0
     pixels = rng.normal(0, 3.0, (400, 1, ROWS))
     both = np.concatenate([columns, pixels], axis=1)
@@ -125,24 +138,24 @@ def test_what_noise_adds_to_unknowns_that_are_none_is_chi_squared():
 def test_too_few_pixels_leave_no_negative_squares(rows):
     """Fewer pixels than unknowns, summed in single precision as the fit does: noise stays a real number."""
     rng = np.random.default_rng([5, rows])
-    both = rng.normal(0, 100, (200, PIXELS + 1, rows)).astype(np.float32)
+    both = rng.normal(0, 100, (200, UNKNOWNS + 1, rows)).astype(np.float32)
     both[:, BLACK] = 1.0
     both[:, CONTRAST] = both[:, SQUEEZE[0]]
-    solved = solve((both @ both.transpose(0, 2, 1)).astype(float), rows)
-    held = solved.holding(LIGHT, np.zeros((200, 2))).holding(SQUEEZE, rng.normal(size=(200, 2)))
-    for some in (solved, held):
-        assert (some.squares > 0).all() and np.isfinite(some.noises()).all()
-    assert (grown(solved, [*LIGHT, *SQUEEZE], np.ones((200, 4))) >= 0).all()
+    solution = solve((both @ both.transpose(0, 2, 1)).astype(float), rows)
+    held = solution.constrained(LIGHT, np.zeros((200, 2))).constrained(SQUEEZE, rng.normal(size=(200, 2)))
+    for some in (solution, held):
+        assert (some.residual_squares > 0).all() and np.isfinite(some.noise_stds()).all()
+    assert (grown(solution, [*LIGHT, *SQUEEZE], np.ones((200, 4))) >= 0).all()
 
 
 def test_a_marker_without_contrast_or_ground_is_still_solved():
     """Columns that are zero throughout make no singular matrix, and contrast is not divided by."""
-    both = np.zeros((1, PIXELS + 1, ROWS))
-    both[:, BLACK], both[:, PIXELS] = 1.0, 7.0
-    solved = solve(both @ both.transpose(0, 2, 1))
+    both = np.zeros((1, UNKNOWNS + 1, ROWS))
+    both[:, BLACK], both[:, PIXEL_ROW] = 1.0, 7.0
+    solution = solve(both @ both.transpose(0, 2, 1))
     assert (
-        solved.values[0, BLACK] == pytest.approx(7.0, rel=2 * SINGLE_PRECISION)
-        and abs(solved.values[0, CONTRAST]) < 1e-9
+        solution.values[0, BLACK] == pytest.approx(7.0, rel=2 * SINGLE_PRECISION)
+        and abs(solution.values[0, CONTRAST]) < 1e-9
     )
-    assert np.isfinite(solved.holding(LIGHT, np.zeros((1, 2))).inverses).all()
-    assert solved.contrasts()[0] == LEAST_CONTRAST
+    assert np.isfinite(solution.constrained(LIGHT, np.zeros((1, 2))).inverse_normals).all()
+    assert solution.contrasts()[0] == MIN_CONTRAST

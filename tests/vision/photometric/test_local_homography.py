@@ -5,7 +5,7 @@ import pytest
 
 from skyherd.geometry import SQUARE_CORNERS, to_points
 from skyherd.markers.dictionary import corners_of_pose
-from skyherd.vision.photometric.local_homography import Shapes
+from skyherd.vision.photometric.local_homography import LocalHomographies
 
 COUNT = 40
 POINTS = np.concatenate([SQUARE_CORNERS, [0j, 0.3 - 0.1j, 1.4 + 0.8j]])
@@ -16,7 +16,7 @@ def random_shapes(seed=0, *, horizon=1e-3, squeeze=0.25):
     rng = np.random.default_rng(seed)
     turn, way, toward = np.exp(2j * np.pi * rng.uniform(size=(3, COUNT)))
     arms = rng.uniform(10, 60, COUNT) * turn
-    return Shapes(
+    return LocalHomographies(
         centers=rng.uniform(-400, 400, COUNT) + 1j * rng.uniform(-400, 400, COUNT),
         arms=arms,
         squeezes=squeeze * rng.uniform(size=COUNT) * np.abs(arms) * way,
@@ -26,17 +26,19 @@ def random_shapes(seed=0, *, horizon=1e-3, squeeze=0.25):
 
 def test_axes_lead_back_from_images():
     """Marker coordinates of the images are the points themselves, to as rounding has it."""
-    shapes = random_shapes()
-    away = shapes.images(POINTS) - shapes.centers[:, None]
-    x, y, nearness = ((axis.conj()[:, None] * away).real for axis in (*shapes.axes(), shapes.horizons))
+    homographies = random_shapes()
+    away = homographies.images(POINTS) - homographies.centers[:, None]
+    x, y, nearness = (
+        (axis.conj()[:, None] * away).real for axis in (*homographies.axes(), homographies.horizons)
+    )
     np.testing.assert_allclose((x + 1j * y) / (1 - nearness), np.tile(POINTS, (COUNT, 1)), atol=1e-12, rtol=0)
 
 
 def test_an_affine_shape_is_that_of_its_corners():
-    shapes = random_shapes(1, horizon=0.0)
-    again = Shapes.of_corners(to_points(shapes.images(SQUARE_CORNERS)))
+    homographies = random_shapes(1, horizon=0.0)
+    again = LocalHomographies.of_corners(to_points(homographies.images(SQUARE_CORNERS)))
     for name in ("centers", "arms", "squeezes", "horizons"):
-        np.testing.assert_allclose(getattr(again, name), getattr(shapes, name), atol=1e-10, rtol=0)
+        np.testing.assert_allclose(getattr(again, name), getattr(homographies, name), atol=1e-10, rtol=0)
 
 
 def test_squares_have_their_own_headings_and_sides():
@@ -46,21 +48,22 @@ def test_squares_have_their_own_headings_and_sides():
         rng.uniform(-3.1, 3.1, 30),
         rng.uniform(8, 90, 30),
     )
-    shapes = Shapes.of_corners(corners_of_pose(centers, headings, sides))
-    np.testing.assert_allclose(shapes.headings_rad(), headings, atol=1e-12)
-    np.testing.assert_allclose(shapes.sides_px(), sides, rtol=1e-12)
-    np.testing.assert_allclose(shapes.squeezes, 0, atol=1e-11)
+    homographies = LocalHomographies.of_corners(corners_of_pose(centers, headings, sides))
+    np.testing.assert_allclose(homographies.headings_rad(), headings, atol=1e-12)
+    np.testing.assert_allclose(homographies.sides_px(), sides, rtol=1e-12)
+    np.testing.assert_allclose(homographies.squeezes, 0, atol=1e-11)
 
 
 def test_heading_and_side_are_those_of_the_jacobian_at_the_centre():
     """Forward and scale by central differences: of order h², here (1e-4 x 60 x 1e-3)² of themselves."""
-    shapes, h = random_shapes(3), 1e-4
+    homographies, h = random_shapes(3), 1e-4
     right, down = (
-        (shapes.images(np.array([s]) * h) - shapes.images(np.array([-s]) * h))[:, 0] for s in (1, 1j)
+        (homographies.images(np.array([s]) * h) - homographies.images(np.array([-s]) * h))[:, 0]
+        for s in (1, 1j)
     )
-    np.testing.assert_allclose(np.angle(-down / np.exp(1j * shapes.headings_rad())), 0, atol=1e-8)
+    np.testing.assert_allclose(np.angle(-down / np.exp(1j * homographies.headings_rad())), 0, atol=1e-8)
     area = (right.conj() * down).imag / (2 * h) ** 2
-    np.testing.assert_allclose(np.sqrt(area), shapes.sides_px(), rtol=1e-8)
+    np.testing.assert_allclose(np.sqrt(area), homographies.sides_px(), rtol=1e-8)
 
 
 def steps(seed, size):
@@ -68,31 +71,33 @@ def steps(seed, size):
     return size * (rng.normal(size=(3, COUNT)) + 1j * rng.normal(size=(3, COUNT)))
 
 
-def after(shapes, shift, grow, squeeze):
+def after(homographies, shift, grow, squeeze):
     """Images of `POINTS` taken through the step in marker coordinates first: the composition itself."""
     stepped = shift[:, None] + (1 + grow)[:, None] * POINTS + squeeze[:, None] * POINTS.conj()
-    return np.array([shapes.take(np.array([row])).images(z)[0] for row, z in enumerate(stepped)])
+    return np.array([homographies.take(np.array([row])).images(z)[0] for row, z in enumerate(stepped)])
 
 
 def test_affine_shapes_move_exactly():
     """An affine map after an affine map is one: nothing is left to a second order, however large the step."""
-    shapes, step = random_shapes(4, horizon=0.0), steps(4, 0.3)
-    np.testing.assert_allclose(shapes.moved(*step).images(POINTS), after(shapes, *step), atol=1e-9)
+    homographies, step = random_shapes(4, horizon=0.0), steps(4, 0.3)
+    np.testing.assert_allclose(
+        homographies.moved(*step).images(POINTS), after(homographies, *step), atol=1e-9
+    )
 
 
 def test_growth_and_squeeze_are_exact_under_a_horizon_too():
-    shapes, (_, grow, squeeze) = random_shapes(5), steps(5, 0.1)
+    homographies, (_, grow, squeeze) = random_shapes(5), steps(5, 0.1)
     still = np.zeros(COUNT, dtype=complex)
-    moved = shapes.moved(still, grow, squeeze)
-    np.testing.assert_allclose(moved.images(POINTS), after(shapes, still, grow, squeeze), atol=1e-9)
+    moved = homographies.moved(still, grow, squeeze)
+    np.testing.assert_allclose(moved.images(POINTS), after(homographies, still, grow, squeeze), atol=1e-9)
 
 
 def test_what_a_shift_leaves_under_a_horizon_is_of_second_order_in_the_two():
     """Order 2, recovered over four halvings of shift and horizon together."""
     errors, scales = [], 0.5 ** np.arange(5)
     for scale in scales:
-        shapes, step = random_shapes(6, horizon=1e-3 * scale), steps(6, 0.1 * scale)
-        errors.append(np.abs(shapes.moved(*step).images(POINTS) - after(shapes, *step)).max())
+        homographies, step = random_shapes(6, horizon=1e-3 * scale), steps(6, 0.1 * scale)
+        errors.append(np.abs(homographies.moved(*step).images(POINTS) - after(homographies, *step)).max())
     order = np.polyfit(np.log(scales), np.log(errors), 1)[0]
     assert order == pytest.approx(2.0, abs=0.1), errors
 
@@ -100,20 +105,20 @@ def test_what_a_shift_leaves_under_a_horizon_is_of_second_order_in_the_two():
 @pytest.mark.parametrize("factor", [2, 4, 8])
 def test_shrunk_shapes_lie_where_the_shrunk_pixels_are_and_come_back(factor):
     """Pixel j of a shrunk image is the mean of pixels factor j to factor j + factor - 1."""
-    shapes = random_shapes(7)
-    small = shapes.scaled(factor)
+    homographies = random_shapes(7)
+    small = homographies.scaled(factor)
     middle = (factor - 1) / 2 * (1 + 1j)
-    np.testing.assert_allclose(small.images(POINTS) * factor + middle, shapes.images(POINTS), atol=1e-9)
+    np.testing.assert_allclose(small.images(POINTS) * factor + middle, homographies.images(POINTS), atol=1e-9)
     back = small.scaled(1 / factor)
     for name in ("centers", "arms", "squeezes", "horizons"):
-        np.testing.assert_allclose(getattr(back, name), getattr(shapes, name), rtol=1e-12, atol=1e-12)
+        np.testing.assert_allclose(getattr(back, name), getattr(homographies, name), rtol=1e-12, atol=1e-12)
 
 
 def test_replacing_some_leaves_the_others():
-    shapes, others = random_shapes(8), random_shapes(9)
+    homographies, others = random_shapes(8), random_shapes(9)
     rows = np.array([0, 5, 39])
-    mixed = shapes.put(rows, others.take(rows))
+    mixed = homographies.put(rows, others.take(rows))
     kept = np.setdiff1d(np.arange(COUNT), rows)
     np.testing.assert_array_equal(mixed.centers[rows], others.centers[rows])
-    np.testing.assert_array_equal(mixed.horizons[kept], shapes.horizons[kept])
-    assert len(mixed) == COUNT and len(shapes.take(rows).joined(others)) == COUNT + 3
+    np.testing.assert_array_equal(mixed.horizons[kept], homographies.horizons[kept])
+    assert len(mixed) == COUNT and len(homographies.take(rows).joined(others)) == COUNT + 3

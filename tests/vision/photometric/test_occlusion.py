@@ -9,10 +9,10 @@ from skyherd.markers.dictionary import card_side
 from skyherd.render import Camera, CameraPose, Disc, Ground, Renderer, Sensor, project_markers
 from skyherd.vision import PhotometricDetector, create_detector
 from skyherd.vision.photometric.fit import fit_markers
-from skyherd.vision.photometric.local_homography import Shapes
+from skyherd.vision.photometric.local_homography import LocalHomographies
 from skyherd.vision.photometric.occlusion import fit_visible
 from skyherd.vision.photometric.plane import Plane
-from skyherd.vision.photometric.verify import may_be_covered, verified
+from skyherd.vision.photometric.verify import may_be_occluded, verified
 
 DICTIONARY, SIDE_PX, NOISE, SIGMA_PX = "4X4_50", 30.0, 3.0, total_sigma_px(0.8)
 IDS = np.arange(16)
@@ -46,13 +46,13 @@ def test_what_covers_a_corner_does_not_pull_at_the_pose(radius):
     its deviations and more. The mean of 16 squares deviates by 0.35; what is left of the disc's blurred edge
     may double them."""
     image, truth = scene(1, IDS.tolist(), radius)
-    start = Shapes.of_corners(truth.corners_px)
+    start = LocalHomographies.of_corners(truth.corners_px)
     plain, plane = fit_markers(image, DICTIONARY, IDS, start, SIGMA_PX, Plane(), NOISE)
-    assert may_be_covered(plain, NOISE).all()
+    assert may_be_occluded(plain, NOISE).all()
     fits = fit_visible(image, DICTIONARY, plain, SIGMA_PX, plane, NOISE)
     assert verified(fits, NOISE).all()
     deviations = np.sqrt(fits.covariances[:, 2, 2])
-    off, plainly_off = (turned(f.shapes.headings_rad(), truth) / deviations for f in (fits, plain))
+    off, plainly_off = (turned(f.homographies.headings_rad(), truth) / deviations for f in (fits, plain))
     assert np.mean(off**2) < 2 * (1 + 3 * 0.35)
     assert np.median(np.abs(plainly_off)) > 20
 
@@ -61,9 +61,9 @@ def test_a_marker_with_a_bit_that_is_not_seen_is_not_shown():
     """The disc lies over a bit; the marker beside it is as it was."""
     image, truth = scene(2, [5], 0.12, inward=0.5)
     plain, plane = fit_markers(
-        image, DICTIONARY, IDS, Shapes.of_corners(truth.corners_px), SIGMA_PX, Plane(), NOISE
+        image, DICTIONARY, IDS, LocalHomographies.of_corners(truth.corners_px), SIGMA_PX, Plane(), NOISE
     )
-    assert np.flatnonzero(may_be_covered(plain, NOISE)).tolist() == [5]
+    assert np.flatnonzero(may_be_occluded(plain, NOISE)).tolist() == [5]
     fits = fit_visible(image, DICTIONARY, plain, SIGMA_PX, plane, NOISE)
     assert np.flatnonzero(~verified(fits, NOISE)).tolist() == [5]
 
@@ -79,7 +79,7 @@ def test_covered_markers_are_found_and_leave_the_others_alone(name):
         seen = detector.detect(image, time_s=100.0 * seed, unit_id=seed)
         assert seen.ids.tolist() == IDS.tolist()
         squares.append(turned(seen.headings_rad, truth) ** 2 / seen.covariances[:, 2, 2])
-        assert detector.cameras[seed].plane == Plane()
+        assert detector.estimates[seed].plane == Plane()
     others = np.delete(np.array(squares), [2, 7, 11], axis=1)
     # 78 and 18 squares deviate from their mean by 0.16 and 0.33; edges of discs may double the latter.
     assert np.mean(others) < 1 + 4 * 0.16
@@ -88,7 +88,7 @@ def test_covered_markers_are_found_and_leave_the_others_alone(name):
 
 def test_what_is_not_covered_is_not_fitted_twice(monkeypatch):
     image, _ = scene(3, [], 0.1)
-    monkeypatch.setattr("skyherd.vision.photometric.detector.visible_all_sizes", None)
+    monkeypatch.setattr("skyherd.vision.photometric.detector.fit_visible_all_sizes", None)
     assert PhotometricDetector(DICTIONARY).detect(image).ids.size == IDS.size
 
 

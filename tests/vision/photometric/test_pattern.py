@@ -11,7 +11,7 @@ from skyherd.vision.photometric.pattern import (
     BLUR_STEP,
     SAMPLES_PER_SIGMA,
     blur_buckets,
-    make_bend,
+    make_anisotropy,
     make_pattern,
 )
 
@@ -136,7 +136,7 @@ def test_the_bend_is_what_a_blur_of_two_widths_and_a_slant_does(pattern, at):
     separates, is seen with two sigmas; the slant is `T_xy`, by differences of T in x and y.
     """
     x, y = at
-    values = make_bend(DICTIONARY, MARKER, BUCKET).values[::3, ::3]
+    values = make_anisotropy(DICTIONARY, MARKER, BUCKET).values[::3, ::3]
     cells = ~marker_cells(DICTIONARY, MARKER)
     edges = np.arange(len(cells) + 1) / len(cells) - 0.5
 

@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import binom, chi2
 
 from skyherd.geometry import SQUARE_CORNERS
-from skyherd.vision.photometric.local_homography import Shapes
+from skyherd.vision.photometric.local_homography import LocalHomographies
 from skyherd.vision.photometric.plane import SIGNIFICANT, Plane, fit_plane
 
 POINTS = np.random.default_rng(0).uniform(-400, 400, (2, 16)).T @ np.array([1, 1j])
@@ -39,7 +39,7 @@ def mapped(homography, z):
 
 
 def squares_at(homography, points, side=0.3, seed=1):
-    """Shapes of squares, at any heading, whose centres appear at `points`: by numerical Jacobians."""
+    """Images of squares, at any heading, whose centres appear at `points`: by numerical Jacobians."""
     turns = side * np.exp(2j * np.pi * np.random.default_rng(seed).uniform(size=points.size))
     ground = mapped(np.linalg.inv(homography), points)
     h = 1e-5
@@ -47,7 +47,11 @@ def squares_at(homography, points, side=0.3, seed=1):
         (mapped(homography, ground + h * a * turns) - mapped(homography, ground - h * a * turns)) / (2 * h)
         for a in (1, 1j)
     )
-    return ground, turns, Shapes(points, (right - 1j * down) / 2, (right + 1j * down) / 2, 0 * points)
+    return (
+        ground,
+        turns,
+        LocalHomographies(points, (right - 1j * down) / 2, (right + 1j * down) / 2, 0 * points),
+    )
 
 
 def plane_of(homography):
@@ -62,9 +66,9 @@ def plane_of(homography):
 def test_squeezes_are_those_of_small_squares_under_a_true_camera(seed):
     """Over the whole image, at every heading. Central differences leave h² = 1e-10 and rounding 1e-13 / h."""
     homography = random_homography(seed)
-    _, _, shapes = squares_at(homography, POINTS)
+    _, _, homographies = squares_at(homography, POINTS)
     plane = plane_of(homography)
-    seen = shapes.squeezes / shapes.arms.conj()
+    seen = homographies.squeezes / homographies.arms.conj()
     assert np.abs(seen).max() > 0.002
     np.testing.assert_allclose(plane.squeezes(POINTS), seen, atol=1e-7, rtol=0)
 
@@ -73,11 +77,13 @@ def test_squeezes_are_those_of_small_squares_under_a_true_camera(seed):
 def test_horizons_make_the_shapes_images_those_of_the_true_camera(seed):
     """The whole card, and points three sides away, as the homography maps them; Jacobians as above."""
     homography = random_homography(seed)
-    ground, turns, shapes = squares_at(homography, POINTS)
-    shapes = Shapes(shapes.centers, shapes.arms, shapes.squeezes, plane_of(homography).horizons(POINTS))
+    ground, turns, homographies = squares_at(homography, POINTS)
+    homographies = LocalHomographies(
+        homographies.centers, homographies.arms, homographies.squeezes, plane_of(homography).horizons(POINTS)
+    )
     z = np.concatenate([SQUARE_CORNERS, 6 * SQUARE_CORNERS])
     truth = mapped(homography, ground[:, None] + turns[:, None] * z)
-    np.testing.assert_allclose(shapes.images(z), truth, atol=1e-5, rtol=0)
+    np.testing.assert_allclose(homographies.images(z), truth, atol=1e-5, rtol=0)
 
 
 @pytest.mark.parametrize("seed", range(8))

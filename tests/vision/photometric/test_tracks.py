@@ -13,7 +13,7 @@ import pytest
 from skyherd.markers.dictionary import marker_cells
 from skyherd.vision import PhotometricDetector
 from skyherd.vision.photometric.fit import fit_markers
-from skyherd.vision.photometric.local_homography import Shapes
+from skyherd.vision.photometric.local_homography import LocalHomographies
 from skyherd.vision.photometric.plane import Plane
 from skyherd.vision.photometric.tracks import in_view, no_tracks
 
@@ -25,21 +25,21 @@ HOMES = np.array([80 + 80j, 200 + 80j, 320 + 80j, 80 + 230j, 200 + 230j, 320 + 2
 
 
 def flight(times, *, turn=0.0, zoom=0.0, arc=0.0, hub=200 + 150j):
-    """Shapes (one for each time) of two robots on arcs of rate `arc` about their own hubs, seen by a camera
-    that turns and zooms at rates `turn` and `zoom` about (200, 150)."""
+    """Homographies (one for each time) of two robots on arcs of rate `arc` about their own hubs, seen by a
+    camera that turns and zooms at rates `turn` and `zoom` about (200, 150)."""
     start, radius = np.array([hub, hub + 30 - 20j]), np.array([40 + 10j, -25 + 5j])
     for t in times:
         camera = np.exp((zoom + 1j * turn) * t)
         robots = start + radius * np.exp(1j * arc * t) - (200 + 150j)
         arms = 25.0 * np.exp(1j * arc * t) * camera * np.array([1, 1j])
         squeezes = 0.1 * arms.conj()
-        yield Shapes(200 + 150j + camera * robots, arms, squeezes, np.full(2, 1e-4 + 0j))
+        yield LocalHomographies(200 + 150j + camera * robots, arms, squeezes, np.full(2, 1e-4 + 0j))
 
 
 def prediction_error(step_s, **motion):
     """Largest error of the third image's centres and arms, predicted from two, px."""
     one, two, three = flight(1.7 + step_s * np.arange(3), **motion)
-    tracks = no_tracks().seen(1.0, np.array([3, 8]), one).seen(1.0 + step_s, np.array([3, 8]), two)
+    tracks = no_tracks().updated(1.0, np.array([3, 8]), one).updated(1.0 + step_s, np.array([3, 8]), two)
     ahead = tracks.predicted(1.0 + 2 * step_s)
     return max(np.abs(ahead.centers - three.centers).max(), np.abs(ahead.arms - three.arms).max())
 
@@ -55,13 +55,13 @@ def test_arcs_and_turning_or_zooming_cameras_are_predicted_exactly(motion):
 
 
 def test_a_straight_line_is_predicted_exactly_and_a_marker_seen_once_where_it_was():
-    still = Shapes(*(np.array([z], dtype=complex) for z in (100 + 50j, 20j, 0, 0)))
-    moved = Shapes(still.centers + 3 - 1j, still.arms, still.squeezes, still.horizons)
-    once = no_tracks().seen(0.0, np.array([5]), still)
+    still = LocalHomographies(*(np.array([z], dtype=complex) for z in (100 + 50j, 20j, 0, 0)))
+    moved = LocalHomographies(still.centers + 3 - 1j, still.arms, still.squeezes, still.horizons)
+    once = no_tracks().updated(0.0, np.array([5]), still)
     assert once.predicted(3.0).centers[0] == 100 + 50j
-    assert once.seen(1.0, np.array([5]), moved).predicted(1.5).centers[0] == pytest.approx(104.5 + 48.5j)
+    assert once.updated(1.0, np.array([5]), moved).predicted(1.5).centers[0] == pytest.approx(104.5 + 48.5j)
     # Images that come without times are taken as evenly spaced.
-    untimed = once.seen(0.0, np.array([5]), moved)
+    untimed = once.updated(0.0, np.array([5]), moved)
     assert untimed.predicted(0.0).centers[0] == pytest.approx(106 + 48j)
 
 
@@ -75,25 +75,25 @@ def test_arc_and_turning_camera_together_leave_what_is_of_second_order_in_the_st
 def test_steps_that_turn_and_steps_that_do_not_are_told_apart():
     """One robot on an arc, one that turns while the camera flies past: after three images both are exact."""
 
-    def shapes(t):
+    def homographies(t):
         arms = 25.0 * np.exp(0.8j * t) * np.ones(2)
         arc, past = 120 + 40 * np.exp(0.8j * t), 200 + 90j + (20 - 12j) * t
-        return Shapes(np.array([arc, past]), arms, 0 * arms, 0 * arms)
+        return LocalHomographies(np.array([arc, past]), arms, 0 * arms, 0 * arms)
 
     tracks, ids, times = no_tracks(), np.array([3, 8]), 0.5 * np.arange(5)
     for t in times[:3]:
-        tracks = tracks.seen(t, ids, shapes(t))
+        tracks = tracks.updated(t, ids, homographies(t))
     for t in times[3:]:
-        np.testing.assert_allclose(tracks.predicted(t).centers, shapes(t).centers, atol=1e-10)
-        tracks = tracks.seen(t, ids, shapes(t))
-    assert tracks.turning.tolist() == [True, False]
+        np.testing.assert_allclose(tracks.predicted(t).centers, homographies(t).centers, atol=1e-10)
+        tracks = tracks.updated(t, ids, homographies(t))
+    assert tracks.on_arc.tolist() == [True, False]
 
 
 def test_markers_are_looked_for_while_their_centres_are_in_the_image():
     centers = np.array([50 + 50j, -0.4 - 0.4j, 119.4 + 99.4j, -0.6 + 50j, 119.6 + 50j, 50 + 99.6j])
     arms = np.full(centers.size, 20 + 0j)
-    shapes = Shapes(centers, arms, 0 * arms, 0 * arms)
-    assert in_view(shapes, (100, 120)).tolist() == [True, True, True, False, False, False]
+    homographies = LocalHomographies(centers, arms, 0 * arms, 0 * arms)
+    assert in_view(homographies, (100, 120)).tolist() == [True, True, True, False, False, False]
 
 
 # --- following and searching agree ---
@@ -125,7 +125,7 @@ def test_a_followed_marker_is_measured_as_one_that_is_searched_for(place_markers
             [one.centers_px - other.centers_px, one.headings_rad - other.headings_rad]
         )
         off.append(difference / deviation)
-    assert follows.cameras[0].unsearched == 8
+    assert follows.estimates[0].unsearched == 8
     assert np.sqrt(np.square(off).mean()) < 0.2, np.sqrt(np.square(off).mean())
 
 
@@ -153,12 +153,14 @@ def test_fits_do_not_depend_on_the_order_of_the_markers(place_markers, draw_mark
     rng = np.random.default_rng(2)
     ((image, ids, _),) = drive(place_markers, draw_markers, rng, 1)
     found = PhotometricDetector(DICTIONARY).detect(image)
-    start = Shapes.of_corners(found.corners_px + 0.4)
+    start = LocalHomographies.of_corners(found.corners_px + 0.4)
     straight, plane = fit_markers(image, DICTIONARY, ids, start, 0.85, Plane())
     for _ in range(3):
         order = rng.permutation(6)
         other, other_plane = fit_markers(image, DICTIONARY, ids[order], start.take(order), 0.85, Plane())
-        np.testing.assert_allclose(other.shapes.centers, straight.shapes.centers[order], atol=2e-5)
+        np.testing.assert_allclose(
+            other.homographies.centers, straight.homographies.centers[order], atol=2e-5
+        )
         np.testing.assert_allclose(other.covariances, straight.covariances[order], rtol=1e-3, atol=1e-12)
         assert other_plane.shared == plane.shared
         assert abs(other_plane.squeeze - plane.squeeze) < 1e-5
@@ -179,7 +181,7 @@ def test_units_are_kept_apart(place_markers, draw_markers):
             assert seen.unit_id == unit and seen.ids.tolist() == ids.tolist()
             np.testing.assert_array_equal(seen.centers_px, own.centers_px)
             np.testing.assert_array_equal(seen.covariances, own.covariances)
-    assert together.cameras[1].sigma_px > together.cameras[0].sigma_px + 0.3
+    assert together.estimates[1].sigma_px > together.estimates[0].sigma_px + 0.3
 
 
 # --- what changes between two images ---

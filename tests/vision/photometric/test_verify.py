@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from skyherd.vision.photometric.fit import fit_markers
-from skyherd.vision.photometric.local_homography import Shapes
+from skyherd.vision.photometric.local_homography import LocalHomographies
 from skyherd.vision.photometric.plane import Plane
 from skyherd.vision.photometric.scales import fit_all_sizes
 from skyherd.vision.photometric.verify import bits_are_right, image_noise, verified
@@ -15,7 +15,7 @@ DICTIONARY, SIGMA_PX = "4X4_50", 0.85
 
 
 def one_shape(center, arm):
-    return Shapes(*(np.array([z], dtype=complex) for z in (center, arm, 0, 0)))
+    return LocalHomographies(*(np.array([z], dtype=complex) for z in (center, arm, 0, 0)))
 
 
 # --- noise of an image ---
@@ -64,9 +64,9 @@ def test_a_fit_on_fewer_pixels_than_it_needs_is_none(place_markers, draw_markers
     for _ in range(20):
         centers = 60 + 60j + rng.uniform(-25, 25, 15) + 1j * rng.uniform(-25, 25, 15)
         arms = rng.uniform(2, 4, 15) * np.exp(2j * np.pi * rng.uniform(size=15))
-        start = Shapes(centers, arms, 0 * arms, 0 * arms)
+        start = LocalHomographies(centers, arms, 0 * arms, 0 * arms)
         fits, _ = fit_markers(image, DICTIONARY, rng.integers(0, 50, 15), start, SIGMA_PX, Plane())
-        assert not verified(fits, 5.0)[fits.shapes.sides_px() < 8].any()
+        assert not verified(fits, 5.0)[fits.homographies.sides_px() < 8].any()
 
 
 def test_a_marker_out_of_the_image_is_none(place_markers, draw_markers):
@@ -85,7 +85,7 @@ def test_markers_seen_by_few_pixels_have_no_say_on_the_plane(place_markers, draw
     matrices = place_markers(homes, np.zeros(9), 30.0)
     image = draw_markers(matrices, range(9), (240, 240), rng)
     arms = np.append(np.full(9, 30j), 3.0)
-    start = Shapes(np.append(homes, 85 + 85j), arms, 0 * arms, 0 * arms)
+    start = LocalHomographies(np.append(homes, 85 + 85j), arms, 0 * arms, 0 * arms)
     _, plane = fit_markers(image, DICTIONARY, np.append(np.arange(9), 35), start, SIGMA_PX, Plane())
     assert plane == Plane()
 
@@ -96,7 +96,7 @@ def test_a_marker_blurred_unlike_the_others_is_none(place_markers, draw_markers)
     homes = 50 + 50j + 70 * (np.arange(9) % 3 + 1j * (np.arange(9) // 3))
     image = draw_markers(place_markers(homes, np.zeros(9), 30.0), range(9), (240, 240), rng)
     arms = np.full(9, 30j)
-    start = Shapes(homes, arms, 0 * arms, 0 * arms)
+    start = LocalHomographies(homes, arms, 0 * arms, 0 * arms)
     fits, _ = fit_markers(image, DICTIONARY, np.arange(9), start, SIGMA_PX, Plane())
     assert verified(fits, 5.0).all()
     assert verified(replace(fits, log_blurs=fits.log_blurs + 0.35), 5.0).all()
@@ -120,7 +120,7 @@ def nine_fits(place_markers, draw_markers):
     homes = 50 + 50j + 70 * (np.arange(9) % 3 + 1j * (np.arange(9) // 3))
     image = draw_markers(place_markers(homes, np.zeros(9), 30.0), range(9), (240, 240), rng)
     arms = np.full(9, 30j)
-    start = Shapes(homes, arms, 0 * arms, 0 * arms)
+    start = LocalHomographies(homes, arms, 0 * arms, 0 * arms)
     return fit_markers(image, DICTIONARY, np.arange(9), start, SIGMA_PX, Plane())[0]
 
 

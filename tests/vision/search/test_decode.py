@@ -6,7 +6,7 @@ import pytest
 from skyherd.geometry import SQUARE_CORNERS, to_points
 from skyherd.markers.dictionary import cells_per_side, dictionary_size
 from skyherd.vision import PhotometricDetector
-from skyherd.vision.search.decode import MIN_LIKENESS, decode_quads
+from skyherd.vision.search.decode import MIN_CORRELATION, decode_quads
 
 SIGMA_PX = 0.85
 OWN_MIRROR_IMAGES = {8, 9, 17, 47}  # of 4X4_50, as `test_vision` shows from the bits
@@ -40,7 +40,7 @@ def test_every_turn_is_told_and_corners_come_in_the_markers_own_order(
     found = decode_quads(image, np.roll(rough, turn, axis=1), dictionary, SIGMA_PX)
     assert found.ids.tolist() == ids.tolist()
     np.testing.assert_array_equal(found.corners_px, rough)
-    assert (found.likenesses >= MIN_LIKENESS).all() and (found.likenesses <= 1 + 1e-6).all()
+    assert (found.correlations >= MIN_CORRELATION).all() and (found.correlations <= 1 + 1e-6).all()
 
 
 def test_small_and_blurred_markers_are_told_by_their_greys(place_markers, draw_markers):
@@ -62,7 +62,7 @@ def test_likeness_does_not_depend_on_gain_and_offset(place_markers, draw_markers
     one, other = (decode_quads(view, corners, "4X4_50", SIGMA_PX) for view in (image, faint))
     assert one.ids.tolist() == other.ids.tolist() == list(range(9))
     # Rounding to 8 bits leaves 0.3 of 80 levels a pixel.
-    np.testing.assert_allclose(one.likenesses, other.likenesses, atol=2e-3)
+    np.testing.assert_allclose(one.correlations, other.correlations, atol=2e-3)
 
 
 def test_flat_quadrilaterals_and_none_at_all_are_no_candidates():

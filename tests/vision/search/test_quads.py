@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from skyherd.geometry import SQUARE_CORNERS, to_complex, to_points
-from skyherd.vision.photometric.local_homography import Shapes
-from skyherd.vision.search.quads import MIN_SIDE_PX, find_quads
+from skyherd.vision.photometric.local_homography import LocalHomographies
+from skyherd.vision.search.quads import MIN_QUAD_SIDE_PX, find_quads
 
 HEADINGS = {"upright": 0.0, "a little turned": 0.02, "diagonal": np.pi / 4, "any": None}
 ROWS = 4
@@ -63,7 +63,7 @@ def test_markers_under_perspective_have_quads_too(place_markers, draw_markers, s
     horizon = np.exp(2j * np.pi * rng.uniform()) / rng.uniform(800, 1600)
     squeeze = 0.1 * np.exp(2j * np.pi * rng.uniform())
     middle = 132 * (1 + 1j)
-    plane = Shapes(*(np.array([z], dtype=complex) for z in (middle, 1.0, squeeze, horizon)))
+    plane = LocalHomographies(*(np.array([z], dtype=complex) for z in (middle, 1.0, squeeze, horizon)))
     square = 100 * SQUARE_CORNERS
     seen = to_points(plane.images(square)[0])
     camera = cv2.getPerspectiveTransform(
@@ -83,7 +83,7 @@ def test_corners_run_clockwise_as_seen(place_markers, draw_markers):
     sides = np.roll(quads, -1, axis=1) - quads
     assert len(quads) >= 16
     assert ((sides.conj() * np.roll(sides, -1, axis=1)).imag > 0).all()
-    assert (np.abs(sides) >= MIN_SIDE_PX).all()
+    assert (np.abs(sides) >= MIN_QUAD_SIDE_PX).all()
 
 
 def test_a_square_in_no_noise_is_found_to_a_fraction_of_a_pixel():

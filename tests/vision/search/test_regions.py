@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from skyherd.vision.search import regions
-from skyherd.vision.search.quads import LEAST_POINTS
+from skyherd.vision.search.quads import MIN_POINTS
 from skyherd.vision.search.regions import dark_boundaries
 
 SIZE_PX = (900, 700)
@@ -46,7 +46,7 @@ def bars(*, apart):
 
 def boundaries_of(image):
     """Each boundary as a sorted tuple of its points, in an order of their own."""
-    found = dark_boundaries(image, LEAST_POINTS)
+    found = dark_boundaries(image, MIN_POINTS)
     parts = np.split(found.points, np.cumsum(found.lengths)[:-1]) if found.lengths.size else []
     return sorted(tuple(sorted((z.real, z.imag) for z in part)) for part in parts)
 
@@ -59,7 +59,7 @@ def test_places_side_by_side_show_what_the_whole_image_shows(shapes, monkeypatch
     """The same boundaries to the pixel: what the boxes of the filters reach is laid out with each place."""
     image = drawn(shapes)
     apart = boundaries_of(image)
-    monkeypatch.setattr(regions, "MOST_LAID_OUT", 0.0)
+    monkeypatch.setattr(regions, "MAX_MOSAIC_SHARE", 0.0)
     assert len(apart) >= len(shapes)
     assert apart == boundaries_of(image)
 
@@ -74,8 +74,8 @@ def test_too_narrow_a_margin_shows(monkeypatch):
 
 def test_places_are_laid_out_where_they_are_few_and_the_image_is_taken_whole_where_not():
     few, many = drawn(squares(5, count=4)), drawn(squares(6, count=120))
-    assert regions._lay_out(few).image.size < few.size / 4
-    assert regions._lay_out(many).image is many
+    assert regions._mosaic(few).image.size < few.size / 4
+    assert regions._mosaic(many).image is many
 
 
 @pytest.mark.parametrize("noise", [2.0, 5.0, 10.0])
@@ -85,19 +85,19 @@ def test_noise_alone_is_not_looked_at(noise):
     for what neighbouring pixels have in common."""
     rng = np.random.default_rng(7)
     image = np.clip(np.rint(rng.normal(128, noise, (600, 800))), 0, 255).astype(np.uint8)
-    assert (regions._busy(image) > 0).mean() < 0.025
+    assert (regions._crowded(image) > 0).mean() < 0.025
 
 
 @pytest.mark.parametrize("size_px", [(1, 1), (1, 7), (7, 1), (2, 2), (3, 5), (33, 47)])
 def test_any_size_of_image_is_taken(size_px):
     """A pixel's boundary is too short; an odd last line or column is left out."""
-    assert not dark_boundaries(np.zeros(size_px[::-1], np.uint8), LEAST_POINTS).lengths.size
+    assert not dark_boundaries(np.zeros(size_px[::-1], np.uint8), MIN_POINTS).lengths.size
 
 
 def test_points_are_where_the_region_is_and_run_anticlockwise_as_seen():
     """An upright square of 20 px at (300, 200): outermost dark pixels within one of its edges."""
     square = np.array([[300, 200], [320, 200], [320, 220], [300, 220]], dtype=float)
-    found = dark_boundaries(drawn([square], noise=0.0, ground=230), LEAST_POINTS)
+    found = dark_boundaries(drawn([square], noise=0.0, ground=230), MIN_POINTS)
     outer = found.points[: found.lengths[0]]
     assert found.lengths.size == 1
     assert abs(outer.real.min() - 300) <= 1 and abs(outer.real.max() - 320) <= 1

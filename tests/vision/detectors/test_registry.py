@@ -1,0 +1,140 @@
+"""Detectors by name and as `module:factory`, and what is said of those that cannot be made."""
+
+import sys
+
+import numpy as np
+import pytest
+
+from skyherd.errors import InputError
+from skyherd.vision import (
+    DEFAULT_DICTIONARY,
+    Detector,
+    create_detector,
+    detections_of_corners,
+    detector_names,
+)
+from skyherd.vision.photometric.detector import PhotometricDetector
+
+OWN_DETECTOR = '''
+import numpy as np
+
+from skyherd.errors import InputError
+from skyherd.markers.dictionary import pose_of_corners
+from skyherd.vision import detections_of_corners
+
+NOT_A_FACTORY = 5
+
+
+class Square:
+    """Sees one marker, with the dictionary's name's length as its id, in every image."""
+
+    def __init__(self, dictionary):
+        self.marker_id = len(dictionary)
+
+    def detect(self, image, *, time_s=0.0, unit_id=0):
+        corners = np.array([[[10.0, 20], [30, 20], [30, 40], [10, 40]]])
+        centers, headings, sides = pose_of_corners(corners)
+        return detections_of_corners(
+            image,
+            np.array([self.marker_id]),
+            corners,
+            headings_rad=headings,
+            sides_px=sides,
+            covariances=np.zeros((1, 3, 3)),
+            time_s=time_s,
+            unit_id=unit_id,
+        )
+
+
+def broken(dictionary):
+    raise ZeroDivisionError("no luck")
+
+
+def choosy(dictionary):
+    raise InputError("detector choosy", f"does not know {dictionary}", "5X5_100")
+
+
+def nothing(dictionary):
+    return None
+'''
+
+
+@pytest.fixture
+def own_module(tmp_path, monkeypatch):
+    """A module with a detector, in the working directory, which is not on the path of imports."""
+    (tmp_path / "own_detector.py").write_text(OWN_DETECTOR, "utf-8")
+    (tmp_path / "broken_module.py").write_text("1 / 0\n", "utf-8")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    yield "own_detector"
+    sys.modules.pop("own_detector", None)
+
+
+def test_a_detector_written_from_the_interface_alone_is_created_and_detects(own_module):
+    detector: Detector = create_detector("own_detector:Square", dictionary="APRILTAG_36h11")
+    found = detector.detect(np.zeros((60, 80), np.uint8), time_s=1.5, unit_id=2)
+    assert found.ids.tolist() == [14] and (found.time_s, found.unit_id) == (1.5, 2)
+    assert found.image_size_px.tolist() == [80, 60]
+    np.testing.assert_allclose(found.centers_px, [[20.0, 30.0]])
+    np.testing.assert_allclose(found.headings_rad, -np.pi / 2)
+    np.testing.assert_allclose(found.sides_px, 20.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("own_detector:", "lacks a module or a factory; write it as module:factory"),
+        (":Square", "lacks a module or a factory"),
+        ("no_such_module:make", "ModuleNotFoundError: No module named 'no_such_module'"),
+        ("broken_module:make", "ZeroDivisionError: division by zero; a module that can be imported"),
+        ("own_detector:Absent", "has no attribute 'Absent'"),
+        ("own_detector:NOT_A_FACTORY", "'NOT_A_FACTORY' is not callable"),
+        ("own_detector:broken", "ZeroDivisionError: no luck; factory\\('4X4_50'\\) that returns a detector"),
+        ("own_detector:nothing", "the factory returned NoneType, which has no method detect"),
+        ("aruko", "no detector 'aruko'; one of apriltag3, aruco, .*, or module:factory"),
+    ],
+)
+def test_each_way_to_go_wrong_is_an_input_error_that_says_what(own_module, name, words):
+    with pytest.raises(InputError, match=words) as caught:
+        create_detector(name)
+    assert caught.value.where == ("detector" if name == "aruko" else f"detector {name}")
+
+
+def test_an_input_error_of_a_factory_is_passed_on_as_it_is(own_module):
+    with pytest.raises(InputError, match=r"^detector choosy: does not know 4X4_50; 5X5_100$"):
+        create_detector("own_detector:choosy")
+
+
+@pytest.mark.parametrize("name", [name for name in detector_names() if name != "apriltag3"])
+def test_every_detector_keeps_the_promises_of_the_interface(name):
+    """No marker gives none, times and ids come back, the image is not changed, and a wrong one is refused."""
+    detector = create_detector(name, dictionary=DEFAULT_DICTIONARY)
+    image = np.full((90, 120), 128, np.uint8)
+    image.setflags(write=False)
+    found = detector.detect(image, time_s=2.5, unit_id=7)
+    assert len(found) == 0 and (found.time_s, found.unit_id) == (2.5, 7)
+    assert found.image_size_px.tolist() == [120, 90]
+    for wrong in (np.zeros((9, 9, 3), np.uint8), np.zeros((9, 9)), np.zeros((0, 9), np.uint8)):
+        with pytest.raises(InputError, match="grey"):
+            detector.detect(wrong)
+
+
+def test_corners_are_scaled_about_their_centre_to_the_side_that_is_given():
+    corners = np.array([[[10.0, 20], [30, 20], [30, 40], [10, 40]]])
+    found = detections_of_corners(
+        np.zeros((60, 80), np.uint8),
+        np.array([3]),
+        corners,
+        headings_rad=np.zeros(1),
+        sides_px=np.array([10.0]),
+        covariances=np.zeros((1, 3, 3)),
+        time_s=0.0,
+        unit_id=0,
+    )
+    np.testing.assert_allclose(found.corners_px, [[[15.0, 25], [25, 25], [25, 35], [15, 35]]])
+
+
+def test_tracking_follows_and_photometric_does_not():
+    tracking, photometric = (create_detector(name) for name in ("tracking", "photometric"))
+    assert isinstance(tracking, PhotometricDetector) and tracking.following
+    assert isinstance(photometric, PhotometricDetector) and not photometric.following

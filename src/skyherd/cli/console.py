@@ -1,33 +1,103 @@
-"""How the command line speaks: results on stdout, the rest on stderr."""
+"""Output of the command line: results go to stdout; errors, warnings and progress go to stderr."""
 
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from collections.abc import Collection, Iterable, Sequence
+from types import TracebackType
+from typing import Self
 
-out = Console(highlight=False, soft_wrap=True)
-err = Console(stderr=True, highlight=False, soft_wrap=True)
+import typer
 
 
-class CountBar(Progress):
-    """A bar that counts what is done; nothing where stderr is no terminal."""
-
-    def __init__(self) -> None:
-        super().__init__(
-            TextColumn("{task.description}"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TimeRemainingColumn(),
-            console=err,
-            disable=not err.is_terminal,
-            transient=True,
-        )
+def say(text: str, *, bold: bool = False) -> None:
+    """Print a line of results on stdout."""
+    typer.secho(text, bold=bold)
 
 
 def complain(text: str) -> None:
-    """One line on stderr that says what was wrong."""
-    line = " ".join(text.split())
-    err.print(f"error: {line}", markup=False)
+    """Print an error on stderr, as one line whatever the text."""
+    typer.echo(f"error: {' '.join(text.split())}", err=True)
 
 
 def warn(text: str) -> None:
-    """One line on stderr that says what looks wrong."""
-    err.print(f"warning: {text}", markup=False)
+    """Print a warning on stderr, as one line."""
+    typer.echo(f"warning: {text}", err=True)
+
+
+def say_table(
+    header: Sequence[str], rows: Iterable[Sequence[str]], *, right_aligned: Collection[str] = ()
+) -> None:
+    """Print a table without lines on stdout, cells wrapped to the terminal's width; nothing without rows.
+
+    Args:
+        header: name of each column.
+        rows: the cells, a row as long as the header.
+        right_aligned: names of the columns whose cells end at the column's right edge.
+    """
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(box=None, header_style="bold")
+    for column in header:
+        table.add_column(column, justify="right" if column in right_aligned else "left")
+    for row in rows:
+        table.add_row(*(Text(cell) for cell in row))
+    if table.row_count:
+        Console(highlight=False, soft_wrap=True).print(table)
+
+
+class ProgressReporter:
+    """Progress of a command on stderr: a bar with a text beside it; nothing where stderr is no terminal.
+
+    One bar is shown at a time. An `update` with a new name replaces it, so that the parts of a job, or its
+    files, follow each other. Use it in a `with` block, at the end of which the bar disappears.
+    """
+
+    def __init__(self) -> None:
+        from rich.console import Console
+        from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+        console = Console(stderr=True, highlight=False, soft_wrap=True)
+        self._progress = Progress(
+            TextColumn("{task.description}", markup=False),
+            BarColumn(),
+            TextColumn("{task.fields[state]}", markup=False),
+            TimeElapsedColumn(),
+            TextColumn("left:"),
+            TimeRemainingColumn(),
+            console=console,
+            disable=not console.is_terminal,
+            transient=True,
+        )
+        self._name = ""
+        self._bar = self._progress.add_task("", visible=False, state="")
+
+    def __enter__(self) -> Self:
+        """Show the bar from now on."""
+        self._progress.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        """Remove the bar from the terminal."""
+        self._progress.stop()
+
+    def update(self, name: str, done: float, total: float | None, state: str | None = None) -> None:
+        """Show how far the part of this name is.
+
+        Args:
+            name: what is being done, shown before the bar.
+            done: amount that is done, in any unit.
+            total: amount in all, in the same unit; None while it is not known.
+            state: text after the bar; `done/total` if left out.
+        """
+        if name != self._name:
+            self._progress.remove_task(self._bar)
+            self._name, self._bar = name, self._progress.add_task(name, state="")
+        counted = f"{done:g}/{'?' if total is None else format(total, 'g')}"
+        self._progress.update(
+            self._bar, completed=done, total=total, state=counted if state is None else state
+        )

@@ -1,21 +1,26 @@
 """`skyherd run`: run a scenario and leave its recording, video, figures, summary and page in a folder."""
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
 import typer
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from skyherd.cli.console import err, out, warn
-from skyherd.datasets import Mission, load_mission
-from skyherd.loop import Step
-from skyherd.report.run_page import PAGE, VIDEO
-from skyherd.runner import run_mission
+from skyherd.cli.choices import complete_perception, complete_scenario
+from skyherd.cli.console import ProgressReporter, say, warn
+
+if TYPE_CHECKING:
+    from skyherd.datasets import Mission
+    from skyherd.loop import Step
+
+END_TOLERANCE_S = 1e-9
+"""A step nearer than this to the end of the run is the last, in seconds. Chosen: large beside the rounding of
+a time (1e-12 s after an hour) and small beside a step (milliseconds at least)."""
 
 
 def run(
-    scenario: Annotated[str, typer.Argument(help="A built-in scenario or a TOML file.")],
+    scenario: Annotated[
+        str, typer.Argument(help="A built-in scenario or a TOML file.", autocompletion=complete_scenario)
+    ],
     out_dir: Annotated[
         Path | None, typer.Option("--out", help="Folder to make; runs/NAME if left out.")
     ] = None,
@@ -25,7 +30,11 @@ def run(
         typer.Option("--set", help="key=value put over the scenario, such as control.k=0.2."),
     ] = None,
     perception: Annotated[
-        str | None, typer.Option(help="rendered, ideal, or noisy: ideal with the detector's measured noise.")
+        str | None,
+        typer.Option(
+            help="rendered, ideal, or noisy: ideal with the detector's measured noise.",
+            autocompletion=complete_perception,
+        ),
     ] = None,
     no_video: Annotated[bool, typer.Option("--no-video", help="Make no video.")] = False,
     record_images: Annotated[
@@ -33,72 +42,75 @@ def run(
     ] = False,
     force: Annotated[bool, typer.Option("--force", help="Write an existing folder anew.")] = False,
 ) -> int:
-    """Run a scenario; exit code 0 if the shape was reached, 1 if not, 2 for bad input."""
+    """Run a scenario, and leave recording, video, figures, summary and page.
+
+    Exit code 0 if the shape was reached, 1 if not, 2 for bad input.
+    """
+    from skyherd.datasets import load_mission
+    from skyherd.runner import run_mission
+
     chosen = [*(settings or []), *([f"perception={perception}"] if perception else [])]
     mission = load_mission(scenario, chosen, seed=seed)
     folder = out_dir or Path("runs") / mission.scenario.name
-    with Watcher(mission) as watcher:
+    _warn_of_slow_cameras(mission)
+    with ProgressReporter() as progress:
         summary = run_mission(
             mission,
             folder,
             force=force,
             video=not no_video,
             record_images=record_images,
-            on_step=watcher.step,
+            on_step=_Watcher(mission, progress).step,
         )
-    _tell(summary, folder)
+    _say_result(summary, folder)
     return 0 if summary["converged"] else 1
 
 
-class Watcher(Progress):
-    """Progress bar with simulated time, V and detections; warns once of cameras that see no robot."""
+def _warn_of_slow_cameras(mission: "Mission") -> None:
+    """Warn of units between whose images the robots forget their goals."""
+    for unit, model in enumerate(mission.scenario.units):
+        if mission.scenario.robots.timeout_s * model.frame_rate_hz < 1:
+            warn(f"unit {unit} takes an image less often than robots.timeout_s: its robots stop and go")
 
-    def __init__(self, mission: Mission) -> None:
-        super().__init__(
-            TextColumn("{task.description}"),
-            BarColumn(),
-            TextColumn("{task.fields[state]}"),
-            TimeRemainingColumn(),
-            console=err,
-            disable=not err.is_terminal,
-            transient=True,
-        )
+
+class _Watcher:
+    """Shows time, V and detections of each step; warns of units whose first image shows no robot."""
+
+    def __init__(self, mission: "Mission", progress: ProgressReporter) -> None:
+        self._progress = progress
+        self._name, self._duration_s = mission.scenario.name, mission.scenario.duration_s
+        self._robots = frozenset(mission.ids.tolist())
         self._started: set[int] = set()
-        self._robots = mission.ids
-        for unit, model in enumerate(mission.scenario.units):
-            if mission.scenario.robots.timeout_s * model.frame_rate_hz < 1:
-                warn(f"unit {unit} takes an image less often than robots.timeout_s: its robots stop and go")
-        self._duration_s = mission.scenario.duration_s
-        self._bar = self.add_task(mission.scenario.name, total=self._duration_s, state="")
+        progress.update(self._name, 0, self._duration_s, "")
 
-    def step(self, step: Step) -> None:
+    def step(self, step: "Step") -> None:
         """Show one step."""
         for unit, frame in step.frames.items():
-            if unit not in self._started and not np.isin(frame.sight.whole_ids, self._robots).any():
+            if unit not in self._started and self._robots.isdisjoint(frame.sight.whole_ids.tolist()):
                 warn(f"unit {unit} sees no robot at the start")
             self._started.add(unit)
         seen = sum(frame.sight.found_ids.size for frame in step.frames.values())
         whole = sum(frame.sight.whole_ids.size for frame in step.frames.values())
         state = f"{step.time_s:.0f}/{self._duration_s:g} s  V {step.metrics.V:.3g} m²  found {seen}/{whole}"
-        if step.time_s >= self._duration_s - 1e-9:
+        if step.time_s >= self._duration_s - END_TOLERANCE_S:
             state = "drawing figures and page …"
-        self.update(self._bar, completed=step.time_s, state=state)
+        self._progress.update(self._name, step.time_s, self._duration_s, state)
 
 
-def _tell(summary: dict[str, Any], folder: Path) -> None:
-    """The result in a few lines."""
+def _say_result(summary: dict[str, Any], folder: Path) -> None:
+    """Print the result in a few lines."""
+    from skyherd.report.run_page import PAGE, VIDEO
+
     verdict = "reached" if summary["converged"] else "NOT reached"
     recall = summary["detection_recall"]
-    out.print(
+    say(
         f"shape {verdict}: error {summary['shape_error']:.2g}, scale {summary['scale']:.4g} m a unit,"
-        f" V {summary['V_start']:.4g} → {summary['V_end']:.3g} m²",
-        markup=False,
+        f" V {summary['V_start']:.4g} → {summary['V_end']:.3g} m²"
     )
-    out.print(
+    say(
         f"{summary['steps']} steps, {summary['frames']} images, "
         f"recall {'–' if recall is None else format(recall, '.2%')}, "
-        f"{summary['topology_changes']} topology switches, {summary['wall_s']:.1f} s",
-        markup=False,
+        f"{summary['topology_changes']} topology changes, {summary['wall_s']:.1f} s"
     )
     films = [folder / VIDEO] if (folder / VIDEO).exists() else []
-    out.print("see " + "  ".join(str(path) for path in [folder / PAGE, *films]), markup=False)
+    say("see " + "  ".join(str(path) for path in [folder / PAGE, *films]))

@@ -4,30 +4,32 @@ import json
 from importlib import import_module
 from pathlib import Path
 from time import monotonic
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
 
-from skyherd.cli.console import complain, err, out
+from skyherd.cli.choices import complete_study
+from skyherd.cli.console import ProgressReporter, complain, say
 from skyherd.errors import InputError
-from skyherd.study.plan import Plan, make_plan
-from skyherd.study.spec import StudySpec, load_study, study_names, study_text
+
+if TYPE_CHECKING:
+    from skyherd.study.plan import Plan
 
 EXTRA = ("dask", "distributed", "pyarrow", "locket")
+"""Modules that the extra `study` installs."""
+
+SHORTEST_S = 1e-9
+"""Least time that a rate is taken over, in seconds: a clock that has not moved causes no division by zero."""
 
 
 def study(
     name: Annotated[
         str | None,
-        typer.Argument(metavar="NAME|FILE", help="A built-in study or a TOML file; all listed if left out."),
+        typer.Argument(
+            metavar="NAME|FILE",
+            help="A built-in study or a TOML file; all listed if left out.",
+            autocompletion=complete_study,
+        ),
     ] = None,
     out_dir: Annotated[
         Path | None, typer.Option("--out", help="Folder, new or of a study; studies/NAME if left out.")
@@ -44,7 +46,13 @@ def study(
     ] = False,
     schema: Annotated[bool, typer.Option("--schema", help="Print the JSON schema of study files.")] = False,
 ) -> int:
-    """Run a study, or go on with one; exit code 0 if all went well, 1 if a run failed, 2 for bad input."""
+    """Run a study, or go on with one that was interrupted.
+
+    Exit code 0 if all went well, 1 if a run failed, 2 for bad input.
+    """
+    from skyherd.study.plan import make_plan
+    from skyherd.study.spec import StudySpec, load_study, study_text
+
     if schema:
         typer.echo(json.dumps(StudySpec.model_json_schema(), indent=2))
         return 0
@@ -65,13 +73,19 @@ def study(
 
 
 def _list() -> int:
+    from skyherd.study.spec import load_study, study_names
+
     for name in study_names():
-        out.print(f"{name}: {load_study(name).spec.description}", markup=False)
+        say(f"{name}: {load_study(name).spec.description}")
     return 0
 
 
 def _require_extra() -> None:
-    """Everything that studies need beyond the rest."""
+    """Check that everything is installed that studies need beyond the rest.
+
+    Raises:
+        InputError: a module of the extra is missing; the message has the command that installs it.
+    """
     for module in EXTRA:
         try:
             import_module(module)
@@ -81,23 +95,25 @@ def _require_extra() -> None:
             ) from None
 
 
-def _preview(plan: Plan, folder: Path, retry: bool) -> int:
+def _preview(plan: "Plan", folder: Path, retry: bool) -> int:
     """A line for each run: whether it is there, and what makes it differ."""
     from skyherd.study.conduct import missing_runs
     from skyherd.study.store import Store
 
     missing = missing_runs(plan, Store(folder), retry=retry)
     for number, run in enumerate(plan.runs, 1):
-        out.print(f"{number:5d}  {'to do' if run.key in missing else 'done '}  {run.text()}", markup=False)
-    out.print(f"{len(plan.runs)} runs, {len(missing)} to do, in {folder}", markup=False)
+        say(f"{number:5d}  {'to do' if run.key in missing else 'done '}  {run.text()}")
+    say(f"{len(plan.runs)} runs, {len(missing)} to do, in {folder}")
     return 0
 
 
-def _conduct(plan: Plan, folder: Path, scheduler: str | None, jobs: int | None, retry: bool) -> int:
+def _conduct(plan: "Plan", folder: Path, scheduler: str | None, jobs: int | None, retry: bool) -> int:
+    """Make the runs that are missing, and say where the results are."""
     from skyherd.study.conduct import conduct
 
     try:
-        with _Watcher(plan.study.name) as watcher:
+        with ProgressReporter() as progress:
+            watcher = _Watcher(progress, plan.study.name)
             report = conduct(plan, folder, watcher, scheduler=scheduler, jobs=jobs, retry=retry)
     except KeyboardInterrupt:
         complain("interrupted; runs that are done are kept, and the same command goes on from here")
@@ -107,43 +123,33 @@ def _conduct(plan: Plan, folder: Path, scheduler: str | None, jobs: int | None, 
         if report.failed
         else ""
     )
-    out.print(f"{folder}: {report.runs} runs{watcher.pace}{failed}", markup=False)
-    out.print("see " + "  ".join(str(path) for path in [*report.pages, report.table]), markup=False)
+    say(f"{folder}: {report.runs} runs{watcher.pace}{failed}")
+    say("see " + "  ".join(str(path) for path in [*report.pages, report.table]))
     return 1 if report.failed else 0
 
 
-class _Watcher(Progress):
-    """Progress over the runs, with throughput and time left; nothing where stderr is no terminal."""
+class _Watcher:
+    """Shows how many runs are made, how many of them failed, and how many are made in a second."""
 
-    def __init__(self, name: str) -> None:
-        super().__init__(
-            TextColumn("{task.description}"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TextColumn("{task.fields[state]}"),
-            TimeElapsedColumn(),
-            TextColumn("left:"),
-            TimeRemainingColumn(),
-            console=err,
-            disable=not err.is_terminal,
-            transient=True,
-        )
-        self._task = self.add_task(name, total=None, state="starting …")
-        self._made = self._failed = 0
+    def __init__(self, progress: ProgressReporter, name: str) -> None:
+        self._progress, self._name = progress, name
+        self._made = self._failed = self._missing = 0
         self._began_s = monotonic()
         self.pace = ""
+        progress.update(name, 0, None, "starting …")
 
     def begin(self, missing: int, there: int) -> None:
-        """So many runs are to be made; so many are there already."""
-        state = f"{there} were there" if there else ""
-        self.update(self._task, total=missing, state=state)
+        """Show that so many runs are to be made, and that so many are there already."""
+        self._missing = missing
         self._began_s = monotonic()
+        self._progress.update(self._name, 0, missing, f"{there} were there" if there else "")
 
     def advance_runs(self, outcomes: list[dict[str, Any]]) -> None:
-        """These are made."""
+        """Show that the runs with these outcomes are made."""
         self._made += len(outcomes)
         self._failed += sum(outcome["error"] is not None for outcome in outcomes)
-        rate = self._made / max(monotonic() - self._began_s, 1e-9)
-        self.pace = f", {self._made} made at {rate:.3g} a second"
+        rate_ps = self._made / max(monotonic() - self._began_s, SHORTEST_S)
+        self.pace = f", {self._made} made at {rate_ps:.3g} a second"
         failed = f", {self._failed} failed" if self._failed else ""
-        self.update(self._task, completed=self._made, state=f"{rate:.3g} runs/s{failed}")
+        state = f"{self._made}/{self._missing}  {rate_ps:.3g} runs/s{failed}"
+        self._progress.update(self._name, self._made, self._missing, state)

@@ -1,7 +1,7 @@
 """The command line: one file a verb, each thin: parse, check, one call.
 
 A verb's file imports typer, the standard library and its neighbours here at its top, and everything else
-inside the function that calls it: help and completion then answer at once, and a verb loads only what it uses.
+inside the function that calls it: help and completion then answer at once, and a verb loads what it uses.
 
 Exit codes: 0 done; 1 the run did not reach its goal, `detect --require` found a file without a marker, of
 `study` a run failed, `dataset check` found a problem, or `topology` a violated condition; 2 bad input or

@@ -5,7 +5,7 @@ first used, so that the import itself costs nothing. Everything else is in the p
 turns detections into commands, `skyherd.vision` turns images into detections, `skyherd.render` draws images
 of a world, and `skyherd.datasets` has scenarios, shapes and labelled image sets.
 
-Example:
+Examples:
     >>> import skyherd
     >>> mission = skyherd.load_mission("triangle", ["perception=ideal", "duration_s=1.0"])
     >>> last = [step for step in skyherd.run_steps(mission)][-1]

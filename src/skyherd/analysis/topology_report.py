@@ -45,7 +45,7 @@ class TopologyReport:
         conditions: TC1-TC5.
         breaches: why those that are violated are.
         slowest: λ_3 of L, the slowest mode's rate in units of the gain k
-        (control/topology/convergence_rate.py).
+            (control/topology/convergence_rate.py).
     """
 
     sets: ControlSets

@@ -7,9 +7,8 @@ skyherd is told the shape, the images and the side of the markers on the robots,
 import cv2
 import numpy as np
 
-from skyherd.control import AerialController, GoalInboxes, Hover, MarkerGains, SafetyRadius, Template
-from skyherd.control import robot_commands as commands_of
-from skyherd.vision import create_detector
+from skyherd import AerialController, GoalInboxes, Rectifier, Template, create_detector
+from skyherd.control import Hover, MarkerGains, SafetyRadius, robot_commands
 
 IDS, SIDE_M, PX_PER_M, STEP_S = np.arange(4), 0.4, 80.0, 0.1
 DICTIONARY = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
@@ -40,11 +39,11 @@ def main() -> np.ndarray:
     """Bring the robots into a square; returns where they end, in metres."""
     world, detector = MyWorld(), create_detector("aruco", dictionary="4X4_50")
     square = Template.from_ground_points(IDS, [[0, 0], [1, 0], [1, 1], [0, 1]])
-    unit = AerialController(square, SafetyRadius(radius=1.2), Hover())
+    unit = AerialController(square, SafetyRadius(radius=1.2), Hover(), rectifier=Rectifier())
     inboxes = GoalInboxes(IDS, unit_ids=np.array([0]), lifetime_s=0.5)
     gains = MarkerGains(k=0.3, k_omega=1.2, b_th=0.0, side_m=SIDE_M)
     for time_s in np.arange(400) * STEP_S:
-        command = commands_of(inboxes, gains, time_s)
+        command = robot_commands(inboxes, gains, time_s)
         image = world.drive(command.v_mps, command.omega_radps)
         decision = unit.step(detector.detect(image, time_s=time_s))
         if decision.goals is not None:

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+import skyherd
+
 ROOT = Path(__file__).parent.parent
 SETUP = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]
 
@@ -27,6 +29,14 @@ def test_every_package_of_the_tree_is_listed_where_it_lies():
     tree = dict(folders_with_code())
     assert sorted(tree) == sorted(SETUP["packages"])
     assert tree == SETUP["package-dir"]
+
+
+def test_the_version_has_one_source():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    assert "version" not in project["project"]
+    assert project["project"]["dynamic"] == ["version"]
+    assert project["tool"]["setuptools"]["dynamic"]["version"] == {"attr": "skyherd.version.__version__"}
+    assert f"## {skyherd.__version__} " in (ROOT / "CHANGELOG.md").read_text()
 
 
 @pytest.fixture(scope="module")

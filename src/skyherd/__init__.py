@@ -1,3 +1,112 @@
-"""skyherd steers ground robots into a shape with nothing but what uncalibrated flying cameras see."""
+"""Steer a team of ground robots into a shape with nothing but what uncalibrated flying cameras see.
 
-__version__ = "0.1.0"
+`import skyherd` offers what a user of the library needs. Each name is imported from its package when it is
+first used, so that the import itself costs nothing. Everything else is in the packages: `skyherd.control`
+turns detections into commands, `skyherd.vision` turns images into detections, `skyherd.render` draws images
+of a world, and `skyherd.datasets` has scenarios, shapes and labelled image sets.
+
+Examples:
+    >>> import skyherd
+    >>> mission = skyherd.load_mission("triangle", ["perception=ideal", "duration_s=1.0"])
+    >>> last = [step for step in skyherd.run_steps(mission)][-1]
+    >>> last.time_s
+    1.0
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+from skyherd.version import __version__
+
+if TYPE_CHECKING:
+    from skyherd.control import (
+        AerialController,
+        Decision,
+        GoalInboxes,
+        Hover,
+        MarkerGains,
+        Rectifier,
+        SafetyRadius,
+        Template,
+        robot_commands,
+    )
+    from skyherd.datasets import (
+        Mission,
+        load_mission,
+        read_dataset,
+        scenario_names,
+        shape_points,
+    )
+    from skyherd.errors import InputError, SkyherdError
+    from skyherd.loop import Step, run_steps
+    from skyherd.messages import Detections, MotionGoals, UnitReport, VelocityCommand
+    from skyherd.recording.reader import read_recording
+    from skyherd.runner import run_mission
+    from skyherd.vision import create_detector
+
+__all__ = [
+    "AerialController",
+    "Decision",
+    "Detections",
+    "GoalInboxes",
+    "Hover",
+    "InputError",
+    "MarkerGains",
+    "Mission",
+    "MotionGoals",
+    "Rectifier",
+    "SafetyRadius",
+    "SkyherdError",
+    "Step",
+    "Template",
+    "UnitReport",
+    "VelocityCommand",
+    "__version__",
+    "create_detector",
+    "load_mission",
+    "read_dataset",
+    "read_recording",
+    "robot_commands",
+    "run_mission",
+    "run_steps",
+    "scenario_names",
+    "shape_points",
+]
+
+_NAMES_BY_MODULE = {
+    "skyherd.control": (
+        "AerialController",
+        "Decision",
+        "GoalInboxes",
+        "Hover",
+        "MarkerGains",
+        "Rectifier",
+        "SafetyRadius",
+        "Template",
+        "robot_commands",
+    ),
+    "skyherd.datasets": ("Mission", "load_mission", "read_dataset", "scenario_names", "shape_points"),
+    "skyherd.errors": ("InputError", "SkyherdError"),
+    "skyherd.loop": ("Step", "run_steps"),
+    "skyherd.messages": ("Detections", "MotionGoals", "UnitReport", "VelocityCommand"),
+    "skyherd.recording.reader": ("read_recording",),
+    "skyherd.runner": ("run_mission",),
+    "skyherd.vision": ("create_detector",),
+}
+"""The module that each name is imported from; a test compares it with the imports above."""
+
+_MODULE_BY_NAME = {name: module for module, names in _NAMES_BY_MODULE.items() for name in names}
+
+
+def __getattr__(name: str) -> object:
+    """Import a public name from its module when it is first used (PEP 562), and keep it."""
+    if name not in _MODULE_BY_NAME:
+        raise AttributeError(f"module 'skyherd' has no attribute {name!r}")
+    value: object = getattr(import_module(_MODULE_BY_NAME[name]), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    """The public names, whether imported yet or not, beside what every module has."""
+    return sorted({*globals(), *__all__})

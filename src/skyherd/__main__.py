@@ -1,10 +1,13 @@
-"""The program, `skyherd` and `python -m skyherd`: an interrupt is obeyed from its first moment on."""
+"""The program, `skyherd` and `python -m skyherd`."""
 
 import sys
 
 
 def main() -> None:
-    """Load the command line, which takes a second, and run it."""
+    """Load the command line and run it; an interrupt is obeyed while it still loads.
+
+    Exits with the command's code (`skyherd.cli` lists them), or with 130 after an interrupt.
+    """
     try:
         from skyherd.cli import main as run_command_line
     except KeyboardInterrupt:

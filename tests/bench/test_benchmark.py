@@ -374,7 +374,7 @@ def run(*arguments):
 def test_the_command_leaves_its_files(tmp_path, monkeypatch, capfd):
     """With a design cut to three cells: the rest is the same for all."""
     cells = [replace(cell, cameras=1, frames=1) for cell in quick_design(1)[:2]]
-    monkeypatch.setattr("skyherd.cli.bench.quick_design", lambda **kind: cells)
+    monkeypatch.setattr("skyherd.bench.design.quick_design", lambda **kind: cells)
     monkeypatch.setattr("skyherd.cli.bench.QUICK_FRAMES", WARM_UP + 1)
     monkeypatch.setattr("skyherd.cli.bench.QUICK_SIZES_PX", ((320, 240),))
     out = tmp_path / "deep" / "bench"

@@ -58,8 +58,8 @@ class TopologyReport:
         shared: the robots that two units have in common, for each edge of G_c.
         conditions: TC1-TC5.
         breaches: why those that are violated are.
-        slowest: λ_3 of L, the rate of the slowest mode in units of the gain k; see
-            `skyherd.control.topology.convergence_rate`.
+        slowest: λ_3 of L, the slowest mode's rate in units of the gain k
+            (control/topology/convergence_rate.py).
     """
 
     sets: ControlSets

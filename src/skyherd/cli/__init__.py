@@ -1,5 +1,8 @@
 """The command line: one file a verb, each thin: parse, check, one call.
 
+A verb's file imports typer, the standard library and its neighbours here at its top, and everything else
+inside the function that calls it: help and completion then answer at once, and a verb loads what it uses.
+
 Exit codes: 0 done; 1 the run did not reach its goal, `detect --require` found a file without a marker, of
 `study` a run failed, `dataset check` found a problem, or `topology` a violated condition; 2 bad input or
 output; 130 interrupted.
@@ -29,7 +32,6 @@ UsageError: type[Exception] = typer.BadParameter.__base__ or typer.BadParameter
 app = typer.Typer(
     name="skyherd",
     help="Steer a team of ground robots into a shape with nothing but what uncalibrated flying cameras see.",
-    add_completion=False,
     rich_markup_mode=None,
 )
 app.command()(run)

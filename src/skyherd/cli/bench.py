@@ -6,15 +6,9 @@ from typing import Annotated
 
 import typer
 
-from skyherd.bench.design import full_design, quick_design
-from skyherd.bench.entrants import DEFAULT_DICTIONARY, default_entrants
-from skyherd.bench.execution import Plan, measure_cells
-from skyherd.bench.page import write_outputs
-from skyherd.bench.result import Result, environment
-from skyherd.bench.timing import measure_times, timing_cells
-from skyherd.cli.console import ProgressReporter, out, warn
+from skyherd.cli.choices import complete_dictionary
+from skyherd.cli.console import ProgressReporter, say, warn
 from skyherd.errors import InputError
-from skyherd.files.atomic import write_text
 
 bench_app = typer.Typer(help="Measure parts of skyherd, and their peers.", rich_markup_mode=None)
 
@@ -38,8 +32,12 @@ def detectors(
         typer.Option("--detectors", help="Names, or module:factory, with commas between; all if left out."),
     ] = None,
     dictionary: Annotated[
-        str, typer.Option(help="Of the markers; apriltag3 keeps to its own if it does not know it.")
-    ] = DEFAULT_DICTIONARY,
+        str,
+        typer.Option(
+            help="Of the markers; apriltag3 keeps to its own if it does not know it.",
+            autocompletion=complete_dictionary,
+        ),
+    ] = "4X4_50",
     seed: Annotated[int, typer.Option(help="Seed of every frame.")] = 1,
     jobs: Annotated[
         int | None, typer.Option(help="Cells measured at a time; one a core if left out.")
@@ -51,7 +49,17 @@ def detectors(
         bool, typer.Option("--uncorrected", help="Leave in the peers' constant biases and corner order.")
     ] = False,
 ) -> int:
-    """Measure marker detectors on the same frames; leaves bench.json, bench.html, bench.md and figures."""
+    """Measure marker detectors on the same frames, against the Cramér–Rao bound.
+
+    It leaves bench.json, bench.html, bench.md and figures.
+    """
+    from skyherd.bench.design import full_design, quick_design
+    from skyherd.bench.entrants import default_entrants
+    from skyherd.bench.execution import Plan, measure_cells
+    from skyherd.bench.page import write_outputs
+    from skyherd.bench.result import Result, environment
+    from skyherd.bench.timing import measure_times, timing_cells
+
     chosen = [name.strip() for name in (names or "").split(",") if name.strip()] or default_entrants()
     _check(chosen, jobs, clutter_images)
     if names is None and "apriltag3" not in chosen:
@@ -60,23 +68,31 @@ def detectors(
     cells = quick_design(**images) if quick else full_design(**images)
     timed = timing_cells(QUICK_FRAMES, QUICK_SIZES_PX) if quick else timing_cells(FULL_FRAMES)
     plan = Plan(tuple(chosen), dictionary, seed, corrected=not uncorrected)
-    out_dir.mkdir(parents=True, exist_ok=True)
-    write_text(out_dir / PROBE, "").unlink()  # better now than after a quarter of an hour
-    budget_s = QUICK_BUDGET_S if quick else FULL_BUDGET_S
+    _check_writable(out_dir)
     with ProgressReporter() as progress:
         rows = measure_cells(plan, cells, jobs=jobs or os.cpu_count() or 1, progress=progress)
-        times = measure_times(plan, timed, budget_s, progress=progress)
-    result = Result(
-        environment(quick=quick, dictionary=dictionary, seed=seed, corrected=not uncorrected), rows, times
-    )
+        times = measure_times(plan, timed, QUICK_BUDGET_S if quick else FULL_BUDGET_S, progress=progress)
+    measured_on = environment(quick=quick, dictionary=dictionary, seed=seed, corrected=not uncorrected)
+    result = Result(measured_on, rows, times)
     result.write(out_dir)
-    page = write_outputs(result, out_dir)
-    out.print(f"see {page}", markup=False)
+    say(f"see {write_outputs(result, out_dir)}")
     return 0
 
 
+def _check_writable(folder: Path) -> None:
+    """Make a folder and write into it: an error now is better than one after a quarter of an hour."""
+    from skyherd.files.atomic import write_text
+
+    folder.mkdir(parents=True, exist_ok=True)
+    write_text(folder / PROBE, "").unlink()
+
+
 def _check(chosen: list[str], jobs: int | None, clutter_images: int | None) -> None:
-    """What the rest relies on."""
+    """Check the options.
+
+    Raises:
+        InputError: a detector is named twice, or a number is out of range.
+    """
     if repeated := sorted({name for name in chosen if chosen.count(name) > 1}):
         raise InputError("--detectors", f"{', '.join(repeated)} named twice", "each detector once")
     if jobs is not None and jobs < 1:

@@ -1,12 +1,48 @@
-"""How the command line speaks: results on stdout, the rest on stderr."""
+"""Output of the command line: results go to stdout; errors, warnings and progress go to stderr."""
 
+from collections.abc import Collection, Iterable, Sequence
 from types import TracebackType
 from typing import Self
 
-from rich.console import Console
+import typer
 
-out = Console(highlight=False, soft_wrap=True)
-err = Console(stderr=True, highlight=False, soft_wrap=True)
+
+def say(text: str, *, bold: bool = False) -> None:
+    """Print a line of results on stdout."""
+    typer.secho(text, bold=bold)
+
+
+def complain(text: str) -> None:
+    """Print an error on stderr, as one line whatever the text."""
+    typer.echo(f"error: {' '.join(text.split())}", err=True)
+
+
+def warn(text: str) -> None:
+    """Print a warning on stderr, as one line."""
+    typer.echo(f"warning: {text}", err=True)
+
+
+def say_table(
+    header: Sequence[str], rows: Iterable[Sequence[str]], *, right_aligned: Collection[str] = ()
+) -> None:
+    """Print a table without lines on stdout, cells wrapped to the terminal's width; nothing without rows.
+
+    Args:
+        header: name of each column.
+        rows: the cells, a row as long as the header.
+        right_aligned: names of the columns whose cells end at the column's right edge.
+    """
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(box=None, header_style="bold")
+    for column in header:
+        table.add_column(column, justify="right" if column in right_aligned else "left")
+    for row in rows:
+        table.add_row(*(Text(cell) for cell in row))
+    if table.row_count:
+        Console(highlight=False, soft_wrap=True).print(table)
 
 
 class ProgressReporter:
@@ -17,8 +53,10 @@ class ProgressReporter:
     """
 
     def __init__(self) -> None:
+        from rich.console import Console
         from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+        console = Console(stderr=True, highlight=False, soft_wrap=True)
         self._progress = Progress(
             TextColumn("{task.description}", markup=False),
             BarColumn(),
@@ -26,8 +64,8 @@ class ProgressReporter:
             TimeElapsedColumn(),
             TextColumn("left:"),
             TimeRemainingColumn(),
-            console=err,
-            disable=not err.is_terminal,
+            console=console,
+            disable=not console.is_terminal,
             transient=True,
         )
         self._name = ""
@@ -63,14 +101,3 @@ class ProgressReporter:
         self._progress.update(
             self._bar, completed=done, total=total, state=counted if state is None else state
         )
-
-
-def complain(text: str) -> None:
-    """One line on stderr that says what was wrong."""
-    line = " ".join(text.split())
-    err.print(f"error: {line}", markup=False)
-
-
-def warn(text: str) -> None:
-    """One line on stderr that says what looks wrong."""
-    err.print(f"warning: {text}", markup=False)

@@ -3,35 +3,38 @@
 import json
 import os
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.table import Table
 
-from skyherd.cli.console import ProgressReporter, complain, out
-from skyherd.datasets import (
-    DatasetSpec,
-    Verdict,
-    check_dataset,
-    load_spec,
-    make_dataset,
-    spec_names,
-    spec_text,
-)
+from skyherd.cli.choices import complete_spec
+from skyherd.cli.console import ProgressReporter, complain, say, say_table
 from skyherd.errors import InputError
+
+if TYPE_CHECKING:
+    from skyherd.datasets.labelled.check import Verdict
 
 dataset_app = typer.Typer(help="Make labelled image sets, and check them.", rich_markup_mode=None)
 
 
 @dataset_app.command()
 def make(
-    spec: Annotated[str, typer.Argument(metavar="SPEC", help="A TOML file or a built-in spec.")],
+    spec: Annotated[
+        str,
+        typer.Argument(metavar="SPEC", help="A TOML file or a built-in spec.", autocompletion=complete_spec),
+    ],
     out_dir: Annotated[Path | None, typer.Option("--out", help="Folder; labelled/NAME if left out.")] = None,
     jobs: Annotated[int | None, typer.Option(help="Processes; one a core if left out.")] = None,
     seed: Annotated[int | None, typer.Option(help="Put over the spec's.")] = None,
     images: Annotated[int | None, typer.Option(help="Number of images, put over the spec's.")] = None,
 ) -> int:
-    """Make a labelled image set, or go on with one that was interrupted: COCO, YOLO-pose, tables, preview."""
+    """Make a labelled image set, or go on with one that was interrupted.
+
+    It leaves COCO and YOLO-pose labels, tables with all digits, and a preview.
+    """
+    from skyherd.datasets.labelled.make import make_dataset
+    from skyherd.datasets.labelled.spec import load_spec
+
     if jobs is not None and jobs < 1:
         raise InputError("--jobs", str(jobs), "1 or more")
     file = load_spec(spec, seed=seed, images=images)
@@ -42,10 +45,7 @@ def make(
     except KeyboardInterrupt:
         complain("interrupted; images that are there are whole, and the same command goes on from here")
         return 130
-    out.print(
-        f"{folder}: {len(dataset)} images, {dataset.markers} markers; see {folder / 'preview.png'}",
-        markup=False,
-    )
+    say(f"{folder}: {len(dataset)} images, {dataset.markers} markers; see {folder / 'preview.png'}")
     return 0
 
 
@@ -54,47 +54,57 @@ def check(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="What `make` left.")],
     sample: Annotated[int, typer.Option(help="Images drawn again, and looked at by the detector.")] = 24,
 ) -> int:
-    """Check a set: exit code 0 if all is well, 1 for problems, a line each, 2 if it is no data set."""
+    """Check a labelled image set against its truth and its seed.
+
+    Exit code 0 if all is well, 1 for problems, a line each, 2 if it is no data set.
+    """
+    from skyherd.datasets.labelled.check import check_dataset
+
     if sample < 0:
         raise InputError("--sample", str(sample), "0 or more")
     verdict = check_dataset(folder, sample=sample)
     for problem in verdict.problems:
         complain(problem)
-    _tell(folder, verdict)
+    _say_verdict(folder, verdict)
     return 1 if verdict.problems else 0
 
 
 @dataset_app.command("list")
 def list_specs() -> None:
     """List the built-in specs."""
-    table = Table(box=None, header_style="bold")
-    for column in ("name", "images", "size", "what it is for"):
-        table.add_column(column)
+    from skyherd.datasets.labelled.spec import load_spec, spec_names
+
+    rows = []
     for name in spec_names():
         spec = load_spec(name).spec
-        table.add_row(name, str(spec.images), "{}x{}".format(*spec.size_px), spec.description)
-    out.print(table)
+        rows.append((name, str(spec.images), "{}x{}".format(*spec.size_px), spec.description))
+    say_table(("name", "images", "size", "what it is for"), rows)
 
 
 @dataset_app.command()
-def show(name: Annotated[str, typer.Argument(help="A built-in spec.")]) -> None:
+def show(
+    name: Annotated[str, typer.Argument(help="A built-in spec.", autocompletion=complete_spec)],
+) -> None:
     """Print a built-in spec, to be saved and changed."""
+    from skyherd.datasets.labelled.spec import spec_text
+
     typer.echo(spec_text(name), nl=False)
 
 
 @dataset_app.command()
 def schema() -> None:
     """Print the JSON schema of specs."""
+    from skyherd.datasets.labelled.spec import DatasetSpec
+
     typer.echo(json.dumps(DatasetSpec.model_json_schema(), indent=2))
 
 
-def _tell(folder: Path, verdict: Verdict) -> None:
+def _say_verdict(folder: Path, verdict: "Verdict") -> None:
     problems = len(verdict.problems)
     state = f"{problems} problem{'s' * (problems != 1)}" if problems else "good"
-    out.print(f"{folder}: {state}: {verdict.images} images, {verdict.markers} markers", markup=False)
+    say(f"{folder}: {state}: {verdict.images} images, {verdict.markers} markers")
     if (found := verdict.agreement) and found.found:
-        out.print(
+        say(
             f"detected in {found.images} images: {found.found} of {found.clear} whole markers from 20 px "
-            f"({found.recall:.1%}), RMS error {found.rmse_px:.4f} px and {found.rmse_deg:.3f} deg",
-            markup=False,
+            f"({found.recall:.1%}), RMS error {found.rmse_px:.4f} px and {found.rmse_deg:.3f} deg"
         )

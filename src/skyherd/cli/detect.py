@@ -1,28 +1,48 @@
 """`skyherd detect`: find markers in pictures and videos, and say why others were not found."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.table import Table
 
-from skyherd.cli.console import ProgressReporter, complain, out, warn
+from skyherd.cli.choices import (
+    DETECTORS,
+    TABLE_FORMATS,
+    complete_detector,
+    complete_dictionary,
+    complete_format,
+)
+from skyherd.cli.console import ProgressReporter, complain, say, say_table, warn
 from skyherd.errors import InputError
-from skyherd.inspection import DETECTIONS, FORMATS, FileResult, Inspector
-from skyherd.vision import Reason, detector_names
+
+if TYPE_CHECKING:
+    from skyherd.inspection import FileResult
 
 SHOWN_IDS = 16
+"""Ids listed of one file before an ellipsis. Chosen: they fit on a line of 80 characters."""
+
 SHOWN_REJECTIONS = 20
+"""Rejected candidates listed of one picture; the rest are counted. Chosen: a screen's height."""
 
 
 def detect(
     target: Annotated[Path, typer.Argument(metavar="IMAGE|DIR|VIDEO", help="What to look at.")],
-    dictionary: Annotated[str, typer.Option(help="Marker dictionary, such as APRILTAG_36h11.")] = "4X4_50",
-    detector: Annotated[str, typer.Option(help=f"One of {', '.join(detector_names())}.")] = "photometric",
+    dictionary: Annotated[
+        str,
+        typer.Option(help="Marker dictionary, such as APRILTAG_36h11.", autocompletion=complete_dictionary),
+    ] = "4X4_50",
+    detector: Annotated[
+        str, typer.Option(help=f"One of {', '.join(DETECTORS)}.", autocompletion=complete_detector)
+    ] = "photometric",
     out_dir: Annotated[
         Path | None, typer.Option("--out", help="Folder to make; detections/NAME if left out.")
     ] = None,
-    kind: Annotated[str, typer.Option("--format", help="Of the table: csv or jsonl.")] = "csv",
+    kind: Annotated[
+        str,
+        typer.Option(
+            "--format", help=f"Of the table: {' or '.join(TABLE_FORMATS)}.", autocompletion=complete_format
+        ),
+    ] = "csv",
     explained: Annotated[
         bool, typer.Option("--explain", help="Say for every rejected candidate why, and what would help.")
     ] = False,
@@ -31,9 +51,14 @@ def detect(
     ] = False,
     force: Annotated[bool, typer.Option("--force", help="Write into an existing folder.")] = False,
 ) -> int:
-    """Find markers; exit code 0 when done, 1 with --require if a file has none, 2 for bad input."""
-    if kind not in FORMATS:
-        raise InputError("--format", f"no format {kind!r}", f"one of {', '.join(FORMATS)}")
+    """Find markers in pictures and videos, and say why others were not found.
+
+    Exit code 0 when done, 1 with --require if a file has none, 2 for bad input.
+    """
+    from skyherd.inspection import DETECTIONS, Inspector
+
+    if kind not in TABLE_FORMATS:
+        raise InputError("--format", f"no format {kind!r}", f"one of {', '.join(TABLE_FORMATS)}")
     folder = out_dir or Path("detections") / (target.resolve().stem or "root")
     with ProgressReporter() as progress:
         inspector = Inspector(
@@ -48,64 +73,56 @@ def detect(
         except KeyboardInterrupt:
             complain("interrupted; annotated files that are there are whole, the table was not written")
             return 130
-    _tell(results)
-    for result in results:
-        _tell_rejections(result)
-    out.print(f"see {folder / DETECTIONS}.{kind}  {_pictures(results, folder)}", markup=False)
+    _say_results(results)
+    say(f"see {folder / DETECTIONS}.{kind}  {_pictures(results, folder)}")
     if any(result.trouble for result in results):
         return 2
     return 1 if require and not all(result.ids for result in results) else 0
 
 
-def _tell(results: list[FileResult]) -> None:
-    """A line a file, and what to try where nothing was found."""
-    table = Table(box=None, header_style="bold")
-    for column, side in (("file", "left"), ("frames", "right"), ("markers", "right"), ("ids", "left")):
-        table.add_column(column, justify="right" if side == "right" else "left")
+def _say_results(results: list["FileResult"]) -> None:
+    """Print a line a file, what to try where nothing was found, and why candidates were rejected."""
+    rows = []
     for result in results:
-        if result.trouble is not None:
-            continue
-        ids = sorted(result.ids)
-        shown = ", ".join(map(str, ids[:SHOWN_IDS])) + (" …" if len(ids) > SHOWN_IDS else "")
-        table.add_row(result.file.name, str(result.frames), str(sum(result.ids.values())), shown or "–")
-    if table.row_count:
-        out.print(table)
+        if result.trouble is None:
+            ids = sorted(result.ids)
+            shown = ", ".join(map(str, ids[:SHOWN_IDS])) + (" …" if len(ids) > SHOWN_IDS else "")
+            frames, markers = str(result.frames), str(sum(result.ids.values()))
+            rows.append((result.file.name, frames, markers, shown or "–"))
+    say_table(("file", "frames", "markers", "ids"), rows, right_aligned=("frames", "markers"))
     for result in results:
         if result.trouble is not None:
             complain(str(result.trouble))
         elif result.hint or not result.ids:
             found = f"only {sum(result.ids.values())} marker(s) found" if result.ids else "no marker found"
             warn(f"{result.file}: {found}" + (f": {result.hint}" if result.hint else ""))
+    for result in results:
+        _say_rejections(result)
 
 
-def _tell_rejections(result: FileResult) -> None:
-    """Why candidates were rejected: of a picture each one, of a video how many for each reason."""
+def _say_rejections(result: "FileResult") -> None:
+    """Print why candidates were rejected: of a picture each one, of a video how many for each reason."""
+    from skyherd.vision import Reason
+
     if not result.reasons:
         return
     if result.frames > 1:
         counts = ", ".join(f"{count} x {reason}" for reason, count in result.reasons.most_common())
-        out.print(f"{result.file.name}: not detected, over all frames: {counts}", markup=False)
+        say(f"{result.file.name}: not detected, over all frames: {counts}")
         return
     likely = [r for r in result.rejections if r.reason is not Reason.NO_BITS]
-    out.print(f"{result.file.name}: not detected:", markup=False)
+    say(f"{result.file.name}: not detected:")
     for number, rejection in enumerate(likely[:SHOWN_REJECTIONS], start=1):
         u, v = rejection.center_px
-        out.print(
-            f"  {number}. at ({u:.0f}, {v:.0f}): {rejection.reason.value}: {rejection.words}", markup=False
-        )
-    rest = [
-        f"{count} more {what}"
-        for count, what in (
-            (len(likely) - SHOWN_REJECTIONS, "in the table"),
-            (len(result.rejections) - len(likely), "dark quadrilateral(s) without bits"),
-        )
-        if count > 0
-    ]
+        say(f"  {number}. at ({u:.0f}, {v:.0f}): {rejection.reason.value}: {rejection.words}")
+    more = len(likely) - SHOWN_REJECTIONS, len(result.rejections) - len(likely)
+    kinds = "in the table", "dark quadrilateral(s) without bits"
+    rest = [f"{count} more {what}" for count, what in zip(more, kinds, strict=True) if count > 0]
     if rest:
-        out.print(f"  and {', '.join(rest)}", markup=False)
+        say(f"  and {', '.join(rest)}")
 
 
-def _pictures(results: list[FileResult], folder: Path) -> str:
+def _pictures(results: list["FileResult"], folder: Path) -> str:
     """The annotated file, or how many there are."""
     pictures = [result.picture for result in results if result.picture is not None]
     return str(pictures[0]) if len(pictures) == 1 else f"and {len(pictures)} annotated files in {folder}"

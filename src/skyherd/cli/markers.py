@@ -5,22 +5,28 @@ from typing import Annotated
 
 import typer
 
-from skyherd.cli.console import out
+from skyherd.cli.choices import PAPERS, complete_dictionary, complete_paper
+from skyherd.cli.console import say
 from skyherd.errors import InputError
-from skyherd.markers.dictionary import load_dictionary
-from skyherd.markers.sheet_layout import PAPERS_MM, parse_ids, parse_length_mm
-from skyherd.markers.sheets import write_sheets
 
 
 def markers(
     ids: Annotated[str, typer.Option(help="Ids and ranges, such as 0-15,20.")],
     side: Annotated[str, typer.Option(help="Side of the black square, such as 0.12m, 12cm or 120mm.")],
     out_file: Annotated[Path, typer.Option("--out", help="PDF to write.")],
-    paper: Annotated[str, typer.Option(help=f"One of {', '.join(PAPERS_MM)}.")] = "A4",
-    dictionary: Annotated[str, typer.Option(help="Marker dictionary, such as APRILTAG_36h11.")] = "4X4_50",
+    paper: Annotated[
+        str, typer.Option(help=f"One of {', '.join(PAPERS)}.", autocompletion=complete_paper)
+    ] = "A4",
+    dictionary: Annotated[
+        str,
+        typer.Option(help="Marker dictionary, such as APRILTAG_36h11.", autocompletion=complete_dictionary),
+    ] = "4X4_50",
     force: Annotated[bool, typer.Option("--force", help="Write an existing file anew.")] = False,
 ) -> int:
     """Print markers at true size, with quiet zone, id, forward arrow, cut marks and a ruler."""
+    from skyherd.markers.dictionary import load_dictionary
+    from skyherd.markers.sheets import PAPERS_MM, parse_ids, parse_length_mm, write_sheets
+
     load_dictionary(dictionary)
     if out_file.suffix.lower() != ".pdf":
         raise InputError("--out", f"{str(out_file)!r} is no PDF", "a name that ends in .pdf")
@@ -28,13 +34,11 @@ def markers(
         raise InputError(str(out_file), "exists", "another --out, or --force to write it anew")
     wanted = parse_ids(ids, dictionary)
     known = {name.lower(): name for name in PAPERS_MM}
-    layout = write_sheets(
-        out_file, wanted, parse_length_mm(side, "--side"), dictionary, known.get(paper.lower(), paper)
-    )
+    side_mm, sheet = parse_length_mm(side, "--side"), known.get(paper.lower(), paper)
+    layout = write_sheets(out_file, wanted, side_mm, dictionary=dictionary, paper=sheet)
     pages = -(-len(wanted) // layout.per_page)
-    out.print(
+    say(
         f"{out_file}: {len(wanted)} markers of {layout.side_mm:g} mm, cards of {layout.card_mm:.4g} mm, on "
-        f"{pages} page(s); print at 100 % and measure the ruler",
-        markup=False,
+        f"{pages} page(s); print at 100 % and measure the ruler"
     )
     return 0

@@ -1,20 +1,22 @@
 """`skyherd run`: run a scenario and leave its recording, video, figures, summary and page in a folder."""
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
 import typer
 
-from skyherd.cli.console import ProgressReporter, out, warn
-from skyherd.datasets import Mission, load_mission
-from skyherd.loop import Step
-from skyherd.report.run_page import PAGE, VIDEO
-from skyherd.runner import run_mission
+from skyherd.cli.choices import complete_perception, complete_scenario
+from skyherd.cli.console import ProgressReporter, say, warn
+
+if TYPE_CHECKING:
+    from skyherd.datasets import Mission
+    from skyherd.loop import Step
 
 
 def run(
-    scenario: Annotated[str, typer.Argument(help="A built-in scenario or a TOML file.")],
+    scenario: Annotated[
+        str, typer.Argument(help="A built-in scenario or a TOML file.", autocompletion=complete_scenario)
+    ],
     out_dir: Annotated[
         Path | None, typer.Option("--out", help="Folder to make; runs/NAME if left out.")
     ] = None,
@@ -24,7 +26,11 @@ def run(
         typer.Option("--set", help="key=value put over the scenario, such as control.k=0.2."),
     ] = None,
     perception: Annotated[
-        str | None, typer.Option(help="rendered, ideal, or noisy: ideal with the detector's measured noise.")
+        str | None,
+        typer.Option(
+            help="rendered, ideal, or noisy: ideal with the detector's measured noise.",
+            autocompletion=complete_perception,
+        ),
     ] = None,
     no_video: Annotated[bool, typer.Option("--no-video", help="Make no video.")] = False,
     record_images: Annotated[
@@ -32,7 +38,13 @@ def run(
     ] = False,
     force: Annotated[bool, typer.Option("--force", help="Write an existing folder anew.")] = False,
 ) -> int:
-    """Run a scenario; exit code 0 if the shape was reached, 1 if not, 2 for bad input."""
+    """Run a scenario, and leave recording, video, figures, summary and page.
+
+    Exit code 0 if the shape was reached, 1 if not, 2 for bad input.
+    """
+    from skyherd.datasets import load_mission
+    from skyherd.runner import run_mission
+
     chosen = [*(settings or []), *([f"perception={perception}"] if perception else [])]
     mission = load_mission(scenario, chosen, seed=seed)
     folder = out_dir or Path("runs") / mission.scenario.name
@@ -47,12 +59,12 @@ def run(
             progress=progress,
             on_step=_FirstImages(mission).check,
         )
-    _tell(summary, folder)
+    _say_result(summary, folder)
     return 0 if summary["converged"] else 1
 
 
-def _warn_of_slow_cameras(mission: Mission) -> None:
-    """Warn of units whose robots stop between two images, since a goal is followed for `robots.timeout_s`."""
+def _warn_of_slow_cameras(mission: "Mission") -> None:
+    """Warn of units between whose images the robots forget their goals."""
     for unit, model in enumerate(mission.scenario.units):
         if mission.scenario.robots.timeout_s * model.frame_rate_hz < 1:
             warn(f"unit {unit} takes an image less often than robots.timeout_s: its robots stop and go")
@@ -61,31 +73,32 @@ def _warn_of_slow_cameras(mission: Mission) -> None:
 class _FirstImages:
     """Warns of each unit whose first image shows no robot."""
 
-    def __init__(self, mission: Mission) -> None:
-        self._robots, self._started = mission.ids, set[int]()
+    def __init__(self, mission: "Mission") -> None:
+        self._robots = frozenset(mission.ids.tolist())
+        self._started: set[int] = set()
 
-    def check(self, step: Step) -> None:
+    def check(self, step: "Step") -> None:
         """Look at the first images among those of one step."""
         for unit, frame in step.frames.items():
-            if unit not in self._started and not np.isin(frame.sight.whole_ids, self._robots).any():
+            if unit not in self._started and self._robots.isdisjoint(frame.sight.whole_ids.tolist()):
                 warn(f"unit {unit} sees no robot at the start")
             self._started.add(unit)
 
 
-def _tell(summary: dict[str, Any], folder: Path) -> None:
-    """The result in a few lines."""
+def _say_result(summary: dict[str, Any], folder: Path) -> None:
+    """Print the result in a few lines."""
+    from skyherd.report.run_page import PAGE, VIDEO
+
     verdict = "reached" if summary["converged"] else "NOT reached"
     recall = summary["detection_recall"]
-    out.print(
+    say(
         f"shape {verdict}: error {summary['shape_error']:.2g}, scale {summary['scale']:.4g} m a unit,"
-        f" V {summary['V_start']:.4g} → {summary['V_end']:.3g} m²",
-        markup=False,
+        f" V {summary['V_start']:.4g} → {summary['V_end']:.3g} m²"
     )
-    out.print(
+    say(
         f"{summary['steps']} steps, {summary['frames']} images, "
         f"recall {'–' if recall is None else format(recall, '.2%')}, "
-        f"{summary['topology_changes']} topology switches, {summary['wall_s']:.1f} s",
-        markup=False,
+        f"{summary['topology_changes']} topology changes, {summary['wall_s']:.1f} s"
     )
     films = [folder / VIDEO] if (folder / VIDEO).exists() else []
-    out.print("see " + "  ".join(str(path) for path in [folder / PAGE, *films]), markup=False)
+    say("see " + "  ".join(str(path) for path in [folder / PAGE, *films]))

@@ -4,10 +4,9 @@ import json
 from typing import Annotated
 
 import typer
-from rich.table import Table
 
-from skyherd.cli.console import out
-from skyherd.datasets import Scenario, load_mission, scenario_names, scenario_text
+from skyherd.cli.choices import complete_scenario
+from skyherd.cli.console import say, say_table
 
 scenario_app = typer.Typer(help="List, show and check scenarios.", rich_markup_mode=None)
 
@@ -15,43 +14,46 @@ scenario_app = typer.Typer(help="List, show and check scenarios.", rich_markup_m
 @scenario_app.command("list")
 def list_scenarios() -> None:
     """List the built-in scenarios."""
-    table = Table(box=None, header_style="bold")
-    for column in ("name", "robots", "units", "simulated", "what it shows"):
-        table.add_column(column)
+    from skyherd.datasets import load_mission, scenario_names
+
+    rows = []
     for name in scenario_names():
         mission = load_mission(name)
         scenario = mission.scenario
-        table.add_row(
-            name,
-            str(mission.ids.size),
-            str(len(scenario.units)),
-            f"{scenario.duration_s:g} s",
-            scenario.description,
-        )
-    out.print(table)
+        simulated = f"{scenario.duration_s:g} s"
+        robots, units = str(mission.ids.size), str(len(scenario.units))
+        rows.append((name, robots, units, simulated, scenario.description))
+    say_table(("name", "robots", "units", "simulated", "what it shows"), rows)
 
 
 @scenario_app.command()
-def show(name: Annotated[str, typer.Argument(help="A built-in scenario.")]) -> None:
+def show(
+    name: Annotated[str, typer.Argument(help="A built-in scenario.", autocompletion=complete_scenario)],
+) -> None:
     """Print a built-in scenario, to be saved and changed."""
+    from skyherd.datasets import scenario_text
+
     typer.echo(scenario_text(name), nl=False)
 
 
 @scenario_app.command()
 def check(
-    file: Annotated[str, typer.Argument(help="A TOML file or a built-in scenario.")],
+    file: Annotated[
+        str, typer.Argument(help="A TOML file or a built-in scenario.", autocompletion=complete_scenario)
+    ],
     settings: Annotated[list[str] | None, typer.Option("--set", help="key=value put over it.")] = None,
 ) -> None:
     """Check a scenario without running it."""
+    from skyherd.datasets import load_mission
+
     mission = load_mission(file, settings or [])
     scenario = mission.scenario
-    out.print(
-        f"{file}: good: {mission.ids.size} robots, {len(scenario.units)} unit(s), {scenario.duration_s:g} s",
-        markup=False,
-    )
+    say(f"{file}: good: {mission.ids.size} robots, {len(scenario.units)} unit(s), {scenario.duration_s:g} s")
 
 
 @scenario_app.command()
 def schema() -> None:
     """Print the JSON schema of scenario files."""
+    from skyherd.datasets import Scenario
+
     typer.echo(json.dumps(Scenario.model_json_schema(), indent=2))

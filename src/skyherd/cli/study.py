@@ -3,22 +3,29 @@
 import json
 from importlib import import_module
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from skyherd.cli.console import ProgressReporter, complain, out
+from skyherd.cli.choices import complete_study
+from skyherd.cli.console import ProgressReporter, complain, say
 from skyherd.errors import InputError
-from skyherd.study.plan import Plan, make_plan
-from skyherd.study.spec import StudySpec, load_study, study_names, study_text
+
+if TYPE_CHECKING:
+    from skyherd.study.plan import Plan
 
 EXTRA = ("dask", "distributed", "pyarrow", "locket")
+"""Modules that the extra `study` installs."""
 
 
 def study(
     name: Annotated[
         str | None,
-        typer.Argument(metavar="NAME|FILE", help="A built-in study or a TOML file; all listed if left out."),
+        typer.Argument(
+            metavar="NAME|FILE",
+            help="A built-in study or a TOML file; all listed if left out.",
+            autocompletion=complete_study,
+        ),
     ] = None,
     out_dir: Annotated[
         Path | None, typer.Option("--out", help="Folder, new or of a study; studies/NAME if left out.")
@@ -35,7 +42,13 @@ def study(
     ] = False,
     schema: Annotated[bool, typer.Option("--schema", help="Print the JSON schema of study files.")] = False,
 ) -> int:
-    """Run a study, or go on with one; exit code 0 if all went well, 1 if a run failed, 2 for bad input."""
+    """Run a study, or go on with one that was interrupted.
+
+    Exit code 0 if all went well, 1 if a run failed, 2 for bad input.
+    """
+    from skyherd.study.plan import make_plan
+    from skyherd.study.spec import StudySpec, load_study, study_text
+
     if schema:
         typer.echo(json.dumps(StudySpec.model_json_schema(), indent=2))
         return 0
@@ -56,13 +69,19 @@ def study(
 
 
 def _list() -> int:
+    from skyherd.study.spec import load_study, study_names
+
     for name in study_names():
-        out.print(f"{name}: {load_study(name).spec.description}", markup=False)
+        say(f"{name}: {load_study(name).spec.description}")
     return 0
 
 
 def _require_extra() -> None:
-    """Everything that studies need beyond the rest."""
+    """Check that everything is installed that studies need beyond the rest.
+
+    Raises:
+        InputError: a module of the extra is missing; the message has the command that installs it.
+    """
     for module in EXTRA:
         try:
             import_module(module)
@@ -72,19 +91,20 @@ def _require_extra() -> None:
             ) from None
 
 
-def _preview(plan: Plan, folder: Path, retry: bool) -> int:
+def _preview(plan: "Plan", folder: Path, retry: bool) -> int:
     """A line for each run: whether it is there, and what makes it differ."""
     from skyherd.study.conduct import missing_runs
     from skyherd.study.store import Store
 
     missing = missing_runs(plan, Store(folder), retry=retry)
     for number, run in enumerate(plan.runs, 1):
-        out.print(f"{number:5d}  {'to do' if run.key in missing else 'done '}  {run.text()}", markup=False)
-    out.print(f"{len(plan.runs)} runs, {len(missing)} to do, in {folder}", markup=False)
+        say(f"{number:5d}  {'to do' if run.key in missing else 'done '}  {run.text()}")
+    say(f"{len(plan.runs)} runs, {len(missing)} to do, in {folder}")
     return 0
 
 
-def _conduct(plan: Plan, folder: Path, scheduler: str | None, jobs: int | None, retry: bool) -> int:
+def _conduct(plan: "Plan", folder: Path, scheduler: str | None, jobs: int | None, retry: bool) -> int:
+    """Make the runs that are missing, and say where the results are."""
     from skyherd.study.conduct import conduct, runs_per_s
 
     try:
@@ -103,6 +123,6 @@ def _conduct(plan: Plan, folder: Path, scheduler: str | None, jobs: int | None, 
         if report.made
         else ""
     )
-    out.print(f"{folder}: {report.runs} runs{made}{failed}", markup=False)
-    out.print("see " + "  ".join(str(path) for path in [*report.pages, report.table]), markup=False)
+    say(f"{folder}: {report.runs} runs{made}{failed}")
+    say("see " + "  ".join(str(path) for path in [*report.pages, report.table]))
     return 1 if report.failed else 0

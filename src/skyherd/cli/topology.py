@@ -1,74 +1,81 @@
 """`skyherd topology`: who controls whom, which of TC1-TC5 hold and why not, and how fast that converges."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
 import typer
-from rich.table import Table
 
-from skyherd.analysis.history import History, make_history
-from skyherd.analysis.summary_fields import TC_MEANINGS
-from skyherd.analysis.topology_changes import find_topology_changes
-from skyherd.analysis.topology_report import (
-    TopologyReport,
-    judge_topology,
-    last_stretch,
-    measured_rate_ps,
-    predicted_time_s,
-    resting_error,
-)
-from skyherd.cli.console import out, warn
-from skyherd.datasets import Mission, load_mission
+from skyherd.cli.choices import complete_scenario
+from skyherd.cli.console import say, say_table, warn
 from skyherd.errors import InputError
-from skyherd.files.atomic import write_whole
-from skyherd.geometry import IntArray, to_complex
-from skyherd.loop import Step, run_steps
-from skyherd.plots.graph import draw_graph
-from skyherd.plots.style import DPI, drawing_style
-from skyherd.recording.reader import read_recording
-from skyherd.runner import RECORDING
+
+if TYPE_CHECKING:
+    from skyherd.analysis.history import History
+    from skyherd.analysis.topology_report import TopologyReport
+    from skyherd.datasets import Mission
+    from skyherd.geometry import IntArray
+    from skyherd.loop import Step
 
 PICTURES = (".png", ".svg")
-MOST_SWITCHES = 60
+"""Kinds of picture that can be written, by the end of the file's name."""
+
+MOST_CHANGES = 60
+"""Changes of the topology that are listed; the rest are counted. Chosen: two screens."""
+
+REACHED_ERROR = 0.01
+"""Shape error at which the shape counts as reached in the predicted and measured times: 1 %. Chosen."""
+
+LEAST_RATE = 1e-9
+"""A slowest mode below this, in units of the gain, is rounding, and shown as zero: the team is split."""
 
 
 def topology(
     source: Annotated[
-        str, typer.Argument(metavar="FILE|RUN", help="A scenario, a run's folder, or its run.mcap.")
+        str,
+        typer.Argument(
+            metavar="FILE|RUN",
+            help="A scenario, a run's folder, or its run.mcap.",
+            autocompletion=complete_scenario,
+        ),
     ],
     picture: Annotated[
         Path | None,
         typer.Option("--out", help="PNG or SVG; topology.png in the run's folder, or NAME-topology.png."),
     ] = None,
 ) -> int:
-    """Show a scenario's topology after deployment, or a run's at its end; exit code 1 outside TC1-TC5."""
+    """Show who controls whom: of a scenario after deployment, of a run at its end.
+
+    Exit code 0 if TC1-TC5 hold, 1 if one is violated, 2 for bad input.
+    """
+    from skyherd.analysis.topology_report import judge_topology
+
     history, default, is_run = _open(source)
     path = picture or default
     if path.suffix not in PICTURES:
         raise InputError(str(path), "no kind of picture", f"a name that ends in {' or '.join(PICTURES)}")
     report = judge_topology(_living_sets(history), history.shape)
-    _tell_graph(report, history)
-    _tell_conditions(report)
-    _tell_rates(report, history, is_run=is_run)
+    _say_graph(report, history)
+    _say_conditions(report)
+    _say_prediction(report, history, is_run=is_run)
     if is_run:
-        _tell_switches(history)
-    with drawing_style():
-        figure = draw_graph(history)
-        figure.axes[0].set_title(_verdict(report, history), fontsize=10, loc="left")
-        write_whole(path, lambda part: figure.savefig(part, format=path.suffix[1:], dpi=DPI))
-    out.print(f"see {path}", markup=False)
+        _say_changes(history)
+    _draw(report, history, path)
+    say(f"see {path}")
     return 0 if report.conditions.in_p else 1
 
 
-def _open(source: str) -> tuple[History, Path, bool]:
+def _open(source: str) -> tuple["History", Path, bool]:
     """The history to judge, where its picture goes, and whether it is of a run."""
+    from skyherd.analysis.history import make_history
+    from skyherd.datasets import load_mission
+    from skyherd.recording.reader import read_recording
+    from skyherd.runner import RECORDING
+
     path = Path(source)
     if path.is_dir():
         if not (path / RECORDING).is_file():
-            raise InputError(
-                source, f"no {RECORDING} in it", "a scenario, or the output folder of `skyherd run`"
-            )
+            allowed = "a scenario, or the output folder of `skyherd run`"
+            raise InputError(source, f"no {RECORDING} in it", allowed)
         path = path / RECORDING
     if path.suffix == ".mcap":
         recording = read_recording(path)
@@ -77,101 +84,117 @@ def _open(source: str) -> tuple[History, Path, bool]:
     return _deploy(mission), Path(f"{mission.scenario.name}-topology.png"), False
 
 
-def _deploy(mission: Mission) -> History:
+def _deploy(mission: "Mission") -> "History":
     """Run a mission until its topology is in place."""
+    from skyherd.analysis.history import make_history
+    from skyherd.loop import run_steps
+
     steps: list[Step] = []
     for step in run_steps(mission):
         steps.append(step)
-        words = [frame.decision.report.tree for frame in step.frames.values()]
-        if any(word is None or word.ready for word in words):
+        trees = [frame.decision.report.tree for frame in step.frames.values()]
+        if any(tree is None or tree.ready for tree in trees):
             return make_history(mission, steps)
     warn(f"the tree of units was not complete after {step.time_s:g} s; this is how far it came")
     return make_history(mission, steps)
 
 
-def _living_sets(history: History) -> dict[int, IntArray]:
+def _living_sets(history: "History") -> dict[int, "IntArray"]:
+    """Ids of the robots that each living unit controls at the end of a history."""
     tree = history.trees[-1]
     dead = frozenset[int]() if tree is None else tree.dead
     return {unit: history.ids[mine] for unit, mine in enumerate(history.controlled[-1]) if unit not in dead}
 
 
-def _verdict(report: TopologyReport, history: History) -> str:
-    """The picture's title: when it was, and what the conditions say."""
+def _draw(report: "TopologyReport", history: "History", path: Path) -> None:
+    """Write the picture of the graph; its title says when it was, and what the conditions say."""
+    from skyherd.files.atomic import write_whole
+    from skyherd.plots.graph import draw_graph
+    from skyherd.plots.style import DPI, drawing_style
+
     broken = sorted({breach.condition for breach in report.breaches})
-    said = f"violated: {', '.join(f'TC{number}' for number in broken)}" if broken else "TC1-TC5 hold"
+    verdict = f"violated: {', '.join(f'TC{number}' for number in broken)}" if broken else "TC1-TC5 hold"
     at = f"{history.mission.scenario.name} at {history.times_s[-1]:.1f} s"
-    return f"{at} · {said} · slowest mode λ = {report.slowest:.3g}"
+    with drawing_style():
+        figure = draw_graph(history)
+        title = f"{at} · {verdict} · slowest mode λ = {report.slowest:.3g}"
+        figure.axes[0].set_title(title, fontsize=10, loc="left")
+        write_whole(path, lambda part: figure.savefig(part, format=path.suffix[1:], dpi=DPI))
 
 
-def _tell_graph(report: TopologyReport, history: History) -> None:
-    scenario = history.mission.scenario
-    out.print(f"{scenario.name} at {history.times_s[-1]:.1f} s", markup=False, style="bold")
-    table = Table("unit", "robots", "shares with", box=None, header_style="bold")
+def _say_graph(report: "TopologyReport", history: "History") -> None:
+    """Print each unit, how many robots it controls, and which of them it shares with whom."""
+    say(f"{history.mission.scenario.name} at {history.times_s[-1]:.1f} s", bold=True)
+    rows = []
     for unit, robots in report.sets.items():
         bonds = [
             f"{k if j == unit else j}: {', '.join(map(str, common))}"
             for (j, k), common in report.shared.items()
             if unit in (j, k)
         ]
-        table.add_row(str(unit), str(robots.size), "   ".join(bonds) or "nobody")
-    out.print(table)
+        rows.append((str(unit), str(robots.size), "   ".join(bonds) or "nobody"))
+    say_table(("unit", "robots", "shares with"), rows)
 
 
-def _tell_conditions(report: TopologyReport) -> None:
-    table = Table("condition", "", "", box=None, header_style="bold")
+def _say_conditions(report: "TopologyReport") -> None:
+    """Print each of TC1-TC5, whether it holds, and what it means or who violates it."""
+    from skyherd.analysis.summary_fields import TC_MEANINGS
+
     conditions = report.conditions
     holds = (conditions.tc1, conditions.tc2, conditions.tc3, conditions.tc4, conditions.tc5)
+    rows = []
     for number, (good, meaning) in enumerate(zip(holds, TC_MEANINGS, strict=True), 1):
         breaches = [breach.what for breach in report.breaches if breach.condition == number]
-        table.add_row(f"TC{number}", "holds" if good else "VIOLATED", "\n".join(breaches) or meaning)
-    out.print(table)
+        rows.append((f"TC{number}", "holds" if good else "VIOLATED", "\n".join(breaches) or meaning))
+    say_table(("condition", "", ""), rows)
 
 
-def _tell_rates(report: TopologyReport, history: History, *, is_run: bool) -> None:
-    """Predicted rate and time to 1 %, and of a run what was measured."""
-    scenario = history.mission.scenario
-    slowest = report.slowest if report.slowest > 1e-9 else 0.0
-    out.print(f"slowest mode: λ = {slowest:.4g}, in units of the gain k", markup=False)
-    control = scenario.control
+def _say_prediction(report: "TopologyReport", history: "History", *, is_run: bool) -> None:
+    """Print the slowest mode and what follows from it: where robots rest, the rate, and the time to 1 %."""
+    from skyherd.analysis.topology_report import last_stretch, predicted_time_s, resting_error
+    from skyherd.geometry import to_complex
+
+    slowest = report.slowest if report.slowest > LEAST_RATE else 0.0
+    say(f"slowest mode: λ = {slowest:.4g}, in units of the gain k")
+    control = history.mission.scenario.control
     if control.b_th:
         unit = "marker sides" if control.gains == "marker" else "px"
         most = resting_error(slowest, control.b_th)
-        out.print(
-            f"b_th = {control.b_th:g} {unit}: robots may stop up to {most:.3g} {unit} RMS from the shape"
-        )
-    if scenario.control.gains != "marker":
-        out.print("no rate in seconds: with pixel gains it depends on every camera's scale", markup=False)
+        say(f"b_th = {control.b_th:g} {unit}: robots may stop up to {most:.3g} {unit} RMS from the shape")
+    if control.gains != "marker":
+        say("no rate in seconds: with pixel gains it depends on every camera's scale")
         return
-    gain_ps = scenario.control.k
-    predicted = gain_ps * slowest
-    stretch = last_stretch(history)
-    times_s, errors = history.times_s[stretch], history.shape_error[stretch]
-    out.print(f"predicted: shape error falls at {predicted:.4g} /s in the end", markup=False)
-    start = stretch.start if is_run else -1
-    time_s = predicted_time_s(
-        report.sets,
-        history.shape,
-        to_complex(history.positions_m[start]),
-        gain_ps,
-        0.01,
-    )
-    since = history.times_s[start]
+    say(f"predicted: shape error falls at {control.k * slowest:.4g} /s in the end")
+    start = last_stretch(history).start if is_run else -1
+    positions = to_complex(history.positions_m[start])
+    time_s = predicted_time_s(report.sets, history.shape, positions, control.k, REACHED_ERROR)
+    since_s = history.times_s[start]
     reached = "never" if time_s is None else f"{time_s:.1f} s"
-    out.print(f"predicted: 1 % is reached {reached} after {since:.1f} s, with this topology", markup=False)
-    if not is_run:
-        return
-    below = np.flatnonzero(errors < 0.01)
-    took = f"{times_s[below[0]] - since:.1f} s" if below.size else "not"
+    say(f"predicted: 1 % is reached {reached} after {since_s:.1f} s, with this topology")
+    if is_run:
+        _say_measured(history, last_stretch(history))
+
+
+def _say_measured(history: "History", stretch: slice) -> None:
+    """Print the rate and the time to 1 % that were measured since the topology last changed."""
+    import numpy as np
+
+    from skyherd.analysis.topology_report import measured_rate_ps
+
+    times_s, errors = history.times_s[stretch], history.shape_error[stretch]
+    below = np.flatnonzero(errors < REACHED_ERROR)
+    took = f"{times_s[below[0]] - times_s[0]:.1f} s" if below.size else "not"
     measured = measured_rate_ps(times_s, errors)
     rate = "too few steps to tell" if measured is None else f"{measured:.4g} /s"
-    out.print(f"measured:  rate {rate}; 1 % was reached {took} after {since:.1f} s", markup=False)
+    say(f"measured:  rate {rate}; 1 % was reached {took} after {times_s[0]:.1f} s")
 
 
-def _tell_switches(history: History) -> None:
-    switches = find_topology_changes(history)
-    table = Table("time, s", "switch", box=None, header_style="bold")
-    for switch in switches[:MOST_SWITCHES]:
-        table.add_row(f"{switch.time_s:.1f}", switch.what)
-    if len(switches) > MOST_SWITCHES:
-        table.add_row("", f"and {len(switches) - MOST_SWITCHES} more")
-    out.print(table)
+def _say_changes(history: "History") -> None:
+    """Print when the topology changed, and what changed."""
+    from skyherd.analysis.topology_changes import find_topology_changes
+
+    changes = find_topology_changes(history)
+    rows = [(f"{change.time_s:.1f}", change.what) for change in changes[:MOST_CHANGES]]
+    if len(changes) > MOST_CHANGES:
+        rows.append(("", f"and {len(changes) - MOST_CHANGES} more"))
+    say_table(("time, s", "change"), rows)

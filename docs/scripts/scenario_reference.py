@@ -1,0 +1,108 @@
+"""The reference of scenario files as Markdown, from the JSON schema that `skyherd scenario schema` prints."""
+
+import json
+from collections.abc import Iterator
+from typing import Any
+
+from skyherd.datasets import Scenario
+
+Schema = dict[str, Any]
+
+INTRODUCTION = """\
+# Scenario files
+
+Every key of a scenario file, made from the JSON schema (`skyherd scenario schema`) when this site is built.
+
+A file is TOML: a key `k` in the section `control` is written `k = 0.2` under `[control]`, or on the command
+line as `--set control.k=0.2`. `skyherd scenario check FILE` names file, key and value, and what is allowed.
+The end of a name is its unit: `_s` seconds, `_m` metres, `_px` pixels, `_deg` degrees, `_sides` marker sides.
+"""
+
+LIMITS = (
+    ("minimum", "at least {:g}"),
+    ("exclusiveMinimum", "above {:g}"),
+    ("maximum", "at most {:g}"),
+    ("exclusiveMaximum", "below {:g}"),
+)
+NO_LIMIT = 1e6
+"""Limits of this size only refuse what cannot be meant, and are left out."""
+
+
+def scenario_reference() -> str:
+    """The whole page: the top level, then a section for each table that a file can have."""
+    schema = Scenario.model_json_schema()
+    named = {name: paths for name, paths in sections(schema)}
+    parts = [INTRODUCTION, "## Top level\n", table(schema)]
+    for name, paths in named.items():
+        model = schema["$defs"][name]
+        title = ", ".join(f"`{path}`" for path in paths)
+        parts += [f"## {title} {{ #{name.lower()} }}\n", f"{model.get('description', '')}\n", table(model)]
+    return "\n".join(parts)
+
+
+def sections(schema: Schema) -> Iterator[tuple[str, list[str]]]:
+    """Each model that can be reached, with the paths of the tables in a file that it describes."""
+    paths: dict[str, list[str]] = {}
+    waiting = [("", schema)]
+    while waiting:
+        prefix, model = waiting.pop(0)
+        for key, value in model["properties"].items():
+            for name, is_list in references(value):
+                path = f"{prefix}{key}{'[]' if is_list else ''}"
+                known = name in paths
+                paths.setdefault(name, []).append(path)
+                if not known:
+                    waiting.append((f"{path}.", schema["$defs"][name]))
+    yield from paths.items()
+
+
+def references(value: Schema) -> Iterator[tuple[str, bool]]:
+    """Models that a value can be, and whether it is a list of them."""
+    if "$ref" in value:
+        yield value["$ref"].rsplit("/", 1)[-1], False
+    for option in value.get("anyOf", []):
+        yield from references(option)
+    if isinstance(value.get("items"), dict):
+        yield from ((name, True) for name, _ in references(value["items"]))
+
+
+def table(model: Schema) -> str:
+    """The keys of one model: what each takes, what it is if left out, and what it means."""
+    required = model.get("required", [])
+    rows = ["| key | takes | if left out | meaning |", "|---|---|---|---|"]
+    for key, value in model["properties"].items():
+        left_out = "required" if key in required else default(value.get("default"))
+        meaning = value.get("description", "").replace("|", "\\|")
+        rows.append(f"| `{key}` | {taken(value)} | {left_out} | {meaning} |")
+    return "\n".join(rows) + "\n"
+
+
+def default(given: Any) -> str:
+    """What a key is if it is left out, as TOML; nothing for tables, whose own keys have defaults."""
+    listed = given if isinstance(given, list) else [given]
+    tables = any(isinstance(one, dict) for one in listed)
+    return "" if given is None or given == [] or tables else f"`{json.dumps(given)}`"
+
+
+def taken(value: Schema) -> str:
+    """What a key takes, in words."""
+    if "$ref" in value:
+        name = value["$ref"].rsplit("/", 1)[-1]
+        return f"[a table](#{name.lower()})"
+    if "anyOf" in value:
+        return " or ".join(
+            dict.fromkeys(taken(option) for option in value["anyOf"] if option.get("type") != "null")
+        )
+    if "const" in value:
+        return f'`"{value["const"]}"`'
+    if "enum" in value:
+        return ", ".join(f'`"{one}"`' for one in value["enum"])
+    if "prefixItems" in value:
+        kinds = [taken(item) for item in value["prefixItems"]]
+        return f"{len(kinds)} of: {kinds[0]}" if len(set(kinds)) == 1 else f"[{', '.join(kinds)}]"
+    if isinstance(value.get("items"), dict):
+        return f"a list of: {taken(value['items'])}"
+    words = {"number": "a number", "integer": "an integer", "string": "text", "boolean": "`true` or `false`"}
+    kind = words.get(value.get("type", ""), value.get("type", "any value"))
+    limits = [text.format(value[key]) for key, text in LIMITS if key in value and abs(value[key]) < NO_LIMIT]
+    return ", ".join([kind, *limits])

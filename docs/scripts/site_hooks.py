@@ -1,0 +1,73 @@
+"""Hooks of MkDocs: pages made from the code, and pages that lie outside of `docs/`.
+
+The references of the command line, of scenario files and of the library are made while the site is built, so
+that they cannot be out of date. `ARCHITECTURE.md`, `CONTRIBUTING.md` and `CHANGELOG.md` lie at the root of
+the repository, where people look for them; they become pages of the site, their links changed to the site's.
+"""
+
+import re
+import shutil
+import tempfile
+from pathlib import Path
+
+from api_reference import ROOT, api_page, overview, packages
+from cli_reference import cli_reference
+from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.plugins import event_priority
+from mkdocs.structure.files import File, Files
+from scenario_reference import scenario_reference
+
+API = "reference/api"
+ROOT_PAGES = {
+    "architecture.md": "ARCHITECTURE.md",
+    "contributing.md": "CONTRIBUTING.md",
+    "changelog.md": "CHANGELOG.md",
+}
+PARTS = ("control", "datasets", "render", "vision")
+_temporary: list[Path] = []
+
+
+@event_priority(100)
+def on_config(config: MkDocsConfig) -> MkDocsConfig:
+    """Give mkdocstrings a tree of the usual layout, and put the library's pages into the navigation.
+
+    The folders `control/`, `datasets/`, `render/` and `vision/` become packages of `skyherd` when it is
+    installed; docstrings are read from the source files, which are copied into a folder for that.
+    """
+    tree = Path(tempfile.mkdtemp(prefix="skyherd-docs-"))
+    _temporary.append(tree)
+    ignore = shutil.ignore_patterns("__pycache__")
+    shutil.copytree(ROOT / "src/skyherd", tree / "skyherd", ignore=ignore)
+    for part in PARTS:
+        shutil.copytree(ROOT / part, tree / "skyherd" / part, ignore=ignore)
+    config.plugins["mkdocstrings"].config.handlers["python"]["paths"] = [str(tree)]
+    library = next(entry["Reference"] for entry in config.nav if "Reference" in entry)
+    library.append({"Library": [f"{API}/index.md", *(f"{API}/{package}.md" for package in packages())]})
+    return config
+
+
+def on_files(files: Files, *, config: MkDocsConfig) -> Files:
+    """Add the pages that are made from the code, and those from the root of the repository."""
+    made = {
+        "reference/cli.md": cli_reference(),
+        "reference/scenario.md": scenario_reference(),
+        f"{API}/index.md": overview(),
+        **{f"{API}/{package}.md": api_page(package, folder) for package, folder in packages().items()},
+        **{page: from_root((ROOT / name).read_text()) for page, name in ROOT_PAGES.items()},
+    }
+    for path, text in made.items():
+        files.append(File.generated(config, path, content=text))
+    return files
+
+
+def from_root(text: str) -> str:
+    """A page from the repository's root with links that work on the site."""
+    names = {name: page for page, name in ROOT_PAGES.items()}
+    text = re.sub(r"\]\(docs/", "](", text)
+    return re.sub(r"\]\(([A-Z]+\.md)", lambda match: f"]({names.get(match[1], match[1])}", text)
+
+
+def on_shutdown() -> None:
+    """Remove the copied tree."""
+    for tree in _temporary:
+        shutil.rmtree(tree, ignore_errors=True)

@@ -1,0 +1,93 @@
+"""Values that options take, for their help texts and for shell completion, known without loading the package.
+
+The lists are written out, since loading what they come from would take longer than the help itself. A test
+compares them with the code. What a user gives is checked by the code that uses it.
+"""
+
+from importlib.util import find_spec
+from pathlib import Path
+
+DETECTORS = (
+    "apriltag3",
+    "aruco",
+    "opencv",
+    "opencv-apriltag",
+    "opencv-contour",
+    "opencv-subpix",
+    "photometric",
+    "tracking",
+)
+"""Names of the detectors, as `skyherd.vision.detector_names` gives them."""
+
+PAPERS = ("A5", "A4", "A3", "A2", "A1", "A0", "Letter", "Legal", "Tabloid")
+"""Names of the papers that sheets of markers are made for."""
+
+PERCEPTIONS = ("rendered", "ideal", "noisy")
+"""Ways in which a run's units get their detections."""
+
+TABLE_FORMATS = ("csv", "jsonl")
+"""Formats of the table of detections."""
+
+
+def complete_detector(incomplete: str) -> list[str]:
+    """Detectors whose names begin with what has been typed."""
+    return _begin(DETECTORS, incomplete)
+
+
+def complete_paper(incomplete: str) -> list[str]:
+    """Papers whose names begin with what has been typed."""
+    return _begin(PAPERS, incomplete)
+
+
+def complete_perception(incomplete: str) -> list[str]:
+    """Kinds of perception whose names begin with what has been typed."""
+    return _begin(PERCEPTIONS, incomplete)
+
+
+def complete_format(incomplete: str) -> list[str]:
+    """Formats of a table whose names begin with what has been typed."""
+    return _begin(TABLE_FORMATS, incomplete)
+
+
+def complete_dictionary(incomplete: str) -> list[str]:
+    """Marker dictionaries whose names begin with what has been typed."""
+    from skyherd.markers.dictionary import dictionary_names
+
+    return _begin(dictionary_names(), incomplete)
+
+
+def complete_scenario(incomplete: str) -> list[str]:
+    """Built-in scenarios, and TOML files and folders, that begin with what has been typed."""
+    return _built_in("skyherd.datasets", "scenarios", incomplete) + _toml_files(incomplete)
+
+
+def complete_spec(incomplete: str) -> list[str]:
+    """Built-in specs of image sets, and TOML files and folders, that begin with what has been typed."""
+    return _built_in("skyherd.datasets", "specs", incomplete) + _toml_files(incomplete)
+
+
+def complete_study(incomplete: str) -> list[str]:
+    """Built-in studies, and TOML files and folders, that begin with what has been typed."""
+    return _built_in("skyherd.study", "specs", incomplete) + _toml_files(incomplete)
+
+
+def _begin(names: tuple[str, ...] | list[str], incomplete: str) -> list[str]:
+    return [name for name in names if name.startswith(incomplete)]
+
+
+def _built_in(package: str, folder: str, incomplete: str) -> list[str]:
+    """Names of the TOML files in a folder of a package, which is found without being imported."""
+    spec = find_spec(package)
+    places = (spec.submodule_search_locations or []) if spec else []
+    return _begin(
+        sorted(file.stem for place in places for file in Path(place, folder).glob("*.toml")), incomplete
+    )
+
+
+def _toml_files(incomplete: str) -> list[str]:
+    """TOML files, and folders with a slash behind, whose paths begin with what has been typed."""
+    folder = Path(incomplete).parent if not incomplete.endswith("/") else Path(incomplete)
+    if not folder.is_dir():
+        return []
+    paths = sorted(path for path in folder.iterdir() if path.is_dir() or path.suffix == ".toml")
+    return _begin([f"{path}/" if path.is_dir() else str(path) for path in paths], incomplete)

@@ -1,0 +1,54 @@
+"""Output of the command line: which stream, one line, tables, and the progress reporter."""
+
+import pytest
+
+from skyherd.cli.console import ProgressReporter, complain, say, say_table, warn
+
+
+def test_results_go_to_stdout_and_the_rest_to_stderr(capsys):
+    say("[0] of 3")
+    complain("a line\n  and another")
+    warn("look")
+    assert capsys.readouterr() == ("[0] of 3\n", "error: a line and another\nwarning: look\n")
+
+
+def test_a_table_keeps_brackets_and_is_nothing_without_rows(capsys):
+    say_table(("file", "markers"), [("[red].png", "3"), ("b.png", "12")], right_aligned=("markers",))
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split() for line in lines] == [["file", "markers"], ["[red].png", "3"], ["b.png", "12"]]
+    assert lines[1].index("3") == lines[2].index("12") + 1
+    say_table(("file", "markers"), [])
+    assert capsys.readouterr().out == ""
+
+
+def report_files() -> None:
+    with ProgressReporter() as progress:
+        progress.update("[a].png", 1, 2)
+        progress.update("[a].png", 2, 2)
+        progress.update("b.mp4", 30, None)
+        progress.update("b.mp4", 31, 60, "in the middle")
+
+
+def test_progress_is_shown_on_a_terminal_and_nowhere_else(capsys, monkeypatch):
+    for name in ("FORCE_COLOR", "TTY_COMPATIBLE"):
+        monkeypatch.delenv(name, raising=False)
+    report_files()
+    assert capsys.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("words", [("[a].png", "2/2"), ("b.mp4", "in the middle")], ids=" ".join)
+def test_progress_names_what_is_done_and_how_far_it_is(words, monkeypatch):
+    drawn = []
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    with ProgressReporter() as progress:
+        progress.update("[a].png", 1, 2)
+        progress.update("[a].png", 2, 2)
+        drawn.append(tasks(progress))
+        progress.update("b.mp4", 31, 60, "in the middle")
+        drawn.append(tasks(progress))
+    assert words in [task for shown in drawn for task in shown]
+    assert all(len(shown) == 1 for shown in drawn), "one bar at a time"
+
+
+def tasks(progress: ProgressReporter) -> list[tuple[str, str]]:
+    return [(task.description, task.fields["state"]) for task in progress._progress.tasks if task.visible]

@@ -1,0 +1,186 @@
+"""What is loaded by `import skyherd` and by asking for help; the entrance's names; shell completion."""
+
+import ast
+import importlib.util
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from command_line import call
+
+import skyherd
+from skyherd.cli import choices
+from skyherd.inspection.table import FORMATS
+from skyherd.markers.sheets import PAPERS_MM
+from skyherd.vision import detector_names
+
+PACKAGE = Path(skyherd.__file__).parent
+HEAVY = (
+    "numpy",
+    "scipy",
+    "cv2",
+    "matplotlib",
+    "pydantic",
+    "PIL",
+    "av",
+    "mcap",
+    "orjson",
+    "rich",
+    "dask",
+    "pyarrow",
+)
+"""Whatever takes long to import; rich is among them, since its progress bars and tables are for few verbs."""
+
+VERBS = [
+    [],
+    ["run"],
+    ["report"],
+    ["topology"],
+    ["detect"],
+    ["markers"],
+    ["study"],
+    ["scenario"],
+    ["scenario", "check"],
+    ["bench", "detectors"],
+    ["dataset", "make"],
+]
+
+
+def loaded_by(code: str) -> set[str]:
+    """Top-level names of the modules that a fresh interpreter has loaded after some code."""
+    code = f"import sys\ntry:\n    {code}\nexcept SystemExit: pass\nprint(*sys.modules, file=sys.stderr)"
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    return {name.split(".")[0] for name in ended.stderr.split()}
+
+
+def test_importing_the_package_loads_nothing_heavy():
+    loaded = loaded_by("import skyherd; assert skyherd.__version__; dir(skyherd)")
+    assert "skyherd" in loaded
+    assert loaded.isdisjoint({*HEAVY, "typer"})
+
+
+@pytest.mark.parametrize("verb", VERBS, ids=" ".join)
+def test_asking_for_help_loads_nothing_heavy(verb):
+    loaded = loaded_by(f"from skyherd.__main__ import main; sys.argv[1:] = {[*verb, '--help']}; main()")
+    by_typer = {"pydantic"} if verb else set()  # recent versions of typer check a verb's parameters by it
+    assert "typer" in loaded
+    assert loaded.isdisjoint(set(HEAVY) - by_typer)
+
+
+def test_what_the_check_of_loaded_modules_sees():
+    """A negative control: a name of the entrance does load NumPy when it is used."""
+    assert {"numpy", "scipy"} <= loaded_by("import skyherd; skyherd.Template")
+
+
+def top_imports(path: Path) -> set[str]:
+    """Modules that a file imports when it is loaded, those under `if TYPE_CHECKING` left out."""
+    found = set()
+    for node in ast.parse(path.read_text()).body:
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            found.add(node.module)
+    return found
+
+
+@pytest.mark.parametrize("path", sorted((PACKAGE / "cli").glob("*.py")), ids=lambda path: path.name)
+def test_a_verb_imports_at_its_top_only_what_is_light(path):
+    light = ("typer", "skyherd.errors", "skyherd.version", "skyherd.cli")
+    heavy = {name for name in top_imports(path) if not name.startswith(light)} - sys.stdlib_module_names
+    assert {name for name in heavy if name.split(".")[0] not in sys.stdlib_module_names} == set()
+
+
+def test_every_name_of_the_entrance_is_there_and_is_the_one_of_its_package():
+    for name, module in skyherd._MODULE_BY_NAME.items():
+        assert getattr(skyherd, name) is getattr(importlib.import_module(module), name)
+    assert sorted(skyherd.__all__) == sorted([*skyherd._MODULE_BY_NAME, "__version__"])
+    assert set(skyherd.__all__) <= set(dir(skyherd))
+    with pytest.raises(AttributeError, match="no attribute 'nonsense'"):
+        skyherd.nonsense  # noqa: B018
+
+
+def test_type_checkers_see_the_same_names_from_the_same_modules():
+    tree = ast.parse((PACKAGE / "__init__.py").read_text())
+    block = next(node for node in tree.body if isinstance(node, ast.If))
+    seen = {alias.name: node.module for node in block.body for alias in node.names}
+    assert seen == skyherd._MODULE_BY_NAME
+
+
+def test_no_module_of_the_package_imports_the_entrance():
+    """It would load what it needs through a detour, and close a circle."""
+    for folder in (
+        PACKAGE,
+        *(Path(p) for name in ("control", "vision", "render", "datasets") for p in places(name)),
+    ):
+        for path in folder.rglob("*.py"):
+            for node in ast.walk(ast.parse(path.read_text())):
+                names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+                assert "skyherd" not in names, path
+                assert not (isinstance(node, ast.ImportFrom) and node.module == "skyherd"), path
+
+
+def places(name: str) -> list[str]:
+    spec = importlib.util.find_spec(f"skyherd.{name}")
+    return list(spec.submodule_search_locations)
+
+
+def test_the_lists_for_help_and_completion_are_those_of_the_code():
+    assert list(choices.DETECTORS) == detector_names()
+    assert list(choices.PAPERS) == list(PAPERS_MM)
+    assert choices.TABLE_FORMATS == FORMATS
+
+
+def test_the_help_names_what_an_option_takes(capsys):
+    said = " ".join(call(capsys, "detect", "--help")[1].split())
+    assert all(name in said for name in detector_names())
+    said = " ".join(call(capsys, "markers", "--help")[1].split())
+    assert all(name in said for name in PAPERS_MM)
+
+
+def completions(folder: Path, *words: str) -> list[str]:
+    """What bash offers for the last of some words, asked for as its script asks."""
+    code = "import sys; sys.argv = ['skyherd']; from skyherd.__main__ import main; main()"
+    asking = {
+        "_SKYHERD_COMPLETE": "complete_bash",
+        "COMP_WORDS": " ".join(["skyherd", *words]),
+        "COMP_CWORD": str(len(words)),
+    }
+    command = [sys.executable, "-c", code]
+    ended = subprocess.run(command, env={**os.environ, **asking}, cwd=folder, capture_output=True, text=True)
+    assert ended.stderr == ""
+    return ended.stdout.split()
+
+
+@pytest.mark.parametrize(
+    ("words", "offered"),
+    [
+        (["sce"], ["scenario"]),
+        (["scenario", "ch"], ["check"]),
+        (["run", "sta"], ["star"]),
+        (["run", "mi"], ["mine.toml"]),
+        (["run", "fol"], ["folder/"]),
+        (["run", "folder/"], ["folder/other.toml"]),
+        (["run", "star", "--perception", "i"], ["ideal"]),
+        (["detect", "a.png", "--detector", "ph"], ["photometric"]),
+        (["detect", "a.png", "--format", "j"], ["jsonl"]),
+        (["markers", "--paper", "Let"], ["Letter"]),
+        (["markers", "--dictionary", "5X5_19"], ["5X5_1900"]),
+        (["dataset", "make", "sm"], ["small"]),
+        (["study", "noi"], ["noise"]),
+    ],
+    ids=lambda value: " ".join(value),
+)
+def test_the_shell_completes_verbs_options_and_their_values(tmp_path, words, offered):
+    (tmp_path / "folder").mkdir()
+    for name in ("mine.toml", "folder/other.toml", "folder/notes.txt"):
+        (tmp_path / name).write_text("")
+    assert completions(tmp_path, *words) == offered
+
+
+def test_the_completion_script_is_printed_and_calls_the_program(capsys, monkeypatch):
+    monkeypatch.setenv("_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION", "1")
+    code, said, _ = call(capsys, "--show-completion", "bash")
+    assert code == 0
+    assert "_SKYHERD_COMPLETE=complete_bash" in said

@@ -1,0 +1,138 @@
+"""The documentation beside the code: paths, commands, options and scenarios that it shows are there."""
+
+import importlib.util
+import re
+import shlex
+import tomllib
+from pathlib import Path
+
+import pytest
+import typer
+
+from skyherd.cli import app
+from skyherd.datasets import Scenario, load_mission
+
+ROOT = Path(__file__).parent.parent
+DOCS = ROOT / "docs"
+PAGES = sorted([*DOCS.rglob("*.md"), *ROOT.glob("*.md")])
+GROUP = typer.main.get_command(app)
+
+
+def script(name: str):
+    """A module of docs/scripts, which is no package."""
+    spec = importlib.util.spec_from_file_location(name, DOCS / "scripts" / f"{name}.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def page_id(path: Path) -> str:
+    return path.relative_to(ROOT).as_posix()
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if page.name != "CHANGELOG.md"], ids=page_id)
+def test_files_of_code_that_a_page_names_are_there(page) -> None:
+    for name in re.findall(r"`(?:python )?((?:\w+/)+\w+\.(?:py|toml))", page.read_text()):
+        assert (ROOT / name).is_file(), f"{page.name} names {name}"
+
+
+def commands(page: Path) -> list[list[str]]:
+    """Calls of the program in a page's shell examples and in its code, as words."""
+    text = page.read_text()
+    lines = [line for block in re.findall(r"```sh\n(.*?)```", text, re.S) for line in block.splitlines()]
+    lines += re.findall(r"`(skyherd [^`]*)`", re.sub(r"```.*?```", "", text, flags=re.S))
+    calls = [line[line.index("skyherd ") :] for line in lines if re.match(r"(\S*/)?skyherd ", line)]
+    return [shlex.split(call.replace("\\|", "/"), comments=True)[1:] for call in calls]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=page_id)
+def test_verbs_and_options_that_a_page_shows_are_those_of_the_program(page) -> None:
+    for words in commands(page):
+        command, rest = GROUP, list(words)
+        while rest and rest[0] in getattr(command, "commands", {}):
+            command = command.commands[rest.pop(0)]
+        assert command is not GROUP or words[0] in ("VERB", "--help", "--version", "--install-completion"), (
+            words
+        )
+        known = {option for parameter in command.params for option in parameter.opts} | {"--help"}
+        if command is not GROUP and not hasattr(command, "commands"):
+            assert {word for word in rest if word.startswith("--")} <= known, words
+
+
+def test_the_pages_that_show_commands_are_found() -> None:
+    """A negative control of the test above."""
+    assert ["run", "star"] in commands(DOCS / "how-to/run.md")
+    assert sum(len(commands(page)) for page in PAGES) > 40
+
+
+def leaves(command, name: str = ""):
+    for word, below in getattr(command, "commands", {}).items():
+        yield from (
+            leaves(below, f"{name} {word}") if hasattr(below, "commands") else [(f"{name} {word}", below)]
+        )
+
+
+def test_the_reference_of_the_command_line_has_every_verb_and_option() -> None:
+    text = script("cli_reference").cli_reference()
+    parts = dict(zip(*[iter(re.split(r"^## `skyherd( .*)`$", text, flags=re.M)[1:])] * 2, strict=True))
+    assert list(parts) == [name for name, _ in leaves(GROUP)]
+    for name, verb in leaves(GROUP):
+        for parameter in verb.params:
+            assert parameter.param_type_name == "argument" or f"`{parameter.opts[0]}" in parts[name]
+
+
+def test_the_reference_of_scenario_files_has_every_key_of_every_table() -> None:
+    text = script("scenario_reference").scenario_reference()
+    schema = Scenario.model_json_schema()
+    for name, model in {"Top": schema, **schema["$defs"]}.items():
+        heading = "## Top level" if name == "Top" else f"{{ #{name.lower()} }}"
+        part = text.split(heading, 1)[1].split("\n## ", 1)[0]
+        for key in model["properties"]:
+            assert f"| `{key}` |" in part, (name, key)
+    assert "## `units[].camera`" in text
+
+
+def test_every_verb_has_its_how_to_and_every_page_its_place() -> None:
+    nav = re.findall(r"([\w/-]+\.md)", (ROOT / "mkdocs.yml").read_text())
+    assert {f"how-to/{word}.md" for word in GROUP.commands} <= set(nav)
+    assert {page.relative_to(DOCS).as_posix() for page in DOCS.rglob("*.md")} <= set(nav)
+
+
+def test_scenarios_of_the_tutorial_are_good_and_its_mistake_is_told_as_shown(tmp_path) -> None:
+    text = (DOCS / "tutorial.md").read_text()
+    files = re.findall(r"```toml\n(.*?)```", text, re.S)
+    assert [tomllib.loads(file)["name"] for file in files] == ["arrow", "two"]
+    for file in files:
+        (tmp_path / "a.toml").write_text(file)
+        assert load_mission(str(tmp_path / "a.toml")).ids.size == 7
+    (tmp_path / "a.toml").write_text(files[0].replace("height_m = 12.0", "height_m = -12.0"))
+    with pytest.raises(ValueError) as wrong:
+        load_mission(str(tmp_path / "a.toml"))
+    shown = next(line for line in text.splitlines() if line.startswith("error: arrow.toml"))
+    assert str(wrong.value).replace(str(tmp_path / "a.toml"), "arrow.toml") == shown.removeprefix("error: ")
+
+
+def test_the_example_of_the_library_page_that_steers_a_world_runs(capsys) -> None:
+    blocks = re.findall(r"```python\n(.*?)```", (DOCS / "how-to/library.md").read_text(), re.S)
+    for block in blocks:
+        compile(block, "library.md", "exec")
+    exec(next(block for block in blocks if "GoalInboxes" in block), {})
+    assert "[0. 0. 0. 0.]" in capsys.readouterr().out
+
+
+def test_the_rooms_of_the_architecture_are_the_layers_of_the_contract() -> None:
+    tool = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]
+    layers = next(one["layers"] for one in tool["contracts"] if one["type"] == "layers")
+    meant = [{name.strip() for name in layer.split("|")} for layer in reversed(layers)]
+    rows = re.findall(r"^\| (\d+) \| (.*?) \|", (ROOT / "ARCHITECTURE.md").read_text(), re.M)
+    told: dict[int, set[str]] = {}
+    for number, names in rows:
+        told.setdefault(int(number), set()).update(re.findall(r"`(\w+)`", names))
+    assert [told[number] for number in sorted(told)] == [layer for layer in meant if layer != {"__main__"}]
+
+
+def test_the_site_fetches_nothing_from_elsewhere() -> None:
+    text = (ROOT / "mkdocs.yml").read_text()
+    assert "font: false" in text
+    assert "http" not in re.sub(r"#.*", "", text)
+    assert "http" not in (DOCS / "site.css").read_text()

@@ -1,0 +1,180 @@
+"""Who imports whom in the package: no way past a facade, layers without a cycle, and few of them.
+
+Independent of the import contracts of `pyproject.toml`: everything is read from the source files here, with
+imports inside of functions and for type checkers.
+"""
+
+import ast
+import tomllib
+from graphlib import CycleError, TopologicalSorter
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+PARTS = ("control", "datasets", "render", "vision")
+FACADES = ("control", "render", "vision")
+"""Packages whose names are to be imported from the package itself: `from skyherd.control import Template`."""
+
+MOST_CHILDREN = 30
+"""Modules and packages directly under `skyherd` that a newcomer is to take in. Chosen."""
+
+MOST_LAYERS = 18
+"""Layers of the exhaustive import contract. Chosen."""
+
+KNOWN = {
+    ("skyherd.analysis.goal_points", "skyherd.render.camera.camera"),
+    ("skyherd.analysis.history", "skyherd.control.topology.conditions"),
+    ("skyherd.analysis.shortest_paths", "skyherd.control.formation.assignment"),
+    ("skyherd.analysis.topology_report", "skyherd.control.topology.conditions"),
+    ("skyherd.analysis.topology_report", "skyherd.control.topology.convergence_rate"),
+    ("skyherd.bench.entrants", "skyherd.vision.detectors.peers"),
+    ("skyherd.cli.detect", "skyherd.vision.diagnosis.reasons"),
+    ("skyherd.datasets.configuration.body_models", "skyherd.control.avoidance.detour"),
+    ("skyherd.datasets.labelled.sampling", "skyherd.render.camera.camera"),
+    ("skyherd.inspection.annotator", "skyherd.vision.diagnosis.explain"),
+    ("skyherd.inspection.annotator", "skyherd.vision.diagnosis.reasons"),
+    ("skyherd.inspection.inspector", "skyherd.vision.detectors.registry"),
+    ("skyherd.inspection.inspector", "skyherd.vision.diagnosis.explain"),
+    ("skyherd.inspection.inspector", "skyherd.vision.diagnosis.suggestions"),
+    ("skyherd.inspection.table", "skyherd.vision.diagnosis.explain"),
+    ("skyherd.loop", "skyherd.control.aerial_controller"),
+    ("skyherd.plots.graph", "skyherd.control.topology.conditions"),
+    ("skyherd.recording.reader", "skyherd.control.topology.conditions"),
+    ("skyherd.sim.agents", "skyherd.control.flight.laws"),
+    ("skyherd.sim.agents", "skyherd.control.robots.unicycle"),
+    ("skyherd.sim.agents", "skyherd.control.topology.safety_radius"),
+    ("skyherd.sim.oracle_team", "skyherd.control.robots.unicycle"),
+    ("skyherd.sim.perception", "skyherd.vision.detectors.accuracy"),
+    ("skyherd.sim.truth_metrics", "skyherd.control.topology.conditions"),
+    ("skyherd.study.invariance", "skyherd.render.camera.camera"),
+    ("skyherd.video.camera_panel", "skyherd.control.topology.conditions"),
+    ("skyherd.video.ground_panel", "skyherd.control.topology.conditions"),
+}
+"""Imports past a facade that are still there, (importer, imported); this set only shrinks, to nothing."""
+
+
+def source_files() -> dict[str, Path]:
+    """The file of each module of the package, by the module's full name."""
+    files = {}
+    for folder, package in (("src/skyherd", "skyherd"), *((part, f"skyherd.{part}") for part in PARTS)):
+        for path in sorted((ROOT / folder).rglob("*.py")):
+            names = path.relative_to(ROOT / folder).with_suffix("").parts
+            names = names[:-1] if names[-1] == "__init__" else names
+            files[".".join((package, *names))] = path
+    return files
+
+
+FILES = source_files()
+
+
+def imports(source: str, modules: set[str]) -> set[str]:
+    """Modules of the package that a source text imports anywhere; a name that is a module counts as that."""
+    found = set()
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            names = {f"{node.module}.{alias.name}" for alias in node.names}
+            found |= (names & modules) or {node.module}
+            found |= {node.module} if names - modules else set()
+    return {name for name in found if name == "skyherd" or name.startswith("skyherd.")}
+
+
+GRAPH = {module: imports(path.read_text(), set(FILES)) for module, path in FILES.items()}
+
+
+def belongs_to(module: str, package: str) -> bool:
+    return module == package or module.startswith(f"{package}.")
+
+
+def ways_past_facades(graph: dict[str, set[str]]) -> set[tuple[str, str]]:
+    """Imports of a module inside `control`, `render` or `vision` by a module that is outside of it."""
+    facades = [f"skyherd.{name}" for name in FACADES]
+    return {
+        (module, target)
+        for module, targets in graph.items()
+        for target in targets
+        for facade in facades
+        if target.startswith(f"{facade}.") and not belongs_to(module, facade)
+    }
+
+
+def test_nobody_reaches_past_a_facade() -> None:
+    past = ways_past_facades(GRAPH)
+    assert past - KNOWN == set(), "import these names from the package itself, or export them there"
+    assert KNOWN - past == set(), "these are no longer there: take them out of KNOWN"
+
+
+@pytest.mark.parametrize(
+    ("statement", "past"),
+    [
+        ("from skyherd.control import Template", False),
+        ("from skyherd.control.formation.template import Template", True),
+        ("from skyherd.control.formation import template", True),
+        ("from skyherd.control import formation", True),
+        ("import skyherd.control.formation.template", True),
+        ("def f():\n    from skyherd.control.formation.template import Template", True),
+        ("from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    import skyherd.vision.grey", True),
+    ],
+)
+def test_a_way_past_a_facade_is_seen(statement, past) -> None:
+    graph = {"skyherd.report.pages": imports(statement, set(FILES))}
+    assert bool(ways_past_facades(graph)) is past
+    inside = {"skyherd.control.goals": imports(statement.replace("vision.grey", "control.goals"), set(FILES))}
+    assert not ways_past_facades(inside)
+
+
+def child_of(module: str) -> str | None:
+    """The direct child of `skyherd` that a module lies in; None for the package itself."""
+    return module.split(".")[1] if "." in module else None
+
+
+CHILDREN = {child for child in map(child_of, FILES) if child is not None}
+
+
+def child_graph(graph: dict[str, set[str]]) -> dict[str, set[str]]:
+    """Who imports whom among the direct children of `skyherd`; the package itself, being lazy, left out."""
+    found: dict[str, set[str]] = {}
+    for module, targets in graph.items():
+        if (child := child_of(module)) is not None:
+            others = {child_of(target) for target in targets} - {None, child}
+            found.setdefault(child, set()).update(others)
+    return found
+
+
+def layer_of() -> dict[str, int]:
+    """Number of the layer of each child, the lowest 0, by the exhaustive contract of `pyproject.toml`."""
+    tool = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]
+    contract = next(one for one in tool["contracts"] if one["type"] == "layers")
+    assert contract["containers"] == ["skyherd"]
+    assert contract["exhaustive"] is True
+    lowest_first = reversed(contract["layers"])
+    return {name.strip(): row for row, layer in enumerate(lowest_first) for name in layer.split("|")}
+
+
+def test_the_package_has_few_rooms_on_few_layers() -> None:
+    layers = layer_of()
+    assert set(layers) == CHILDREN, "each child of skyherd has its place, and no place is empty"
+    assert len(CHILDREN) <= MOST_CHILDREN
+    assert max(layers.values()) + 1 <= MOST_LAYERS
+
+
+def upward(graph: dict[str, set[str]], layers: dict[str, int]) -> set[tuple[str, str]]:
+    """Imports of a child on the same layer or a higher one."""
+    return {(child, to) for child, targets in graph.items() for to in targets if layers[to] >= layers[child]}
+
+
+def test_nothing_is_imported_upwards_and_there_is_no_cycle_of_rooms() -> None:
+    graph = child_graph(GRAPH)
+    assert upward(graph, layer_of()) == set()
+    TopologicalSorter(graph).prepare()
+    graph["geometry"].add("loop")
+    assert ("geometry", "loop") in upward(graph, layer_of())
+    with pytest.raises(CycleError):
+        TopologicalSorter(graph).prepare()
+
+
+def test_there_is_no_cycle_of_modules() -> None:
+    """A package is the module of its `__init__`; an import from the package is one of that module."""
+    TopologicalSorter({module: targets - {module, "skyherd"} for module, targets in GRAPH.items()}).prepare()

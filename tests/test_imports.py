@@ -22,37 +22,6 @@ MOST_CHILDREN = 30
 MOST_LAYERS = 18
 """Layers of the exhaustive import contract. Chosen."""
 
-KNOWN = {
-    ("skyherd.analysis.goal_points", "skyherd.render.camera.camera"),
-    ("skyherd.analysis.history", "skyherd.control.topology.conditions"),
-    ("skyherd.analysis.shortest_paths", "skyherd.control.formation.assignment"),
-    ("skyherd.analysis.topology_report", "skyherd.control.topology.conditions"),
-    ("skyherd.analysis.topology_report", "skyherd.control.topology.convergence_rate"),
-    ("skyherd.bench.entrants", "skyherd.vision.detectors.peers"),
-    ("skyherd.cli.detect", "skyherd.vision.diagnosis.reasons"),
-    ("skyherd.datasets.configuration.body_models", "skyherd.control.avoidance.detour"),
-    ("skyherd.datasets.labelled.sampling", "skyherd.render.camera.camera"),
-    ("skyherd.inspection.annotator", "skyherd.vision.diagnosis.explain"),
-    ("skyherd.inspection.annotator", "skyherd.vision.diagnosis.reasons"),
-    ("skyherd.inspection.inspector", "skyherd.vision.detectors.registry"),
-    ("skyherd.inspection.inspector", "skyherd.vision.diagnosis.explain"),
-    ("skyherd.inspection.inspector", "skyherd.vision.diagnosis.suggestions"),
-    ("skyherd.inspection.table", "skyherd.vision.diagnosis.explain"),
-    ("skyherd.loop", "skyherd.control.aerial_controller"),
-    ("skyherd.plots.graph", "skyherd.control.topology.conditions"),
-    ("skyherd.recording.reader", "skyherd.control.topology.conditions"),
-    ("skyherd.sim.agents", "skyherd.control.flight.laws"),
-    ("skyherd.sim.agents", "skyherd.control.robots.unicycle"),
-    ("skyherd.sim.agents", "skyherd.control.topology.safety_radius"),
-    ("skyherd.sim.oracle_team", "skyherd.control.robots.unicycle"),
-    ("skyherd.sim.perception", "skyherd.vision.detectors.accuracy"),
-    ("skyherd.sim.truth_metrics", "skyherd.control.topology.conditions"),
-    ("skyherd.study.invariance", "skyherd.render.camera.camera"),
-    ("skyherd.video.camera_panel", "skyherd.control.topology.conditions"),
-    ("skyherd.video.ground_panel", "skyherd.control.topology.conditions"),
-}
-"""Imports past a facade that are still there, (importer, imported); this set only shrinks, to nothing."""
-
 
 def source_files() -> dict[str, Path]:
     """The file of each module of the package, by the module's full name."""
@@ -102,8 +71,7 @@ def ways_past_facades(graph: dict[str, set[str]]) -> set[tuple[str, str]]:
 
 def test_nobody_reaches_past_a_facade() -> None:
     past = ways_past_facades(GRAPH)
-    assert past - KNOWN == set(), "import these names from the package itself, or export them there"
-    assert KNOWN - past == set(), "these are no longer there: take them out of KNOWN"
+    assert past == set(), "import these names from the package itself, or export them there"
 
 
 @pytest.mark.parametrize(

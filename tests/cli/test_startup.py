@@ -13,7 +13,7 @@ from command_line import call
 import skyherd
 from skyherd.cli import choices
 from skyherd.inspection.table import FORMATS
-from skyherd.markers.sheets import PAPERS_MM
+from skyherd.markers.sheet_layout import PAPERS_MM
 from skyherd.vision import detector_names
 
 PACKAGE = Path(skyherd.__file__).parent

@@ -25,7 +25,8 @@ def markers(
 ) -> int:
     """Print markers at true size, with quiet zone, id, forward arrow, cut marks and a ruler."""
     from skyherd.markers.dictionary import load_dictionary
-    from skyherd.markers.sheets import PAPERS_MM, parse_ids, parse_length_mm, write_sheets
+    from skyherd.markers.sheet_layout import PAPERS_MM, parse_ids, parse_length_mm
+    from skyherd.markers.sheets import write_sheets
 
     load_dictionary(dictionary)
     if out_file.suffix.lower() != ".pdf":

@@ -1,7 +1,12 @@
-"""Helpers common to several test files, as fixtures (session-scoped: hypothesis may use them too)."""
+"""Settings of the test run, and helpers common to several test files, as fixtures.
+
+The fixtures are session-scoped where they can be: hypothesis may then use them too.
+"""
 
 import importlib.util
 import os
+import re
+import secrets
 import shutil
 import tomllib
 from collections.abc import Callable, Iterator
@@ -9,15 +14,60 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+# pytest-xdist keeps all cores busy; more threads for linear algebra would only wait for each other. Must be
+# set before NumPy is loaded. Results then do not depend on the number of cores either.
+for _variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(_variable, "1")
+
 import cv2
+import hypothesis
 import numpy as np
 import pytest
+from hypothesis.internal.conjecture import providers
 
 from skyherd.datasets import scenario_text
 from skyherd.markers.dictionary import QUIET_ZONE_CELLS, cells_per_side, corners_of_pose, marker_cells
 from skyherd.messages import Detections, MotionGoals, UnitReport
 
 BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
+
+hypothesis.settings.register_profile("same", derandomize=True, deadline=None, database=None)
+hypothesis.settings.register_profile("random", deadline=None, database=None, print_blob=True)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Property tests draw the same examples in each run; with `-m random`, others, from a printed seed."""
+    # Hypothesis also draws constants that it finds in the modules loaded so far, so that examples would
+    # depend on which tests ran before in the same process.
+    if hasattr(providers, "_get_local_constants"):
+        providers._get_local_constants = lambda: providers._local_constants
+    if not re.search(r"(?<!not )\brandom\b", config.option.markexpr):
+        hypothesis.settings.load_profile("same")
+        return
+    hypothesis.settings.load_profile("random")
+    seed = config.getoption("--hypothesis-seed")
+    if seed is None:  # workers of pytest-xdist inherit the environment of the process that starts them
+        seed = os.environ.setdefault("SKYHERD_RANDOM_TESTS_SEED", str(secrets.randbits(32)))
+        hypothesis.core.global_force_seed = int(seed)
+    config.stash[SEED] = str(seed)
+
+
+SEED = pytest.StashKey[str]()
+"""The seed of random property tests."""
+
+
+def pytest_report_header(config: pytest.Config) -> str | None:
+    """Say how a run of random property tests is repeated."""
+    seed = config.stash.get(SEED, None)
+    return seed and f"random property tests, seed {seed}: repeat with -m random --hypothesis-seed={seed}"
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Every property test is also a random test."""
+    for item in items:
+        if hypothesis.is_hypothesis_test(getattr(item, "obj", None)):
+            item.add_marker("random")
 
 
 @pytest.fixture(scope="session")

@@ -138,7 +138,7 @@ def camera_free_goals(mission_with: Callable[..., Mission], reference_fit: Calla
 # --- Property 1 and the direction of motion ---
 
 
-@settings(max_examples=100, deadline=None, derandomize=True)
+@settings(max_examples=100)
 @given(unit=cameras(TRIANGLE_START))
 def test_desired_ground_points_do_not_depend_on_the_camera(mission_with, camera_free_goals, unit) -> None:
     np.testing.assert_allclose(ground_goals(mission_with([unit])), camera_free_goals, rtol=0, atol=EXACT)
@@ -161,7 +161,7 @@ def command_of(mission: Mission, gains: PixelGains | MarkerGains) -> Any:
 three_cameras = st.tuples(*[cameras(TRIANGLE_START)] * 3)
 
 
-@settings(max_examples=50, deadline=None, derandomize=True)
+@settings(max_examples=50)
 @given(one=three_cameras, other=three_cameras)
 def test_in_marker_units_the_command_does_not_depend_on_the_cameras(mission_with, one, other) -> None:
     gains = MarkerGains(0.1, 0.4, 0.0, SIDE_M)
@@ -171,7 +171,7 @@ def test_in_marker_units_the_command_does_not_depend_on_the_cameras(mission_with
     np.testing.assert_allclose(first.omega_radps, second.omega_radps, rtol=0, atol=EXACT)
 
 
-@settings(max_examples=50, deadline=None, derandomize=True)
+@settings(max_examples=50)
 @given(one=three_cameras, other=three_cameras)
 def test_in_pixel_gains_the_cameras_are_a_gain_on_v_alone(mission_with, one, other) -> None:
     """Remark 1: direction and omega agree; v is in proportion to the mean scale of a robot's cameras."""

@@ -114,7 +114,7 @@ def test_a_word_on_other_edges_is_none() -> None:
     assert (two.turn, two.pair) == before
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.lists(st.tuples(st.sampled_from("ab"), st.integers(0, 200), st.booleans()), max_size=60))
 def test_turns_never_part_by_more_than_one_whatever_is_heard(story) -> None:
     """Each end speaks at will and hears any word ever said, in any order: one turn, one pair, one holder.

@@ -249,16 +249,15 @@ def test_in_pixel_gains_the_focal_length_sets_the_final_size_yet_all_converge(mi
             "camera": {"focal_px": scale_px_m * height, "size_px": [4000, 4000]},
             "flight": {"kind": "hover"},
         }
-        *_, last = run_steps(
-            mission_with(
-                [unit],
-                duration_s=150.0,
-                control={"gains": "pixel", "k_v": k_v, "k_omega": k_omega},
-                robots={"max_speed_mps": 10.0, "max_turn_radps": 10.0},  # no limit may shape the paths here
-            )
+        mission = mission_with(
+            [unit],
+            duration_s=150.0,
+            control={"gains": "pixel", "k_v": k_v, "k_omega": k_omega},
+            robots={"max_speed_mps": 10.0, "max_turn_radps": 10.0},  # no limit may shape the paths here
         )
+        # At an error of 1e-4 the scale is within a few ten-thousandths of where it ends.
+        last = next(step for step in run_steps(mission) if step.metrics.shape.error < 1e-4)
         assert last.control_sets[0].tolist() == list(range(6))
-        assert last.metrics.shape.error < 1e-3, "converged: a thousandth of the formation's radius"
         ends[ratio] = last.metrics.shape.scale
     assert ends == pytest.approx({4.0: 2.88, 3.0: 3.0, 1.0: 3.77}, abs=0.03)
 

@@ -44,7 +44,7 @@ class Crowd:
         self.around = NeighborMemory(ids, ids, self.rule.lifetime_s)
         self.wheels = Drive(self.drive, self.count, STEP_S, int(self.rng.integers(1000)))
         self.waiting: list = []
-        self.least_m = np.inf
+        self.least_m, self.pairs = np.inf, np.triu_indices(self.count, 1)
 
     def _start(self) -> np.ndarray:
         placed: list[complex] = []
@@ -85,13 +85,21 @@ class Crowd:
         self.around.turn(omega, tick * STEP_S, STEP_S)
         v, omega = self.wheels.step(VelocityCommand(np.arange(self.count), v, omega))
         offset = self.rule.wheels.axis_offset_m
-        for part in np.linspace(0.1, 1.0, 10):
-            there, _ = move_bodies(self.positions_m, self.headings, v, omega, part * STEP_S, offset)
-            apart = np.abs(to_complex(there)[:, None] - to_complex(there))[np.triu_indices(self.count, 1)]
-            self.least_m = min(self.least_m, float(apart.min()))
-        self.positions_m, self.headings = move_bodies(
-            self.positions_m, self.headings, v, omega, STEP_S, offset
+        # Tenths of the step at once: a tenth of both speeds for the whole step leads to the same place.
+        part = np.linspace(0.1, 1.0, 10)[:, None]
+        tenths = part.size, 1
+        there, turned = move_bodies(
+            np.tile(self.positions_m, tenths),
+            np.tile(self.headings, tenths[0]),
+            (part * v).ravel(),
+            (part * omega).ravel(),
+            STEP_S,
+            offset,
         )
+        there = to_complex(there).reshape(-1, self.count)
+        one, other = self.pairs
+        self.least_m = min(self.least_m, float(np.abs(there[:, one] - there[:, other]).min()))
+        self.positions_m, self.headings = to_points(there[-1]), turned[-self.count :]
 
 
 def least_gap_m(crowd: Crowd, ticks: int = 150) -> float:

@@ -102,7 +102,7 @@ class Crowd:
         self.positions_m, self.headings = to_points(there[-1]), turned[-self.count :]
 
 
-def least_gap_m(crowd: Crowd, ticks: int = 150) -> float:
+def least_gap_m(crowd: Crowd, ticks: int = 80) -> float:
     for tick in range(ticks):
         crowd.step(tick)
     return crowd.least_m - REACH_M
@@ -128,7 +128,7 @@ ROBOTS_AS_THEY_ARE = {
 @pytest.mark.parametrize("seed", range(3))
 def test_bodies_never_touch(make_detections, kind, latency, loss, seed) -> None:
     """From any start without overlap, with any wishes: docs/bodies.md proves it, the gap only ever shrinks
-    by a factor. Rounding is 1e-9 m."""
+    by a factor. Rounding is 1e-9 m. Robots that break the rule touch within 60 ticks, see below."""
     drive, known = ROBOTS_AS_THEY_ARE[kind]
     news_s = 0.2 + latency * STEP_S
     usual = {"wheels": WHEELS, "prompt_s": news_s, "next_s": news_s, "step_s": STEP_S, "lifetime_s": 60.0}

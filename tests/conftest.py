@@ -1,23 +1,76 @@
-"""Helpers common to several test files, as fixtures (session-scoped: hypothesis may use them too)."""
+"""Settings of the test run, and helpers common to several test files, as fixtures.
+
+The fixtures are session-scoped where they can be: hypothesis may then use them too.
+"""
 
 import importlib.util
 import os
+import re
+import secrets
 import shutil
 import tomllib
 from collections.abc import Callable, Iterator
+from functools import lru_cache
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+# pytest-xdist keeps all cores busy; more threads for linear algebra would only wait for each other. Must be
+# set before NumPy is loaded. Results then do not depend on the number of cores either.
+for _variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(_variable, "1")
+
 import cv2
+import hypothesis
 import numpy as np
 import pytest
+from hypothesis.internal.conjecture import providers
 
-from skyherd.datasets import scenario_text
+from skyherd.datasets import load_mission, scenario_text
+from skyherd.loop import Step, run_steps
 from skyherd.markers.dictionary import QUIET_ZONE_CELLS, cells_per_side, corners_of_pose, marker_cells
 from skyherd.messages import Detections, MotionGoals, UnitReport
+from skyherd.render import ground
 
 BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
+
+hypothesis.settings.register_profile("same", derandomize=True, deadline=None, database=None)
+hypothesis.settings.register_profile("random", deadline=None, database=None, print_blob=True)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Property tests draw the same examples in each run; with `-m random`, others, from a printed seed."""
+    # Hypothesis also draws constants that it finds in the modules loaded so far, so that examples would
+    # depend on which tests ran before in the same process.
+    if hasattr(providers, "_get_local_constants"):
+        providers._get_local_constants = lambda: providers._local_constants
+    if not re.search(r"(?<!not )\brandom\b", config.option.markexpr):
+        hypothesis.settings.load_profile("same")
+        return
+    hypothesis.settings.load_profile("random")
+    seed = config.getoption("--hypothesis-seed")
+    if seed is None:  # workers of pytest-xdist inherit the environment of the process that starts them
+        seed = os.environ.setdefault("SKYHERD_RANDOM_TESTS_SEED", str(secrets.randbits(32)))
+        hypothesis.core.global_force_seed = int(seed)
+    config.stash[SEED] = str(seed)
+
+
+SEED = pytest.StashKey[str]()
+"""The seed of random property tests."""
+
+
+def pytest_report_header(config: pytest.Config) -> str | None:
+    """Say how a run of random property tests is repeated."""
+    seed = config.stash.get(SEED, None)
+    return seed and f"random property tests, seed {seed}: repeat with -m random --hypothesis-seed={seed}"
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Every property test is also a random test."""
+    for item in items:
+        if hypothesis.is_hypothesis_test(getattr(item, "obj", None)):
+            item.add_marker("random")
 
 
 @pytest.fixture(scope="session")
@@ -44,6 +97,27 @@ def scenario_tree() -> Callable[[str], dict[str, Any]]:
         return tomllib.loads(scenario_text(name))
 
     return make
+
+
+@pytest.fixture(scope="session")
+def ideal_triangle() -> list[Step]:
+    """All steps of the mission `triangle` on exact points, which several tests read and none may change."""
+    return list(run_steps(load_mission("triangle", ["perception=ideal"])))
+
+
+@pytest.fixture(scope="module")
+def grounds_made_once() -> Iterator[None]:
+    """The same textured ground again is taken from memory: making one takes half a second."""
+    made = lru_cache(4)(ground.concrete)
+
+    def concrete(seed: int, mean: float, contrast: float) -> np.ndarray:
+        texture = made(seed, mean, contrast)
+        texture.flags.writeable = False
+        return texture
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(ground, "concrete", concrete)
+        yield
 
 
 @pytest.fixture(scope="session")
@@ -234,17 +308,33 @@ def draw_markers() -> Callable[..., np.ndarray]:
         right, bottom = np.minimum(np.ceil(corners.max(axis=0)).astype(int) + 1, image.shape[::-1])
         if right <= left or bottom <= top:
             return
-        k = np.arange(16)[:, None, None]
-        u = np.arange(left, right) + (k + 0.5) / 16 - 0.5
-        v = np.arange(top, bottom)[:, None] + (5 * k % 16 + 0.5) / 16 - 0.5
         (a, b, c), (d, e, f), (g, h, i) = np.linalg.inv(matrix)
-        w = g * u + h * v + i
-        x, y = (a * u + b * v + c) / w, (d * u + e * v + f) / w
-        column, row = (np.floor((z + 0.5) * n).astype(int) + 1 for z in (x, y))
-        inside = np.maximum(np.abs(x), np.abs(y)) < half
         cells = np.pad(marker_cells(dictionary, marker_id), 1, constant_values=True)
-        grey = np.where(cells[row.clip(0, n + 1), column.clip(0, n + 1)], 230.0, 30.0)
-        image[top:bottom, left:right] = np.where(inside, grey, image[top:bottom, left:right]).mean(axis=0)
+
+        def cell_at(u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            """Row and column of the card's cells, or beyond them, at points of the image."""
+            w = g * u + h * v + i
+            x, y = (a * u + b * v + c) / w, (d * u + e * v + f) / w
+            return np.floor((y + 0.5) * n).astype(int) + 1, np.floor((x + 0.5) * n).astype(int) + 1
+
+        def grey_at(row: np.ndarray, column: np.ndarray, behind: np.ndarray) -> np.ndarray:
+            inside = (row >= 0) & (row < n + 2) & (column >= 0) & (column < n + 2)
+            white = cells[row.clip(0, n + 1), column.clip(0, n + 1)]
+            return np.where(inside, np.where(white, 230.0, 30.0), behind)
+
+        # Cells are convex: a pixel whose corners all lie in one cell lies in it, and needs no points.
+        region = image[top:bottom, left:right]
+        row, column = cell_at(np.arange(left, right + 1) - 0.5, np.arange(top, bottom + 1)[:, None] - 0.5)
+        whole = np.ones(region.shape, dtype=bool)
+        for index in (row, column):
+            for other in (index[1:, :-1], index[:-1, 1:], index[1:, 1:]):
+                whole &= other == index[:-1, :-1]
+        v, u = np.nonzero(~whole)
+        k = np.arange(16)[:, None]
+        points = cell_at(left + u + (k + 0.5) / 16 - 0.5, top + v + (5 * k % 16 + 0.5) / 16 - 0.5)
+        mixed = grey_at(*points, region[v, u]).mean(axis=0)
+        region[...] = grey_at(row[:-1, :-1], column[:-1, :-1], region)
+        region[v, u] = mixed
 
     def draw(
         matrices: np.ndarray,

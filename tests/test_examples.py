@@ -32,7 +32,7 @@ def test_bring_your_own_world_ends_in_a_square_and_is_short():
 def test_recorded_video_gives_the_goals_that_the_run_sent(tmp_path):
     mission = load_mission(
         "circle",
-        ["duration_s=0.5", "selection.radius=1.2", "units.0.height_m=18", "units.0.flight.kind=hover"],
+        ["duration_s=0.1", "selection.radius=1.2", "units.0.height_m=18", "units.0.flight.kind=hover"],
     )
     steps = list(run_steps(mission))
     with VideoSink(tmp_path / "camera.mp4", (800, 800), 10) as sink:

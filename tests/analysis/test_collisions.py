@@ -64,10 +64,9 @@ def test_points_do_not_collide(scenario_tree) -> None:
     assert told["min_gap_m"] == pytest.approx(told["min_separation_m"], rel=1e-12)
 
 
-def test_no_run_is_shorter_than_the_shortest_path(scenario_tree) -> None:
+def test_no_run_is_shorter_than_the_shortest_path(ideal_triangle) -> None:
     """Up to what its end lacks: `Σ d <= sqrt(N Σ d²)`, which is N times shape error times RMS radius."""
-    mission = make_mission(scenario_tree("triangle") | {"perception": "ideal"})
-    history = make_history(mission, run_steps(mission))
+    history = make_history(load_mission("triangle", ["perception=ideal"]), ideal_triangle)
     told, end = summarize(history, 1.0), history.positions_m[-1]
     lacking_m = len(end) * told["shape_error"] * np.sqrt(((end - end.mean(axis=0)) ** 2).sum(axis=1).mean())
     assert told["converged"]

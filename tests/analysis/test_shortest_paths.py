@@ -39,6 +39,12 @@ def least_sum(points: ComplexArray, starts: ComplexArray, least_size: float) -> 
     return float(minimize(total, start, jac=True, method="BFGS", options={"gtol": 1e-6}).fun)
 
 
+def least_squares(points: ComplexArray, starts: ComplexArray) -> float:
+    """The least `Σ |a p + b - x|²` of any size; its root is a lower bound of the least `Σ |a p + b - x|`."""
+    arms, way = points - points.mean(), starts - starts.mean()
+    return float((np.abs(way) ** 2).sum() - np.abs(arms.conj() @ way) ** 2 / (np.abs(arms) ** 2).sum())
+
+
 def assert_places_belong(path, template: ComplexArray, starts: ComplexArray) -> complex:
     """The places are a similarity of the template in the order told, as far from the starts as told."""
     assert sorted(path.order.tolist()) == list(range(template.size))
@@ -48,8 +54,7 @@ def assert_places_belong(path, template: ComplexArray, starts: ComplexArray) -> 
     return complex(a)
 
 
-@pytest.mark.parametrize("spacing", [0.0, 2.0])
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize(("seed", "spacing"), [(0, 0.0), (1, 0.0), (2, 2.0), (3, 2.0)])
 def test_no_assignment_of_all_does_better(seed: int, spacing: float) -> None:
     """All 120 of five robots, each by another method: the reference may end above its least, not below.
 
@@ -58,7 +63,12 @@ def test_no_assignment_of_all_does_better(seed: int, spacing: float) -> None:
     rng = np.random.default_rng(seed)
     template, starts = random_points(rng, 5), 3 * random_points(rng, 5)
     size = spacing / pdist(to_points(template)).min()
-    best = min(least_sum(template[list(order)], starts, size) for order in permutations(range(5)))
+    best = np.inf
+    for order in sorted(
+        permutations(range(5)), key=lambda order: least_squares(template[list(order)], starts)
+    ):
+        if best**2 > least_squares(template[list(order)], starts):
+            best = min(best, least_sum(template[list(order)], starts, size))
     path = shortest_path(template, starts, spacing=(spacing, np.inf))
     assert path.length <= best * (1 + 1e-6)
     if not spacing:

@@ -20,23 +20,29 @@ import numpy as np
 from scipy.special import ndtr
 
 BLACK, WHITE = 30.0, 230.0
-NODES, PIECE_PX = 4, 0.5
+NODES, PIECE_PX = 6, 1.0
 CHORDS = 8
 
 
-def pixel_weight(t: np.ndarray, psf_px: float) -> np.ndarray:
-    """K(t)."""
-    return ndtr((t + 0.5) / psf_px) - ndtr((t - 0.5) / psf_px)
+def from_pixel_borders(at: np.ndarray, pixels: np.ndarray) -> np.ndarray:
+    """Signed distances (N, P + 1) of points (N,) from the borders of P pixels side by side."""
+    assert (np.diff(pixels) == 1).all()
+    return at[:, None] - np.append(pixels - 0.5, pixels[-1] + 0.5)[None, :]
 
 
-def pixel_gathered(t: np.ndarray, psf_px: float) -> np.ndarray:
-    """Q(t), the integral of K from -inf to t: difference of x Φ(x/s) + s φ(x/s) between the pixel's sides."""
+def pixel_weight(at: np.ndarray, pixels: np.ndarray, psf_px: float) -> np.ndarray:
+    """K(t) at t = at - pixels, (N, P)."""
+    return -np.diff(ndtr(from_pixel_borders(at, pixels) / psf_px), axis=1)
 
-    def ramp(x: np.ndarray) -> np.ndarray:
-        z = x / psf_px
-        return x * ndtr(z) + psf_px * np.exp(-z * z / 2) / np.sqrt(2 * np.pi)
 
-    return ramp(t + 0.5) - ramp(t - 0.5)
+def pixel_gathered(at: np.ndarray, pixels: np.ndarray, psf_px: float) -> np.ndarray:
+    """Q(t), the integral of K from -inf to t, at t = at - pixels, (N, P).
+
+    It is the difference of x Φ(x/s) + s φ(x/s) between the pixel's sides.
+    """
+    x = from_pixel_borders(at, pixels)
+    z = x / psf_px
+    return -np.diff(x * ndtr(z) + psf_px / np.sqrt(2 * np.pi) * np.exp(-z * z / 2), axis=1)
 
 
 def polygon_edges_light(
@@ -63,8 +69,8 @@ def polygon_edges_light(
     points = starts_px[edge][:, None] + share[..., None] * along[edge][:, None]
     measure = (steps * along[:, 1] / pieces)[edge][:, None] * (weight / 2)[None, :]
     u, v, measure = points[..., 0].ravel(), points[..., 1].ravel(), measure.ravel()
-    across = pixel_weight(v[:, None] - rows[None, :], psf_px) * measure[:, None]
-    return across.T @ pixel_gathered(u[:, None] - columns[None, :], psf_px)
+    across = pixel_weight(v, rows, psf_px) * measure[:, None]
+    return across.T @ pixel_gathered(u, columns, psf_px)
 
 
 def lattice_edges(levels: np.ndarray, image_lattice: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -100,13 +100,13 @@ def scanned_card(dictionary, marker_id, image_marker, pixels, sigma_px, black, w
     forward, left, depth = np.einsum("ij,j...->i...", marker_image, points)
     row, column = (np.searchsorted(edges, -value / depth) for value in (forward, left))
     value = levels[row, column]
-    result = np.empty(len(pixels))
-    for k, (u, v) in enumerate(pixels):
-        near = np.abs(rows - v) < 5 * sigma_px
-        weight = np.exp(-(((rows[near] - v) / sigma_px) ** 2) / 2)
-        share = ndtr((ends[near, 1:] - u) / sigma_px) - ndtr((ends[near, :-1] - u) / sigma_px)
-        result[k] = weight @ (share * value[near]).sum(axis=1) / weight.sum()
-    return result
+    columns, column_of = np.unique(pixels[:, 0], return_inverse=True)
+    lines_v, line_of = np.unique(pixels[:, 1], return_inverse=True)
+    below = ndtr((ends[:, None, :] - columns[None, :, None]) / sigma_px)
+    along = np.einsum("rcp,rp->rc", np.diff(below, axis=2), value)
+    away = rows[None, :] - lines_v[:, None]
+    weight = np.exp(-((away / sigma_px) ** 2) / 2) * (np.abs(away) < 5 * sigma_px)
+    return (weight @ along / weight.sum(axis=1, keepdims=True))[line_of, column_of]
 
 
 def pose(image_marker):

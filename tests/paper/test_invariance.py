@@ -144,7 +144,7 @@ def camera_free_goals(mission_with: Callable[..., Mission], reference_fit: Calla
 # --- Property 1 and the direction of motion ---
 
 
-@settings(max_examples=100, deadline=None, derandomize=True)
+@settings(max_examples=100)
 @given(unit=cameras(TRIANGLE_START))
 def test_desired_ground_points_do_not_depend_on_the_camera(mission_with, camera_free_goals, unit) -> None:
     np.testing.assert_allclose(ground_goals(mission_with([unit])), camera_free_goals, rtol=0, atol=EXACT)
@@ -167,7 +167,7 @@ def command_of(mission: Mission, gains: PixelGains | MarkerGains) -> Any:
 three_cameras = st.tuples(*[cameras(TRIANGLE_START)] * 3)
 
 
-@settings(max_examples=50, deadline=None, derandomize=True)
+@settings(max_examples=50)
 @given(one=three_cameras, other=three_cameras)
 def test_in_marker_units_the_command_does_not_depend_on_the_cameras(mission_with, one, other) -> None:
     gains = MarkerGains(0.1, 0.4, 0.0, SIDE_M)
@@ -177,7 +177,7 @@ def test_in_marker_units_the_command_does_not_depend_on_the_cameras(mission_with
     np.testing.assert_allclose(first.omega_radps, second.omega_radps, rtol=0, atol=EXACT)
 
 
-@settings(max_examples=50, deadline=None, derandomize=True)
+@settings(max_examples=50)
 @given(one=three_cameras, other=three_cameras)
 def test_in_pixel_gains_the_cameras_are_a_gain_on_v_alone(mission_with, one, other) -> None:
     """Remark 1: direction and omega agree; v is in proportion to the mean scale of a robot's cameras."""
@@ -229,7 +229,7 @@ def test_in_marker_units_whole_trajectories_are_the_same(mission_with, zoom) -> 
     """1e-9 m over the run (the issue's figure); rounding of 1e-13 m a step dies out."""
     runs = [
         run_with_fixed_sets(
-            mission_with(random_units(seed, zoom), duration_s=30.0, control={"k": 0.2, "k_omega": 0.8})
+            mission_with(random_units(seed, zoom), duration_s=18.0, control={"k": 0.2, "k_omega": 0.8})
         )
         for seed in (1, 2)
     ]
@@ -255,16 +255,15 @@ def test_in_pixel_gains_the_focal_length_sets_the_final_size_yet_all_converge(mi
             "camera": {"focal_px": scale_px_m * height, "size_px": [4000, 4000]},
             "flight": {"kind": "hover"},
         }
-        *_, last = run_steps(
-            mission_with(
-                [unit],
-                duration_s=150.0,
-                control={"gains": "pixel", "k_v": k_v, "k_omega": k_omega},
-                robots={"max_speed_mps": 10.0, "max_turn_radps": 10.0},  # no limit may shape the paths here
-            )
+        mission = mission_with(
+            [unit],
+            duration_s=150.0,
+            control={"gains": "pixel", "k_v": k_v, "k_omega": k_omega},
+            robots={"max_speed_mps": 10.0, "max_turn_radps": 10.0},  # no limit may shape the paths here
         )
+        # At an error of 1e-4 the scale is within a few ten-thousandths of where it ends.
+        last = next(step for step in run_steps(mission) if step.metrics.shape.error < 1e-4)
         assert last.control_sets[0].tolist() == list(range(6))
-        assert last.metrics.shape.error < 1e-3, "converged: a thousandth of the formation's radius"
         ends[ratio] = last.metrics.shape.scale
     assert ends == pytest.approx({4.0: 2.88, 3.0: 3.0, 1.0: 3.77}, abs=0.03)
 

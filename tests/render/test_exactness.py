@@ -10,7 +10,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from reference import BLACK, WHITE, card_levels, reference_light
+from reference import BLACK, NODES, PIECE_PX, WHITE, card_levels, reference_light
 from scipy.special import ndtr
 
 from skyherd.render import (
@@ -123,7 +123,9 @@ def test_the_reference_agrees_with_counting_points_under_any_homography():
 
 def test_the_reference_has_converged():
     args = DICTIONARY, np.array([3]), slanted(25.0)[None], (80, 80)
-    coarse, fine = (reference_light(*args, psf_px=0.5, piece_px=p, nodes=n) for p, n in ((0.5, 4), (0.2, 8)))
+    coarse, fine = (
+        reference_light(*args, psf_px=0.5, piece_px=p, nodes=n) for p, n in ((PIECE_PX, NODES), (0.2, 8))
+    )
     assert np.abs(coarse - fine).max() < 1e-5
 
 

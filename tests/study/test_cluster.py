@@ -34,7 +34,7 @@ def start(path: Path, out: Path, *options: str) -> subprocess.Popen[str]:
 
 def finish(path: Path, out: Path, *options: str) -> bytes:
     process = start(path, out, *options)
-    _, err = process.communicate(timeout=120)
+    _, err = process.communicate(timeout=600)
     assert process.returncode == 0, err
     assert err == ""  # quiet where there is no terminal
     return (out / TABLE).read_bytes()
@@ -46,7 +46,7 @@ def parts(out: Path) -> list[Path]:
 
 def wait_for_parts(process: subprocess.Popen[str], out: Path, count: int) -> None:
     """Until so many parts are there and the study is in its middle."""
-    ends = time.monotonic() + 90
+    ends = time.monotonic() + 600
     while len(parts(out)) < count:
         assert process.poll() is None, process.communicate()
         assert time.monotonic() < ends
@@ -86,7 +86,7 @@ def test_worker_and_client_killed_in_mid_study_and_resumed_give_the_undisturbed_
     kept = len(Store(out).keys())
     assert 3 <= kept < 10
     assert not (out / TABLE).exists()
-    psutil.wait_procs(agents, timeout=10)
+    psutil.wait_procs(agents, timeout=120)
     assert not any(worker.is_running() and worker.status() != "zombie" for worker in agents)
     assert len(missing_runs(make_plan(load_study(str(path))), Store(out))) == 10 - kept
     assert finish(path, out, "--jobs", "2") == undisturbed
@@ -133,7 +133,7 @@ def test_a_scheduler_that_goes_is_told_in_one_line_and_what_was_made_is_kept(
     process = start(path, out, "--scheduler", address)
     wait_for_parts(process, out, 1)
     scheduler.kill()
-    _, err = process.communicate(timeout=60)
+    _, err = process.communicate(timeout=600)
     assert (process.returncode, err) == (
         2,
         "error: the scheduler is gone; the same command goes on from here\n",
@@ -163,7 +163,7 @@ def test_an_interrupt_leaves_a_whole_folder(write_study: Any, tmp_path: Path) ->
     process = start(path, out, "--jobs", "2")
     wait_for_parts(process, out, 1)
     process.send_signal(signal.SIGINT)
-    _, err = process.communicate(timeout=60)
+    _, err = process.communicate(timeout=600)
     assert process.returncode == 130
     assert err.count("\n") == 1 and "goes on from here" in err
     assert len(Store(out).keys()) >= 1

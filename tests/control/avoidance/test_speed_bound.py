@@ -48,7 +48,7 @@ class Crowd:
         )
         self.wheels = Drive(self.drive, self.count, step_s=STEP_S, gain_rng=gain_rng, slip_rng=slip_rng)
         self.waiting: list = []
-        self.least_m = np.inf
+        self.least_m, self.pairs = np.inf, np.triu_indices(self.count, 1)
 
     def _start(self) -> np.ndarray:
         placed: list[complex] = []
@@ -89,15 +89,24 @@ class Crowd:
         self.memory.record_rotation(omega, tick * STEP_S, STEP_S)
         v, omega = self.wheels.step(VelocityCommand(np.arange(self.count), v, omega))
         offset = self.rule.wheels.axis_offset_m
-        before = self.positions_m, self.headings
-        for part in np.linspace(0.1, 1.0, 10):
-            there, _ = move_bodies(*before, v, omega, step_s=part * STEP_S, axis_offset_m=offset)
-            apart = np.abs(to_complex(there)[:, None] - to_complex(there))[np.triu_indices(self.count, 1)]
-            self.least_m = min(self.least_m, float(apart.min()))
-        self.positions_m, self.headings = move_bodies(*before, v, omega, step_s=STEP_S, axis_offset_m=offset)
+        # Tenths of the step at once: a tenth of both speeds for the whole step leads to the same place.
+        part = np.linspace(0.1, 1.0, 10)[:, None]
+        tenths = part.size, 1
+        there, turned = move_bodies(
+            np.tile(self.positions_m, tenths),
+            np.tile(self.headings, tenths[0]),
+            (part * v).ravel(),
+            (part * omega).ravel(),
+            step_s=STEP_S,
+            axis_offset_m=offset,
+        )
+        there = to_complex(there).reshape(-1, self.count)
+        one, other = self.pairs
+        self.least_m = min(self.least_m, float(np.abs(there[:, one] - there[:, other]).min()))
+        self.positions_m, self.headings = to_points(there[-1]), turned[-self.count :]
 
 
-def least_gap_m(crowd: Crowd, ticks: int = 150) -> float:
+def least_gap_m(crowd: Crowd, ticks: int = 80) -> float:
     for tick in range(ticks):
         crowd.step(tick)
     return crowd.least_m - REACH_M
@@ -123,7 +132,7 @@ ROBOTS_AS_THEY_ARE = {
 @pytest.mark.parametrize("seed", range(3))
 def test_bodies_never_touch(make_detections, kind, latency, loss, seed) -> None:
     """From any start without overlap, with any wishes: docs/bodies.md proves it, the gap only ever shrinks
-    by a factor. Rounding is 1e-9 m."""
+    by a factor. Rounding is 1e-9 m. Robots that break the rule touch within 60 ticks, see below."""
     drive, known = ROBOTS_AS_THEY_ARE[kind]
     age_s = 0.2 + latency * STEP_S
     usual = {

@@ -116,7 +116,7 @@ def test_a_report_on_other_edges_says_nothing_of_this_one() -> None:
     assert (two.turn, two.pair) == before
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.lists(st.tuples(st.sampled_from("ab"), st.integers(0, 200), st.booleans()), max_size=60))
 def test_turns_never_part_by_more_than_one_whatever_is_received(story) -> None:
     """Each end reports at will and receives any ever sent, in any order: one turn, one pair, one holder.

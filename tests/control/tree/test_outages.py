@@ -118,7 +118,7 @@ def test_robots_that_a_unit_cannot_keep_in_view_are_taken_over() -> None:
             for unit, frame in step.frames.items()
         ]
         covered.append(np.unique(np.concatenate(seen)).size == mission.ids.size)
-        if step.time_s >= 60.0:
+        if step.time_s >= 32.0:
             break
     heights_m, ceiling_m = step.fleet.heights_m, mission.scenario.autopilot.max_height_m
     assert heights_m.max() == ceiling_m

@@ -222,21 +222,19 @@ class FaithfulCareless(Faithful):
 
 
 def run(machine: type[Machine], examples: int, steps: int, **extra) -> None:
-    """Drive a machine. Draws depend on the modules loaded: hypothesis takes constants from them."""
+    """Drive a machine."""
     run_state_machine_as_test(
         machine,
         settings=settings(
             max_examples=examples,
             stateful_step_count=steps,
-            deadline=None,
-            derandomize=True,
-            database=None,
             suppress_health_check=list(HealthCheck),
             **extra,
         ),
     )
 
 
+@pytest.mark.random
 @pytest.mark.parametrize("machine", [Faithful, Faulty])
 def test_any_interleaving(machine) -> None:
     run(machine, 8, 40)

@@ -1,5 +1,7 @@
 """The photometric fit: at the noise's own bound, honest about it, given up where the pattern is not."""
 
+from functools import lru_cache
+
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
@@ -28,10 +30,16 @@ BOUND = {
 }
 
 
+@lru_cache(8)
+def ground_of(seed, psf_px):
+    """Made once: making a ground takes as long as twenty images of it."""
+    return Ground(seed, sigma_px=total_sigma_px(psf_px))
+
+
 def frames(side_px, noise, psf_px, count, seed):
     """Detections and true poses (u + iv, heading, side) of the same markers, over `count` images."""
     rng = np.random.default_rng(seed)
-    ground = Ground(seed, sigma_px=total_sigma_px(psf_px))
+    ground = ground_of(seed, psf_px)
     renderer = Renderer(DICTIONARY, 1.0, ground, Sensor(noise, rng), psf_px=psf_px)
     detector = PhotometricDetector(DICTIONARY, following=False)
     camera = Camera((640, 640), focal_px=10.0 * side_px)
@@ -83,9 +91,7 @@ def test_the_covariance_is_honest_and_errs_on_the_safe_side(side_px):
 def test_an_unknown_blur_is_found(psf_px):
     """The blur that was never told is found to 8 %: a wrong one by half would cost 1.3-1.6 times in error."""
     rng = np.random.default_rng(4)
-    renderer = Renderer(
-        DICTIONARY, 1.0, Ground(4, sigma_px=total_sigma_px(psf_px)), Sensor(3.0, rng), psf_px=psf_px
-    )
+    renderer = Renderer(DICTIONARY, 1.0, ground_of(4, psf_px), Sensor(3.0, rng), psf_px=psf_px)
     detector = PhotometricDetector(DICTIONARY)
     camera, ids = Camera((640, 480), focal_px=320.0), np.arange(6)
     for _ in range(8):
@@ -134,9 +140,7 @@ def test_the_plane_of_a_tilted_camera_is_found():
     """Squeeze and horizon of a camera tilted by 12 deg, by projective geometry: tan(tilt) / f, and
     (1 - cos) / (1 + cos) at the foot of the axis."""
     tilt, focal = np.radians(12.0), 400.0
-    renderer = Renderer(
-        DICTIONARY, 1.0, Ground(1, sigma_px=total_sigma_px(0.8)), Sensor(2.0, np.random.default_rng(1))
-    )
+    renderer = Renderer(DICTIONARY, 1.0, ground_of(1, 0.8), Sensor(2.0, np.random.default_rng(1)))
     camera, pose = Camera((800, 800), focal_px=focal), CameraPose((0.0, 0.0), 13.0, tilt_rad=(tilt, 0.0))
     grid = 4.5 * np.stack(np.meshgrid(np.arange(4) - 1.5, np.arange(4) - 1.5), axis=-1).reshape(-1, 2)
     image = renderer.render(camera, pose, np.arange(16), grid, np.linspace(-3, 3, 16))
@@ -187,7 +191,7 @@ def test_squeezes_of_small_markers_have_no_error_in_common(aspect):
     a squeezed marker. Taken as round it shifts all squeezes by 9e-5 (aspect 4/3) or 5e-4 (3/4); here the
     mean over 24 images must be right to five deviations of its own, as their scatter tells them."""
     rng = np.random.default_rng(2)
-    ground, images = Ground(2, sigma_px=total_sigma_px(0.8)), 24
+    ground, images = ground_of(2, 0.8), 24
     renderer = Renderer(DICTIONARY, 1.0, ground, Sensor(2.0, rng))
     camera, pose = Camera((640, 640), focal_px=180.0, aspect=aspect), CameraPose((0.0, 0.0), 10.0)
     grid = 6.0 * np.stack(np.meshgrid(np.arange(4) - 1.5, np.arange(4) - 1.5), axis=-1).reshape(-1, 2)
@@ -210,7 +214,7 @@ def test_a_camera_whose_images_change_is_learned_anew(following):
     positions = np.array([[-5, 3], [0, 3], [5, 3], [-5, -3], [0, -3], [5, -3]])
     for psf_px, noise in ((0.6, 0.5), (1.3, 8.0), (0.6, 0.5)):
         rng = np.random.default_rng(3)
-        ground = Ground(4, sigma_px=total_sigma_px(psf_px))
+        ground = ground_of(4, psf_px)
         renderer = Renderer(DICTIONARY, 1.0, ground, Sensor(noise, rng), psf_px=psf_px)
         image = renderer.render(
             Camera((640, 480), focal_px=300.0),

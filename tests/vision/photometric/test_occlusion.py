@@ -1,5 +1,7 @@
 """Markers covered in part are measured by what is seen of them."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -19,6 +21,12 @@ IDS = np.arange(16)
 CAMERA, POSE = Camera((640, 640), focal_px=10 * SIDE_PX), CameraPose((0.0, 0.0), 10.0)
 
 
+@cache
+def one_ground() -> Ground:
+    """Made once: making a ground takes as long as twenty images of it."""
+    return Ground(1, sigma_px=SIGMA_PX)
+
+
 def scene(seed: int, covered: list[int], radius: float, inward: float = 0.0):
     """An image of sixteen markers, some with a dark disc about their corner or so far from it towards the
     middle, and the truth about it."""
@@ -31,7 +39,7 @@ def scene(seed: int, covered: list[int], radius: float, inward: float = 0.0):
         Disc((positions[row, 0] + corners[row].real, positions[row, 1] + corners[row].imag), radius, 40.0)
         for row in covered
     ]
-    renderer = Renderer(DICTIONARY, 1.0, Ground(seed, sigma_px=SIGMA_PX), Sensor(NOISE, rng), psf_px=0.8)
+    renderer = Renderer(DICTIONARY, 1.0, one_ground(), Sensor(NOISE, rng), psf_px=0.8)
     image = renderer.render(CAMERA, POSE, IDS, positions, headings, occluders=discs)
     return image, project_markers(CAMERA, POSE, positions, headings, 1.0, card_side(DICTIONARY))
 
@@ -100,7 +108,7 @@ def test_large_markers_are_seen_in_part_as_well(side_px):
     size = int(2.2 * side_px)
     camera = Camera((size, size), focal_px=10 * side_px)
     rng = np.random.default_rng(7)
-    renderer = Renderer(DICTIONARY, 1.0, Ground(7, sigma_px=SIGMA_PX), Sensor(NOISE, rng), psf_px=0.8)
+    renderer = Renderer(DICTIONARY, 1.0, one_ground(), Sensor(NOISE, rng), psf_px=0.8)
     axis = np.exp(0.3j)
     corner = ROBOT_FRAME_CORNERS[1] * axis
     disc = Disc((corner.real, corner.imag), 0.16, 40.0)

@@ -1,4 +1,4 @@
-"""Where robots lie in a unit's image, also those that it does not see: outside the frame, hidden, or lost."""
+"""Memory of image points: where robots lie in a unit's image, also those that it does not see now."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -14,11 +14,12 @@ from skyherd.messages import Detections, UnitReport, centred
 
 @dataclass
 class ImageMemory:
-    """Last known image points of the team, carried along as the unit moves.
+    """Last known image points of the team in one unit's image, updated as the unit moves.
 
-    Two robots seen by two units tell the similarity between their images; so the robots that the other sees
-    have a place in one's own image too, outside the frame as well. The same fit between one's last image
-    and the next carries along the points of robots that nobody sees.
+    Two robots that two units see determine the similarity between their images, and so the places in this
+    unit's image of all robots that the other unit sees, outside the frame as well. The similarity between
+    this unit's last image and the present one, fitted to the robots in both, moves the points of robots that
+    nobody sees now.
 
     Attributes:
         template: names the team.
@@ -41,7 +42,7 @@ class ImageMemory:
         self.seen_s = np.full(count, -np.inf)
 
     def update(self, seen: Detections, reports: Sequence[UnitReport]) -> None:
-        """Take in an image and what the other units reported last."""
+        """Take in an image and the last report of each other unit."""
         rows, points = self.rows(seen.ids), to_complex(seen.centers_px)
         moved = _fit(self.points_px[rows], points, self.known[rows] & (self.seen_s[rows] > -np.inf))
         if moved is not None:
@@ -51,10 +52,10 @@ class ImageMemory:
         in_view[rows] = True
         self.centers_px.clear()
         if reports:
-            self._learn(reports, in_view)
+            self._place_reported(reports, in_view)
 
-    def _learn(self, reports: Sequence[UnitReport], in_view: BoolArray) -> None:
-        """Places of what others see and the unit does not; where several do, the last one's word counts."""
+    def _place_reported(self, reports: Sequence[UnitReport], in_view: BoolArray) -> None:
+        """Place robots that only others see; of several reports of one robot the last counts."""
         sender = np.repeat(np.arange(len(reports)), [report.ids.size for report in reports])
         rows = self.rows(np.concatenate([report.ids for report in reports]))
         points = to_complex(np.concatenate([report.points_px for report in reports]))
@@ -65,11 +66,11 @@ class ImageMemory:
         hidden = ~common & images.exist[sender]
         self.points_px[rows[hidden]] = images(points[hidden], sender[hidden])
         self.known[rows[hidden]] = True
-        told = np.flatnonzero(images.exist).tolist()
-        middles = to_complex(np.reshape([(reports[row].image_size_px - 1) / 2 for row in told], (-1, 2)))
-        units = (reports[row].unit_id for row in told)
+        fitted = np.flatnonzero(images.exist).tolist()
+        middles = to_complex(np.reshape([(reports[row].image_size_px - 1) / 2 for row in fitted], (-1, 2)))
+        units = (reports[row].unit_id for row in fitted)
         self.centers_px.update(
-            zip(units, images(middles, np.array(told, dtype=np.int64)).tolist(), strict=True)
+            zip(units, images(middles, np.array(fitted, dtype=np.int64)).tolist(), strict=True)
         )
 
     def rows(self, ids: IntArray) -> IntArray:
@@ -77,13 +78,13 @@ class ImageMemory:
         return np.asarray(np.searchsorted(self.template.ids, ids), dtype=np.int64)
 
     def centred(self, ids: IntArray, image_size_px: Array) -> Array:
-        """Points (M, 2) of those of the robots that have a place, from the image centre, in half images."""
+        """(M, 2) points, from the image centre in half images, of those of the robots that have a place."""
         rows = self.rows(ids)
         return centred(to_points(self.points_px[rows[self.known[rows]]]), image_size_px)
 
 
 def _fit(source: ComplexArray, target: ComplexArray, use: BoolArray) -> Similarity | None:
-    """The similarity from some of the points to their counterparts, if they tell one."""
+    """The similarity from the points in `use` (N,) to their counterparts; None if there is none."""
     if np.count_nonzero(use) < 2:
         return None
     try:

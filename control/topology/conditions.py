@@ -14,12 +14,20 @@ from scipy.sparse.csgraph import connected_components
 from skyherd.geometry import BoolArray, IntArray
 
 ControlSets = Mapping[int, IntArray]
-"""S_j^c by unit id."""
+"""S_j^c by unit id: the robots that each unit controls, ascending."""
 
 
 @dataclass(frozen=True)
 class Conditions:
-    """Which of TC1-TC5 hold."""
+    """Which of the paper's topology conditions hold (Section II).
+
+    Attributes:
+        tc1: the graph G_c of the units is connected.
+        tc2: every robot is controlled by some unit.
+        tc3: neighbours in G_c share exactly two robots, other units none.
+        tc4: no robot is controlled by more than two units.
+        tc5: G_c is a tree.
+    """
 
     tc1: bool
     tc2: bool
@@ -29,12 +37,12 @@ class Conditions:
 
     @property
     def in_p(self) -> bool:
-        """All hold: convergence from everywhere (Theorem 1)."""
+        """Whether all hold: then the shape is reached from any start (Theorem 1)."""
         return self.in_q and self.tc3 and self.tc4 and self.tc5
 
     @property
     def in_q(self) -> bool:
-        """TC1 and TC2 hold: convergence from nearby (Corollary 4)."""
+        """Whether TC1 and TC2 hold: then the shape is reached from nearby (Corollary 3)."""
         return self.tc1 and self.tc2
 
 
@@ -43,7 +51,7 @@ def control_matrix(sets: ControlSets, robot_ids: IntArray) -> BoolArray:
     units = [sets[unit] for unit in sorted(sets)]
     robots = np.concatenate([np.zeros(0, dtype=np.int64), *units])
     row = np.repeat(np.arange(len(units)), [members.size for members in units])
-    column = np.searchsorted(robot_ids[:-1], robots)
+    column = np.searchsorted(robot_ids[:-1], robots)  # never past the end, so that it can be compared below
     known = robot_ids[column] == robots
     matrix = np.zeros((len(units), robot_ids.size), dtype=bool)
     matrix[row[known], column[known]] = True
@@ -62,11 +70,7 @@ def graph_edges(sets: ControlSets) -> list[tuple[int, int]]:
 
 
 def check_conditions(controlled: BoolArray) -> Conditions:
-    """TC1-TC5 of a topology given as (U, N) booleans, all robots of the team in the columns.
-
-    TC1 G_c is connected; TC2 every robot is controlled; TC3 neighbours in G_c share exactly two robots
-    and others none; TC4 no robot has three units; TC5 G_c is a tree.
-    """
+    """Which of TC1-TC5 hold for (U, N) booleans, units by all robots of the team: who controls whom."""
     holders = controlled.sum(axis=0)
     counts = controlled[:, holders > 1].astype(np.float64)  # exact, and much faster than integers
     common = counts @ counts.T

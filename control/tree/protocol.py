@@ -66,38 +66,27 @@ Transition = Callable[[NodeState, Situation], Changes]
 """A rule of the protocol: from a unit's state and situation to what changes of the state."""
 
 RULES: tuple[tuple[Transition, str], ...] = (
-    (note_view, "first, since all other rules read when robots were seen"),
-    (receive_turns, "before any rule that reads pairs, so that each edge is known as its neighbour left it"),
-    (
-        leave_for_lower_tree,
-        "before the tree is mended: what belongs to the tree that gives way is dropped anyhow",
-    ),
-    (fail_over, "before claims and offers, so that no robot of a dead neighbour is taken for nobody's"),
-    (heal_partition, "after failover, since parts are told apart by the edges that are left"),
-    (
-        yield_claims,
-        "before robots are offered or adopted: a robot that another unit claims must not be promised",
-    ),
-    (
-        admit,
-        "before this unit's own turns, so that units that ask get robots before neighbours with a pair do",
-    ),
-    (adopt_orphans, "after failover and claims, when it is settled what this unit controls"),
-    (
-        disown_lost,
-        "after admission and adoption, so that a robot just promised or adopted is not dropped at once",
-    ),
-    (
-        join_tree,
-        "after the rules for members: a founder begins to grant edges at its next image",
-    ),
-    (use_turns, "after all that changes own robots, so that what is offered is the unit's own and stays it"),
-    (watch_growth, "after turns, by which the tree grows"),
-    (name_heir, "after turns, since only an edge with a pair can have the heir"),
-    (seek_robots, "after turns, so that a pair that was just taken is not sought"),
+    (note_view, "first: all other rules read when robots were seen"),
+    (receive_turns, "before rules that read pairs: each edge is then known as its neighbour left it"),
+    (leave_for_lower_tree, "before the tree is mended: a tree that gives way need not be"),
+    (fail_over, "before claims and offers: what a dead neighbour had is settled first"),
+    (heal_partition, "after failover: parts of the tree are told apart by the edges that are left"),
+    (yield_claims, "before offers and adoption: both are made of what is left"),
+    (admit, "before this unit's own turns: units that ask get robots before neighbours with a pair do"),
+    (adopt_orphans, "after claims: what is adopted now can be offered in the turns of this image"),
+    (disown_lost, "after admission: a robot that was just promised stays"),
+    (join_tree, "after the rules for members: a founder begins to grant edges at its next image"),
+    (use_turns, "after all that changes own robots: offers are made of those that stay own"),
+    (watch_growth, "after turns: the tree grows by them, and is seen to have grown in the same image"),
+    (name_heir, "after turns: only a neighbour with a pair can be the heir"),
+    (seek_robots, "after turns: a pair that was just taken is not sought"),
     (note_holding, "last: it notes what all other rules have decided"),
 )
-"""All rules in the order in which they are applied, each with the reason for its place."""
+"""All rules in the order in which they are applied, each with the reason for its place.
+
+Each rule is safe by itself, so that TC3-TC5 hold in any order; the order makes a unit react in the image in
+which it learns of something (tests/control/tree/test_rule_order.py shows what happens otherwise).
+"""
 
 
 @dataclass

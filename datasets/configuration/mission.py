@@ -199,11 +199,8 @@ def _apply_setting(tree: dict[str, Any], setting: str) -> None:
 def _complete(scenario: Scenario, folder: Path) -> Mission:
     rng = generator(scenario.seed, RunStream.START_PLACES)
     if ":" not in scenario.detector and scenario.detector not in detector_names():
-        raise InputError(
-            "detector",
-            f"no detector {scenario.detector!r}",
-            f"one of {', '.join(detector_names())}, or module:factory",
-        )
+        known = f"one of {', '.join(detector_names())}, or module:factory"
+        raise InputError("detector", f"no detector {scenario.detector!r}", known)
     limit = dictionary_size(scenario.marker.dictionary)
     template = _template(scenario.template, scenario.robots, scenario.marker.dictionary, folder)
     ids = _robot_ids(scenario.robots, template)
@@ -268,9 +265,8 @@ def _robot_ids(robots: RobotsModel, template: Template) -> IntArray:
     named = template.ids if template.ids.size == count else np.arange(count)
     ids = named if robots.ids is None else np.array(robots.ids, dtype=np.int64)
     if robots.count not in (None, count):
-        raise InputError(
-            "robots.count", f"{robots.count}, but {count} positions", "the number of positions_m, or none"
-        )
+        what = f"{robots.count}, but {count} positions"
+        raise InputError("robots.count", what, "the number of positions_m, or none")
     if ids.size < 2:
         raise InputError("robots", f"{ids.size} robot(s)", "at least two, since fewer make no shape")
     if np.unique(ids).size != ids.size:
@@ -284,9 +280,8 @@ def _robot_ids(robots: RobotsModel, template: Template) -> IntArray:
 def _check_classes(scenario: Scenario, ids: IntArray) -> None:
     classes = scenario.roles.classes
     if classes is not None and len(classes) != ids.size:
-        raise InputError(
-            "roles.classes", f"{len(classes)} classes for {ids.size} robots", "one for each, by ascending id"
-        )
+        what = f"{len(classes)} classes for {ids.size} robots"
+        raise InputError("roles.classes", what, "one for each, by ascending id")
 
 
 def _check_template(ids: IntArray, template: Template) -> None:
@@ -298,6 +293,5 @@ def _check_template(ids: IntArray, template: Template) -> None:
     points = to_points(template.points_px)
     if (pair := coincident(points, SAME_POINT * float(np.ptp(points)))) is not None:
         first, second = template.ids[pair[0]], template.ids[pair[1]]
-        raise InputError(
-            "template", f"robots {first} and {second} have one point", "each robot its own place"
-        )
+        what = f"robots {first} and {second} have one point"
+        raise InputError("template", what, "each robot its own place")

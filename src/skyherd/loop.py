@@ -89,12 +89,10 @@ def run_steps(
         team_for: makes the robots (mission, world).
     """
     scenario = mission.scenario
-    perception_rng = generator(scenario.seed, RunStream.PERCEPTION)
-    message_rng = generator(scenario.seed, RunStream.MESSAGES)
     frame_rng = generator(scenario.seed, RunStream.LOST_FRAMES)
     world, observer = make_world(mission), TruthObserver(mission.template, mission.ids)
-    perception = perception or make_perception(mission, perception_rng)
-    network = make_network(scenario, message_rng)
+    perception = perception or make_perception(mission, generator(scenario.seed, RunStream.PERCEPTION))
+    network = make_network(scenario, generator(scenario.seed, RunStream.MESSAGES))
     agents, team = UnitAgents(mission, controller_for), team_for(mission, world)
     for tick in range(round(scenario.duration_s / scenario.step_s) + 1):
         time_s = tick * scenario.step_s
@@ -103,8 +101,8 @@ def run_steps(
             agents.lose(unit)
             network.forget(unit)
             world.fly(FlightCommand.hold(unit))
-        due = _units_with_frame(scenario, tick, dead)
-        kept = [unit for unit in due if frame_rng.random() >= scenario.network.frame_loss]
+        taken = _units_with_frame(scenario, tick, dead)
+        kept = [unit for unit in taken if frame_rng.random() >= scenario.network.frame_loss]
         receivers = world.in_range()
         for unit, sight in zip(kept, perception.look(world, kept, time_s), strict=True):
             decision = agents.decide(sight.detections, list(network.reports[unit].values()))

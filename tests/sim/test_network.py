@@ -52,7 +52,7 @@ def test_each_receiver_has_a_delay_of_its_own(make_report) -> None:
 
 def test_repeats_are_of_the_stated_share_and_the_same_message(send_many) -> None:
     network = send_many(NetworkParameters(repeats=0.3))
-    delivered = [goals for goals, _ in network.deliver(1.0)]
+    delivered = [delivery.message for delivery in network.deliver(1.0)]
     assert (len(delivered) - 400) / 400 == pytest.approx(0.3, abs=5 * np.sqrt(0.21 / 400))
     assert len({id(goals) for goals in delivered}) == 400
 

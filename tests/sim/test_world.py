@@ -245,7 +245,8 @@ def test_messages_arrive_after_their_latency_and_once(make_goals, make_report) -
     network.send([make_goals(0, [1, 2], [1, 2])], make_report(0, [1, 2], [0, 1], [1, 2]), 0.25)
     assert network.deliver(0.2) == []
     assert network.reports == [{}, {}]
-    ((goals, received),) = network.deliver(0.3)
+    (delivery,) = network.deliver(0.3)
+    goals, received = delivery.message, delivery.received
     assert goals.ids.tolist() == [1, 2] and received.all()
     assert list(network.reports[1]) == [0] and network.reports[0] == {}, (
         "others hear a report, not its sender"
@@ -261,7 +262,7 @@ def test_losses_are_independent_and_of_the_stated_share(make_goals, make_report,
     for n in range(1000):
         network.send([make_goals(0, [0, 1, 2, 3], [1, 1, 1, 1])], make_report(0, [0], [0], [0]), n)
         network.reports[1].clear()
-        heard += [received for _, received in network.deliver(n)]
+        heard += [delivery.received for delivery in network.deliver(n)]
         reports += len(network.reports[1])
     per_robot = np.array(heard).mean(axis=0)
     sd = np.sqrt(loss * (1 - loss) / 1000)
@@ -277,7 +278,7 @@ def test_losses_come_from_the_generator(make_goals, make_report) -> None:
         result = []
         for n in range(30):
             network.send([make_goals(0, [0, 1], [1, 1])], make_report(0, [0], [0], [0]), n)
-            result += [received.tolist() for _, received in network.deliver(n)]
+            result += [delivery.received.tolist() for delivery in network.deliver(n)]
         return result
 
     assert receptions(3) == receptions(3)

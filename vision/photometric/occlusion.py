@@ -19,9 +19,8 @@ from skyherd.vision.grey import Image
 from skyherd.vision.photometric.appearance import appearances_of
 from skyherd.vision.photometric.common_unknowns import common_plane
 from skyherd.vision.photometric.design_matrix import BLACK, CONTRAST, MIDDLE_GREY, POSE, SQUEEZE, UNKNOWNS
-from skyherd.vision.photometric.fit import image_middle, stepped
+from skyherd.vision.photometric.fit import PixelSamples, image_middle, stepped
 from skyherd.vision.photometric.fit_result import FitResults, fit_results_of
-from skyherd.vision.photometric.pixel_samples import PixelSamples
 from skyherd.vision.photometric.plane import Plane
 
 INLIER_SIGMAS = 4.0

@@ -159,7 +159,7 @@ DAMAGES = {
     _wrong_yaml: ("data.yaml", "differs from its spec: line 3, value 1 is path: instead of train:"),
     _moved_coco: ("train.json", "annotations.1.keypoints.0 is"),
     _short_coco: ("train.json", "annotations has"),
-    _garbled_coco: ("train.json", "images has 1 entries instead of 7"),
+    _garbled_coco: ("train.json", "images has 1 entries instead of 3"),
     _other_text_coco: ("train.json", "the right content, but not the text"),
     _cut_coco: ("train.json", "cut short"),
     _moved_truth: ("truth.csv", "not as its seed puts them"),

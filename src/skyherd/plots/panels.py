@@ -157,6 +157,8 @@ def write_figures(history: History, folder: Path) -> list[FigureFile]:
 def save_figure(figure: Figure, folder: Path, name: str, title: str, caption: str) -> FigureFile:
     """Write a figure as PNG and SVG into a folder that exists.
 
+    Both have the layout that the PNG needs, which is worked out once: it takes longer than drawing does.
+
     Args:
         figure: what to write.
         folder: where to.
@@ -169,5 +171,6 @@ def save_figure(figure: Figure, folder: Path, name: str, title: str, caption: st
     """
     png, svg = folder / f"{name}.png", folder / f"{name}.svg"
     write_whole(png, lambda part: figure.savefig(part, format="png", dpi=DPI))
+    figure.set_layout_engine("none")
     write_whole(svg, lambda part: figure.savefig(part, format="svg", metadata={"Date": None}))
     return FigureFile(name=name, title=title, caption=caption, png=png, svg=svg)

@@ -1,0 +1,1 @@
+"""Templates that all pages share, and that of a run's page."""

@@ -7,12 +7,10 @@ imports inside of functions and for type checkers.
 import ast
 import tomllib
 from graphlib import CycleError, TopologicalSorter
-from pathlib import Path
 
 import pytest
+from source_files import ROOT, SOURCE_FILES
 
-ROOT = Path(__file__).parent.parent
-PARTS = ("control", "datasets", "render", "vision")
 FACADES = ("control", "render", "vision")
 """Packages whose names are to be imported from the package itself: `from skyherd.control import Template`."""
 
@@ -21,20 +19,6 @@ MOST_CHILDREN = 30
 
 MOST_LAYERS = 18
 """Layers of the exhaustive import contract. Chosen."""
-
-
-def source_files() -> dict[str, Path]:
-    """The file of each module of the package, by the module's full name."""
-    files = {}
-    for folder, package in (("src/skyherd", "skyherd"), *((part, f"skyherd.{part}") for part in PARTS)):
-        for path in sorted((ROOT / folder).rglob("*.py")):
-            names = path.relative_to(ROOT / folder).with_suffix("").parts
-            names = names[:-1] if names[-1] == "__init__" else names
-            files[".".join((package, *names))] = path
-    return files
-
-
-FILES = source_files()
 
 
 def imports(source: str, modules: set[str]) -> set[str]:
@@ -50,7 +34,7 @@ def imports(source: str, modules: set[str]) -> set[str]:
     return {name for name in found if name == "skyherd" or name.startswith("skyherd.")}
 
 
-GRAPH = {module: imports(path.read_text(), set(FILES)) for module, path in FILES.items()}
+GRAPH = {module: imports(path.read_text(), set(SOURCE_FILES)) for module, path in SOURCE_FILES.items()}
 
 
 def belongs_to(module: str, package: str) -> bool:
@@ -87,9 +71,11 @@ def test_nobody_reaches_past_a_facade() -> None:
     ],
 )
 def test_a_way_past_a_facade_is_seen(statement, past) -> None:
-    graph = {"skyherd.report.pages": imports(statement, set(FILES))}
+    graph = {"skyherd.report.pages": imports(statement, set(SOURCE_FILES))}
     assert bool(ways_past_facades(graph)) is past
-    inside = {"skyherd.control.goals": imports(statement.replace("vision.grey", "control.goals"), set(FILES))}
+    inside = {
+        "skyherd.control.goals": imports(statement.replace("vision.grey", "control.goals"), set(SOURCE_FILES))
+    }
     assert not ways_past_facades(inside)
 
 
@@ -98,7 +84,7 @@ def child_of(module: str) -> str | None:
     return module.split(".")[1] if "." in module else None
 
 
-CHILDREN = {child for child in map(child_of, FILES) if child is not None}
+CHILDREN = {child for child in map(child_of, SOURCE_FILES) if child is not None}
 
 
 def child_graph(graph: dict[str, set[str]]) -> dict[str, set[str]]:

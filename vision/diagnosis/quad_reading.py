@@ -265,7 +265,7 @@ def _nearest(cells: Array, samples: Array, templates: Templates, promising: floa
     """
     seen = np.isfinite(cells)
     if seen.sum() < MIN_CELLS:
-        return Match(0.0, 0, FIRST_BLUR_CELLS, 0.0, 0.0)
+        return Match(likeness=0.0, row=0, blur_cells=FIRST_BLUR_CELLS, black=0.0, white=0.0)
     likeness = correlations(templates.levels[:, seen], cells[seen][None])[0]
     best = np.argsort(likeness)[-FINALISTS:]
     match = _fit(
@@ -291,4 +291,4 @@ def _fit(likeness: float, row: int, blur: float, pattern: npt.NDArray[np.float32
     """Black and white by least squares: values = black + (white - black) pattern."""
     gain = likeness * float(values.std()) / max(float(pattern.std()), MIN_DEVIATION)
     black = float(values.mean()) - gain * float(pattern.mean())
-    return Match(likeness, row, blur, black, black + gain)
+    return Match(likeness=likeness, row=row, blur_cells=blur, black=black, white=black + gain)

@@ -35,8 +35,11 @@ from skyherd.messages import Detections
 from skyherd.progress import NO_PROGRESS, Progress
 from skyherd.vision import Detector, Rejection, create_detector, explain, suggest
 
-DETECTIONS, REJECTIONS = "detections", "rejected"
-"""Names of the two tables, without their endings."""
+DETECTIONS = "detections"
+"""Name of the table of detections, without its ending."""
+
+REJECTIONS = "rejected"
+"""Name of the table of rejected candidates, without its ending."""
 
 FEW = 3
 """With fewer detections in a picture a hint is looked for, since something is likely to be wrong with it.

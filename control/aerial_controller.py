@@ -1,4 +1,15 @@
-"""One aerial unit's controller: detections and reports in; goals, a report and a flight command out."""
+"""One aerial unit's controller: detections and reports in; goals, a report and a flight command out.
+
+Units and robots may fall silent, and markers may be missed, so that everything a decision rests on has an age
+at which it stops counting:
+
+- A report that is older than `report_lifetime_s`, which is several images, is left out of the decision. The
+  tree protocol remembers reports by itself, and has a limit of its own for them (`TreeRule.silence_s`).
+- A robot that is not detected gets no goal in that image. Where control sets follow from a safety radius, it
+  counts for a dwell time as where it was last seen (`skyherd.control.topology.safety_radius`).
+- A robot follows a goal until the scenario's `robots.timeout_s` has passed since it received it
+  (`skyherd.control.robots.goal_fusion`). Without any goal left it holds still.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field

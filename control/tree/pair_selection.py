@@ -1,4 +1,12 @@
-"""Which two robots two neighbours share: the nearest, or those by which their fits agree fastest."""
+"""Which two robots two neighbours share: the nearest, or those by which their fits agree fastest.
+
+Two units that share a pair of robots come to agree on the shape at a rate that has a closed form
+(`skyherd.control.topology.convergence_rate.pair_rates`). The rate depends on the control sets of the two
+units and on the template alone, and not on where the robots are now, so that a unit can compare pairs that it
+does not see. By the rule `leverage` the pair with the highest rate is shared; by the paper's rule, `nearest`,
+the two robots nearest to the image centre are. By either rule, pairs that hand over robots which one unit
+would rather lose to the other come first.
+"""
 
 from collections.abc import Mapping
 from itertools import combinations

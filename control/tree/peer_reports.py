@@ -1,4 +1,10 @@
-"""The newest report received from each other unit."""
+"""The newest report received from each other unit.
+
+Reports are read by many rules in every image, so that work on them is done once and then kept. A report turns
+its arrays into a set of robots and a table of distances when somebody first asks for them (`UnitReport`), and
+what follows from all reports together, such as the robots that anybody claims, is computed once an image
+(`skyherd.control.tree.node_state.Situation`).
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field

@@ -1,4 +1,16 @@
-"""Which robots a unit flies to see, besides those that it controls."""
+"""Which robots a unit flies to see, besides those that it controls.
+
+Both units of an edge know each other's control set and the shape. They can therefore compute which pair of
+robots would make their two fits agree fastest, whether or not they see these robots
+(`skyherd.control.tree.pair_selection`). While the pair that they share is weak, they fly to get a better one
+into view, and the tree then exchanges the pair in an ordinary turn. They do the same for robots that a
+neighbour has lost from view. A unit moves aside for robots that it seeks only as long as its own robots stay
+in view (`skyherd.control.flight.keep_in_view`).
+
+Three measures together brought the median time to convergence of 40 random missions from 62 s to 30 s: this
+flight, the look around before the tree is founded, and the choice of the unit that sees most robots as its
+founder (`skyherd.control.tree.joining`). docs/topology.md has the measurements.
+"""
 
 from skyherd.control.tree.node_state import Changes, NodeState, Situation
 from skyherd.control.tree.pair_selection import firmer_pair

@@ -1,4 +1,8 @@
-"""The summary of a run in numbers: the content of `summary.json`."""
+"""The summary of a run in numbers: the content of `summary.json`.
+
+`uncommanded_robot_s` says for how long robots held still because they had no goal that was young enough: the
+times of all robots added up.
+"""
 
 from typing import Any
 

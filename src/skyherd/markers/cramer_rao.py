@@ -17,7 +17,8 @@ A displacement field w of the pattern, with the Gaussian of lens and pixel left 
 
 Σ being the Gaussian's covariance; by the heat equation `∂I/∂ log σ = Σ : ∇∇I`. The image is that of
 `skyherd.markers.blur_model` in the marker's own axes, where it is separable, with the blur of the marker's
-centre.
+centre. The sum over the image's pixels is therefore taken on a grid along the marker's sides, each sample
+weighted by the area that it has in pixels.
 
 Every unknown of the geometry is a generator of homographies, so that the marker's own moves and the plane's
 slant are one formula. What the markers of an image share is eliminated by its Schur complement.

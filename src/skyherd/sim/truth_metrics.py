@@ -1,6 +1,10 @@
 """Metrics that need the truth: the cost V, the topological conditions, the quality of the shape.
 
 They are for plots, summaries and tests; nothing here reaches `skyherd.control`.
+
+The conditions TC1-TC5 are judged by the control sets that the units declared in their last reports, whether
+or not the robots received goals from them. How long robots had no goal to follow is a number of its own,
+`uncommanded_robot_s` in the summary (`skyherd.analysis.summary`).
 """
 
 from collections.abc import Sequence

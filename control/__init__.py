@@ -19,8 +19,8 @@ from skyherd.control.formation.similarity import Similarity, desired_points, fit
 from skyherd.control.formation.size import SizeRule
 from skyherd.control.formation.template import Template
 from skyherd.control.goals import motion_goals
-from skyherd.control.hybrid_selection import HybridSelection
 from skyherd.control.policy import (
+    NO_ROBOTS,
     Delivery,
     FlightLaw,
     FlightTask,
@@ -41,6 +41,8 @@ from skyherd.control.robots.unicycle import (
     robot_commands,
     wheel_law,
 )
+from skyherd.control.selection.hybrid_selection import HybridSelection
+from skyherd.control.selection.safety_radius import SafetyRadius
 from skyherd.control.topology.conditions import (
     Conditions,
     ControlSets,
@@ -50,11 +52,11 @@ from skyherd.control.topology.conditions import (
     owners_by_robot,
 )
 from skyherd.control.topology.convergence_rate import laplacian, slowest_rate
-from skyherd.control.topology.safety_radius import SafetyRadius
 from skyherd.control.tree.node_state import TreeRule
 from skyherd.control.tree.protocol import TreeProtocol
 
 __all__ = [
+    "NO_ROBOTS",
     "AerialController",
     "AvoidanceRule",
     "BodyRule",

@@ -6,7 +6,7 @@ at which it stops counting:
 - A report that is older than `report_lifetime_s`, which is several images, is left out of the decision. The
   tree protocol remembers reports by itself, and has a limit of its own for them (`TreeRule.silence_s`).
 - A robot that is not detected gets no goal in that image. Where control sets follow from a safety radius, it
-  counts for a dwell time as where it was last seen (`skyherd.control.topology.safety_radius`).
+  counts for a dwell time as where it was last seen (`skyherd.control.selection.safety_radius`).
 - A robot follows a goal until the scenario's `robots.timeout_s` has passed since it received it
   (`skyherd.control.robots.goal_fusion`). Without any goal left it holds still.
 """
@@ -50,10 +50,10 @@ class Decision:
 
 
 class AerialController:
-    """Steers the robots of one unit from its detections alone.
+    """Steers the robots of one unit from its detections and the other units' reports.
 
-    Everything that it keeps from image to image is in its parts, of which it has its own instances: the
-    rectifier, the selection policy, the flight law, the roles and the agreed marker side.
+    What it keeps from image to image is in its parts, of which it has its own instances (rectifier, selection
+    policy, flight law, roles, agreed marker side), but for its own last report, which the policy reads.
 
     Args:
         schedule: the whole shape, by robot, or several shapes one after the other.

@@ -1,8 +1,8 @@
 """What can be exchanged in a unit's controller and in the robots: the interfaces and the values they pass.
 
-`AerialController` (control/aerial_controller.py) calls one `SelectionPolicy` and one `FlightLaw` an image;
-the loop calls one `RobotTeam` a step. Each docstring below states all that a new implementation has to keep
-to; `docs/extending.md` shows one of each in full.
+`AerialController` (control/aerial_controller.py) calls its `SelectionPolicy` once an image, and its
+`FlightLaw` unless the unit holds its place; the loop calls one `RobotTeam` a step. Each docstring below states
+all that a new implementation has to keep to; `docs/extending.md` shows one of each in full.
 """
 
 from collections.abc import Sequence
@@ -35,8 +35,10 @@ class Selection:
         controlled_ids: (M,) the control set S_j^c (paper, Section II), ascending.
         secure_ids: (L,) robots of the set that the unit holds safely now; other units may leave these to it.
         may_move: whether the unit sends goals; without goals its robots stand still.
-        sought_ids: robots outside the set that the unit should also get into view.
-        searches: whether the unit should widen its view, because units or robots have not been found yet.
+        sought_ids: robots outside the set that the unit should also get into view; used while `may_move`.
+        searches: whether the unit should widen its view and keep all robots that it sees, because units or
+            robots have not been found yet; used only while `may_move` is False, else the unit holds its
+            place.
         tree_status: what the unit's report says of the tree of units; None where there is no tree.
     """
 
@@ -98,6 +100,8 @@ class FlightLaw(Protocol):
 
     def command(self, seen: Detections, task: FlightTask, reports: Sequence[UnitReport]) -> FlightCommand:
         """Velocity to fly until the next image.
+
+        It is not called while the unit holds its place: a law that counts time goes by `seen.time_s`.
 
         Args:
             seen: robots of the team in the image; may be empty, and the law must answer then as well.

@@ -49,7 +49,7 @@ def test_policy_and_flight_law_bring_the_robots_into_shape(page) -> None:
 
 
 def test_the_robots_law_brings_the_robots_into_shape(page) -> None:
-    *_, step = run_steps(page["mission"], team_for=page["NewestGoal"])
+    *_, step = run_steps(page["mission"], team_for=page["LastArrivedGoal"])
     assert step.metrics.shape.error < 0.05
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
 from skyherd.control.policy import NO_ROBOTS, FlightLaw, FlightTask
-from skyherd.control.topology.safety_radius import centre_distances
+from skyherd.control.selection.safety_radius import centre_distances
 from skyherd.geometry import Array, IntArray
 from skyherd.messages import Detections, FlightCommand, UnitReport, centred, shared_ids
 

@@ -115,7 +115,7 @@ class MarkerGains:
 
 @dataclass(frozen=True)
 class Wheels:
-    """What a robot knows of its own wheels.
+    """Limits and geometry of a robot's differential drive, as the robot knows them.
 
     Attributes:
         max_speed_mps: limit of |v|.

@@ -1,1 +1,1 @@
-"""Who controls whom: conditions TC1-TC5, the rate of convergence, sets by a safety radius."""
+"""The topology of who controls whom: conditions TC1-TC5, the rate of convergence, the slot clock."""

@@ -1,7 +1,8 @@
 """The slot clock: time cut into slots of equal length, common to all units.
 
-Control sets and roles change only in the first image of a slot, so that every topology lasts for at least a
-slot (the dwell time of the paper's Proposition 1), and units take turns by the number of the slot.
+Units exchange robots, and make new role maps, only in the first image of a slot, so that a topology lasts for
+at least a slot (the dwell time of the paper's Proposition 1), and take turns by the number of the slot.
+Repairs act at once: failover, disputed robots, leaving a tree, founding one when asked, received role maps.
 """
 
 from math import floor

@@ -57,7 +57,7 @@ class Edge:
 
     @property
     def is_my_turn(self) -> bool:
-        """Whether the unit has the turn."""
+        """Whether this unit, and not the neighbour, may exchange the pair now."""
         return self.turn != NO_TURN and has_turn(self.turn, self.unit_id, self.neighbor_id)
 
     def received(self, report: UnitReport) -> "Edge":

@@ -37,7 +37,7 @@ def fail_over(state: NodeState, now: Situation) -> Changes:
 
 
 def name_heir(state: NodeState, now: Situation) -> Changes:
-    """Name the neighbour with fewest robots as the heir, and keep to it, so that all know who it is."""
+    """Name as the heir, of the neighbours with a pair, the one with fewest robots, and keep to it."""
     if state.heir_id in state.edges:
         return Changes()
     robots = {

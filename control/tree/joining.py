@@ -16,11 +16,11 @@ granted and its first pair be taken; twice as long only delays deployment by a s
 def join_tree(state: NodeState, now: Situation) -> Changes:
     """Outside of a tree: ask a member to be admitted; if there is no tree, see that one is founded.
 
-    Large control sets bind a team firmly (docs/topology.md), and the founder's set is all that it sees. So
-    the unit that sees most robots is to be the founder. For there to be one founder only, however late
-    reports are, the lowest unit chooses: after a dwell time it founds the tree itself, or asks another unit
-    to, and keeps to that choice while it receives reports of the chosen one, which may have founded the tree
-    by then.
+    Large control sets bind a team firmly (docs/topology.md), and the founder's set is all that it sees inside
+    the radius. So the unit that sees most robots is to be the founder. For there to be one founder only,
+    however late reports are, the lowest unit chooses: after a dwell time it founds the tree itself, or asks
+    another unit to, and keeps to that choice while it receives reports of the chosen one, which may have
+    founded the tree by then.
     """
     if state.is_member:
         return Changes()
@@ -88,10 +88,10 @@ def admit(state: NodeState, now: Situation) -> Changes:
 def watch_growth(state: NodeState, now: Situation) -> Changes:
     """Until the tree is complete: tell whether it is, and whether to look around because it does not grow.
 
-    It is complete when all units heard of belong to it and all robots to a unit, when a neighbour says so, or
-    when the unit's patience has ended. Units look around before the tree has been founded, and from the first
-    slot on in which it did not grow; meanwhile they hold their place, so that others can count on what they
-    see.
+    It is complete when all units heard of belong to it and all robots to a unit, when any unit that was heard
+    of says so, or when the unit's patience has ended. Units look around before the tree has been founded, and
+    from the first slot on in which it did not grow; meanwhile they hold their place, so that others can count
+    on what they see.
     """
     if state.ready:
         return Changes()
@@ -114,6 +114,6 @@ def watch_growth(state: NodeState, now: Situation) -> Changes:
 
 
 def _is_complete(state: NodeState, now: Situation, extent: Extent) -> bool:
-    is_told = any(peer.tree.ready for peer in now.living)
+    is_reported = any(peer.tree.ready for peer in now.living)
     is_patience_over = now.time_s - state.since_s > now.rule.patience_s
-    return is_told or is_patience_over or (not extent.outside and extent.held >= now.shape.members)
+    return is_reported or is_patience_over or (not extent.outside and extent.held >= now.shape.members)

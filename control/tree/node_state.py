@@ -1,4 +1,4 @@
-"""A unit's state in the tree protocol, and its situation at one image: values that never change."""
+"""A unit's state in the tree protocol, and its situation at one image: values that no rule changes."""
 
 from collections.abc import Mapping
 from collections.abc import Set as AbstractSet
@@ -28,7 +28,8 @@ class TreeRule:
         radius: robots are given and taken inside this distance from the image centre, in halves of the
             image's shorter side.
         hysteresis: a unit would rather lose a robot outside `radius (1 + hysteresis)`.
-        dwell_s: length of a slot; control sets change at the first image of a slot, but for failover.
+        dwell_s: length of a slot; pairs are exchanged, and robots adopted or given up, at the first image of
+            a slot.
         gain: a new pair must be better than the present one by this factor, so that noise exchanges nothing.
         firm: while an edge agrees at a lower rate than this (in units of the robots' gain k), its units fly
             to see robots that would make a better pair.
@@ -166,8 +167,8 @@ class Situation:
         shape: the whole template, under the robots' present roles.
         unit_id: the unit itself.
         time_s: when the image was taken.
-        slot: the slot that it falls in,
-        at_slot: and whether it is the unit's first image in that slot.
+        slot: number of the slot that the image falls in.
+        at_slot: whether it is the unit's first image in that slot.
         distances: of the robots in the image from its centre, in half images.
         news: reports that arrived since the last image.
         peers: the newest report of each other unit.

@@ -13,9 +13,9 @@ from skyherd.control.tree.edge import Robots
 from skyherd.messages import NO_ID, TreeStatus, UnitReport
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class PeerReport:
-    """The newest report of one unit that takes part in the protocol.
+    """A report of one unit that takes part in the protocol.
 
     Attributes:
         report: as received.

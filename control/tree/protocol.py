@@ -11,13 +11,16 @@ whatever the assignment is (docs/topology.md has the proofs). The assignment cha
 - by failover (`failover`): each unit names an heir among its neighbours. When the unit falls silent the heir
   takes its robots and edges; the other neighbours turn to the heir and have the first turn;
 - by adoption (`orphans`): a robot that nobody controls becomes the own of the unit that sees it nearest to
-  its centre.
+  its centre, after the unit that lost it from view has given it up;
+- by repair (`orphans`, `partition`): robots that two units claim lose one of them, and of two trees, or two
+  parts of one, all units but those of one leave and join again.
 
 Turns and joining are safe however messages are lost, late, repeated or reordered, while every two units
 receive a report of each other once in a silence: the protocol assumes that every unit can hear every other
-one. Failover and adoption rest on what was received. Should two units hold one robot, the higher one drops
-it, and neither offers it before that is settled. A unit that learns that it was given up for dead starts
-anew, and so does the smaller of two parts of the tree that lost one another (`partition`).
+one. Failover and adoption rest on what was received. Should two units hold one robot as their own, the higher
+one drops it; if it is in the pair of another edge, the unit that holds it as its own does. Neither offers it
+before that is settled. A unit that learns that it was given up for dead starts anew, and so does the smaller
+of two parts of the tree that lost one another (`partition`).
 
 A unit's state is one value (`NodeState`). Each rule reads it and the unit's situation (time, view, reports)
 and returns what is to change; `TreeProtocol.choose` applies the rules in the order of `RULES`.
@@ -30,7 +33,7 @@ import numpy as np
 
 from skyherd.control.formation.template import Template
 from skyherd.control.policy import Selection, SelectionPolicy
-from skyherd.control.topology.safety_radius import centre_distances
+from skyherd.control.selection.safety_radius import centre_distances
 from skyherd.control.topology.slots import slot_at
 from skyherd.control.tree.failover import fail_over, name_heir
 from skyherd.control.tree.joining import admit, join_tree, watch_growth

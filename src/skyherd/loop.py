@@ -17,8 +17,9 @@ from skyherd.sim.physics import make_network, make_world
 from skyherd.sim.truth_metrics import TruthMetrics, TruthObserver
 from skyherd.sim.world import Fleet
 
-ROUNDING = 1e-9
-"""Share of a frame's time by which a tick may fall short of it: the rounding of the tick's time."""
+FRAME_ROUNDING = 1e-9
+"""Share of a frame's time by which a tick may fall short of it. Derived: above the rounding of a tick's
+time."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +44,7 @@ class Step:
         positions_m: (N, 2) the robots' markers on the ground.
         headings_rad: (N,) counter-clockwise from +x.
         fleet: places, heights, yaws, tilts and zooms of the units.
-        frames: of the units that took an image now.
+        frames: by unit, of the units whose image was taken now and not lost.
         command: what the robots do until the next step.
         commanded_ids: robots that follow a goal that is not too old; the others hold still.
         control_sets: S_j^c of each unit, as it declared it last.
@@ -85,7 +86,7 @@ def run_steps(
     Args:
         mission: what to run.
         perception: from the world to each unit's detections; by default as the scenario asks for.
-        controller_for: makes the controller of a unit (mission, unit), at the start and after each outage.
+        controller_for: makes the controller of a unit (mission, unit), at the start and in each outage anew.
         team_for: makes the robots (mission, world).
     """
     scenario = mission.scenario
@@ -143,7 +144,7 @@ def _units_with_frame(scenario: Scenario, tick: int, dead: list[int]) -> list[in
     step = scenario.step_s
 
     def frames_by(ticks: int, rate_hz: float) -> int:
-        return floor(ticks * step * rate_hz + ROUNDING)
+        return floor(ticks * step * rate_hz + FRAME_ROUNDING)
 
     return [
         unit

@@ -22,6 +22,7 @@ from skyherd.datasets import Mission
 from skyherd.errors import InputError
 from skyherd.files.atomic import refuse_existing, write_text
 from skyherd.loop import Step, run_steps
+from skyherd.messages import TIME_TOLERANCE_S
 from skyherd.plots.panels import PANELS, write_figures
 from skyherd.progress import NO_PROGRESS, Progress
 from skyherd.recording.reader import read_recording, read_steps
@@ -36,10 +37,6 @@ FREE_BYTES = 100 * 2**20
 """Least free space on the disk, in bytes, to begin a run with. Chosen: more than the files of a mission of
 some minutes without recorded images; half of it would let long runs fill the disk, twice as much would refuse
 disks that are large enough."""
-
-TIME_TOLERANCE_S = 1e-9
-"""Instants nearer to each other than this are the same. Derived: times are multiples of the step, with a
-rounding error of 1e-12 s after an hour, and steps are milliseconds at least."""
 
 
 def prepare_folder(folder: Path) -> None:

@@ -13,10 +13,7 @@ from skyherd.analysis.history import History
 from skyherd.analysis.shortest_paths import shortest_path
 from skyherd.datasets import Scenario
 from skyherd.geometry import ComplexArray, IntArray, to_complex, to_points
-
-TIME_TOLERANCE_S = 1e-9
-"""Instants nearer to each other than this are the same. Derived: times are multiples of the step, with a
-rounding error of 1e-12 s after an hour, and steps are milliseconds at least."""
+from skyherd.messages import TIME_TOLERANCE_S
 
 
 def held_to_the_end(history: History) -> bool:

@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from skyherd.control import (
+    NO_ROBOTS,
     AerialController,
     AvoidanceRule,
     BodyRule,
@@ -148,14 +149,19 @@ class UnitAgents:
         self._mission, self._controller_for = mission, controller_for
         units = range(len(mission.scenario.units))
         self.controllers = [controller_for(mission, unit) for unit in units]
-        self.sets: dict[int, IntArray] = {unit: _nobody() for unit in units}
+        self.sets: dict[int, IntArray] = {unit: NO_ROBOTS for unit in units}
+        self._unused = set(units)
 
     def lose(self, unit: int) -> None:
-        """A unit dies. What takes its place one day starts with a new controller, which knows nothing."""
-        self.controllers[unit], self.sets[unit] = self._controller_for(self._mission, unit), _nobody()
+        """A unit is dead. What takes its place one day starts with a new controller, which knows nothing."""
+        if unit not in self._unused:
+            self.controllers[unit] = self._controller_for(self._mission, unit)
+            self._unused.add(unit)
+        self.sets[unit] = NO_ROBOTS
 
     def decide(self, detections: Detections, reports: Sequence[UnitReport]) -> Decision:
         """What the unit that took the image does, given the last report received from each other unit."""
+        self._unused.discard(detections.unit_id)
         decision = self.controllers[detections.unit_id].step(detections, reports)
         self.sets[detections.unit_id] = decision.report.controlled_ids
         return decision
@@ -165,10 +171,6 @@ class UnitAgents:
         """(N,) row of the template's point that each robot goes to, by the newest map of any unit."""
         maps = [controller.roles.reported for controller in self.controllers]
         return newest_roles(maps, self._mission.ids.size)
-
-
-def _nobody() -> IntArray:
-    return np.zeros(0, dtype=np.int64)
 
 
 def make_roles(scenario: Scenario) -> RoleRule | None:

@@ -6,6 +6,7 @@ from pathlib import Path
 from skyherd.datasets import Mission
 from skyherd.files.video_writer import VideoSink
 from skyherd.loop import Step
+from skyherd.messages import TIME_TOLERANCE_S
 from skyherd.video.composer import Composer
 
 FPS = 20
@@ -15,10 +16,6 @@ to draw and show nothing new."""
 SPEED = 4
 """Simulated seconds that pass in one second of the video. Chosen: a mission of a minute takes 15 s to
 watch."""
-
-TIME_TOLERANCE_S = 1e-9
-"""A step this little before the instant of a frame is drawn in it. Derived: times are multiples of the step,
-with a rounding error of 1e-12 s after an hour, and steps are milliseconds at least."""
 
 
 class VideoRecorder(ExitStack):

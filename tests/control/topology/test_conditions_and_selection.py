@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from skyherd.control import FlightTask, Follow, Hover, Perimeter, SafetyRadius, Template
+from skyherd.control.selection.safety_radius import centre_distances
 from skyherd.control.topology.conditions import check_conditions, control_matrix, graph_edges
-from skyherd.control.topology.safety_radius import centre_distances
 from skyherd.messages import shared_ids
 
 

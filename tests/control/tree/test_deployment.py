@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from skyherd.control.selection.safety_radius import centre_distances
 from skyherd.control.topology.convergence_rate import slowest_rate
-from skyherd.control.topology.safety_radius import centre_distances
 from skyherd.control.tree.node_state import TreeRule
 from skyherd.datasets import make_mission
 from skyherd.datasets.generated.random_missions import Crowd, random_mission

@@ -9,7 +9,7 @@ from skyherd.vision import PhotometricDetector
 from skyherd.vision.search.decode import MIN_CORRELATION, decode_quads
 
 SIGMA_PX = 0.85
-OWN_MIRROR_IMAGES = {8, 9, 17, 47}  # of 4X4_50, as `test_vision` shows from the bits
+OWN_MIRROR_IMAGES = {8, 9, 17, 47}  # of 4X4_50 from the bits
 
 
 def grid(place_markers, side_px, headings):

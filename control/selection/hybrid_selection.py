@@ -8,8 +8,8 @@ import numpy as np
 
 from skyherd.control.formation.template import Template
 from skyherd.control.policy import Selection, SelectionPolicy
+from skyherd.control.selection.safety_radius import SafetyRadius
 from skyherd.control.topology.conditions import check_conditions, control_matrix
-from skyherd.control.topology.safety_radius import SafetyRadius
 from skyherd.control.tree.node_state import TreeRule
 from skyherd.control.tree.protocol import TreeProtocol
 from skyherd.messages import Detections, UnitReport

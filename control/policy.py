@@ -1,8 +1,8 @@
 """What can be exchanged in a unit's controller and in the robots: the interfaces and the values they pass.
 
 `AerialController` (control/aerial_controller.py) calls its `SelectionPolicy` once an image, and its
-`FlightLaw` unless the unit holds its place; the loop calls one `RobotTeam` a step. Each docstring below states
-all that a new implementation has to keep to; `docs/extending.md` shows one of each in full.
+`FlightLaw` unless the unit holds its place; the loop calls one `RobotTeam` a step. Each docstring below
+states all that an implementation has to keep to; `docs/extending.md` shows one of each in full.
 """
 
 from collections.abc import Sequence

@@ -48,7 +48,7 @@ STATES = (
     State("asked", "outside; asks_id = k", 0.0, 3.6, MUTED),
     State("granted", "member; no pair yet", 5.6, 6.0, MUTED),
     State("turn mine", "may exchange the pair", 5.6, 3.6, BLUE),
-    State("turn theirs", "keeps what it lent", 12.0, 3.6, GREEN),
+    State("turn theirs", "keeps what it offered", 12.0, 3.6, GREEN),
     State("k silent", "longer than silence_s", 8.8, 1.2, ORANGE),
     State("heir", "has k's robots, edges", 3.4, -1.2, ORANGE),
     State("turned to heir", "edge to h, same pair", 13.0, -1.2, ORANGE),
@@ -57,13 +57,13 @@ STATES = (
 ARROWS = (
     Arrow("no edge", "asked", "outside: k is the member with\nmost own robots in common", 0.0, 0.1, 0.0),
     Arrow("no edge", "granted", "member: k asks me;\nlend ≥ 2 robots, turn theirs", 0.0, 0.0, 0.4),
-    Arrow("asked", "turn mine", "k's report: edge to me\nwithout a pair, robots lent", 0.0, 0.0, 0.4),
+    Arrow("asked", "turn mine", "k's report: edge to me\nwithout a pair, robots offered", 0.0, 0.0, 0.4),
     Arrow("granted", "turn mine", "k's report: turn + 1,\nfirst pair", 0.0, 0.2, 0.0),
     Arrow("granted", "no edge", "k went elsewhere,\nor is silent", 0.32, 0.0, 1.35),
-    Arrow("turn mine", "turn theirs", "hand over: turn + 1,\npair, robots lent", -0.25, 0.4, 1.25),
-    Arrow("turn theirs", "turn mine", "k's report: turn + 1,\npair, robots lent", -0.25, 0.0, 0.0),
+    Arrow("turn mine", "turn theirs", "hand over: turn + 1,\npair, robots offered", -0.25, 0.4, 1.25),
+    Arrow("turn theirs", "turn mine", "k's report: turn + 1,\npair, robots offered", -0.25, 0.0, 0.0),
     Arrow(
-        "turn mine", "turn mine", "at a slot: exchange the pair\nfor robots lent, if better", 0.0, -2.3, -0.95
+        "turn mine", "turn mine", "at a slot: exchange the pair\nfor robots offered, if better", 0.0, -2.3, -0.95
     ),
     Arrow("turn mine", "k silent", "", 0.0, 0.0, 0.0),
     Arrow("turn theirs", "k silent", "", 0.0, 0.0, 0.0),

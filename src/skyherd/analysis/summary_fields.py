@@ -136,7 +136,7 @@ GROUPS: Mapping[str, tuple[Field, ...]] = {
     "Topology": (
         Field(
             "topology_changes",
-            "Topology switches",
+            "Topology changes",
             "",
             "Instants when a unit took a robot over or gave one up.",
         ),

@@ -68,7 +68,7 @@ PANELS: tuple[Panel, ...] = (
         "cost",
         "Cost function",
         "V falls to zero as the shape forms. It is the sum of the units' shares, and may jump where the "
-        "topology switches.",
+        "topology changes.",
         curves.draw_cost,
     ),
     Panel(

@@ -56,7 +56,7 @@ STATES = (
 
 ARROWS = (
     Arrow("no edge", "asked", "outside: k is the member with\nmost own robots in common", 0.0, 0.1, 0.0),
-    Arrow("no edge", "granted", "member: k asks me;\nlend ≥ 2 robots, turn theirs", 0.0, 0.0, 0.4),
+    Arrow("no edge", "granted", "member: k asks me;\noffer ≥ 2 robots, turn theirs", 0.0, 0.0, 0.4),
     Arrow("asked", "turn mine", "k's report: edge to me\nwithout a pair, robots offered", 0.0, 0.0, 0.4),
     Arrow("granted", "turn mine", "k's report: turn + 1,\nfirst pair", 0.0, 0.2, 0.0),
     Arrow("granted", "no edge", "k went elsewhere,\nor is silent", 0.32, 0.0, 1.35),

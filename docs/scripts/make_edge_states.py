@@ -63,7 +63,12 @@ ARROWS = (
     Arrow("turn mine", "turn theirs", "hand over: turn + 1,\npair, robots offered", -0.25, 0.4, 1.25),
     Arrow("turn theirs", "turn mine", "k's report: turn + 1,\npair, robots offered", -0.25, 0.0, 0.0),
     Arrow(
-        "turn mine", "turn mine", "at a slot: exchange the pair\nfor robots offered, if better", 0.0, -2.3, -0.95
+        "turn mine",
+        "turn mine",
+        "at a slot: exchange the pair\nfor robots offered, if better",
+        0.0,
+        -2.3,
+        -0.95,
     ),
     Arrow("turn mine", "k silent", "", 0.0, 0.0, 0.0),
     Arrow("turn theirs", "k silent", "", 0.0, 0.0, 0.0),

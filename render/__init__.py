@@ -1,8 +1,8 @@
 """World to pixels: images of a team of marked robots from above, and the exact truth about them.
 
 `Renderer` draws a grey image: textured ground with clutter, marker cards and occluders, seen through lens and
-shutter, and made noisy by the sensor. `project_markers` and `Renderer.truth` say where each marker is in the
-same image. Nothing here depends on detectors or controllers.
+shutter, made noisy by the sensor, and processed by the camera. `project_markers` and `Renderer.truth` say
+where each marker is in the same image. Nothing here depends on detectors or controllers.
 
 Rendering is exact, not supersampled. Each pixel sums, in closed form, the steps of grey at the few lines of a
 card's grid that reach it, by their distances in the image (`skyherd.render.raster.lattice`). How far a line
@@ -22,8 +22,11 @@ from skyherd.render.camera.camera import (
 )
 from skyherd.render.camera.fisheye import Equidistant
 from skyherd.render.camera.lens import Distortion
+from skyherd.render.camera.lens_blur import LensBlur
 from skyherd.render.camera.motion import Motion, Shutter
 from skyherd.render.ground import Ground
+from skyherd.render.processing.development import Processing
+from skyherd.render.processing.mosaic import Mosaic
 from skyherd.render.renderer import Renderer
 from skyherd.render.scene.clutter import Clutter
 from skyherd.render.scene.occluders import Disc, Quad
@@ -41,7 +44,10 @@ __all__ = [
     "FrameTruth",
     "Ground",
     "Illumination",
+    "LensBlur",
+    "Mosaic",
     "Motion",
+    "Processing",
     "Quad",
     "Renderer",
     "Sensor",

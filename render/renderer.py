@@ -1,10 +1,11 @@
 """Draws images: marker cards on textured ground, through a camera, onto a noisy sensor.
 
 Drawn in this order, each over what was before it: ground, clutter, markers, occluders. Motion blur is the
-mean of sharp images over the exposure.
+mean of sharp images over the exposure, defocus and coma that over the rays through the lens.
 """
 
 from collections.abc import Sequence
+from itertools import product
 
 import numpy as np
 import numpy.typing as npt
@@ -12,6 +13,7 @@ import numpy.typing as npt
 from skyherd.geometry import Array, IntArray, apply_homography, inverse
 from skyherd.markers.dictionary import card_side, cells_per_side, marker_cells
 from skyherd.render.camera.camera import Camera, CameraPose
+from skyherd.render.camera.lens_blur import SHARP, LensBlur, Ray
 from skyherd.render.camera.motion import INSTANT, STILL, Motion, Shutter
 from skyherd.render.ground import Ground
 from skyherd.render.paint import Canvas, paint_discs, paint_lattices
@@ -47,6 +49,7 @@ class Renderer:
         black: grey level of the markers' black.
         white: grey level of the card.
         shutter: exposure and row time: motion blur and rolling shutter.
+        lens_blur: defocus and coma, beside the Gaussian.
     """
 
     def __init__(
@@ -60,10 +63,11 @@ class Renderer:
         black: float = 30.0,
         white: float = 230.0,
         shutter: Shutter = INSTANT,
+        lens_blur: LensBlur = SHARP,
     ) -> None:
         self.dictionary, self.side_m = dictionary, side_m
         self.ground, self.sensor, self.shutter = ground, sensor, shutter
-        self.psf_px, self.black, self.white = psf_px, black, white
+        self.psf_px, self.black, self.white, self.lens_blur = psf_px, black, white, lens_blur
         self._spread = edge_spread(psf_px)
         self._team: tuple[int, ...] = ()
         self._cards = Lattices.of(np.zeros((0, 1, 1)))
@@ -78,6 +82,7 @@ class Renderer:
         *,
         motion: Motion = STILL,
         occluders: Sequence[Occluder] = (),
+        stream: int = 0,
     ) -> Image:
         """Draw the image that a camera takes.
 
@@ -89,15 +94,17 @@ class Renderer:
             headings_rad: (N,) their forward directions, counter-clockwise from +x.
             motion: velocities of camera and robots; they matter only with an exposure or a row time.
             occluders: what lies over markers, each over those before it.
+            stream: number of the camera's video stream, which matters only to a codec that remembers.
 
         Returns:
             Grey levels (height, width), with the sensor's noise, which differs from call to call.
         """
         team = (ids, positions_m, headings_rad)
-        if self.sensor.linear and not self.shutter.exposure_s:
+        if self.sensor.linear and self.lens_blur.none and not self.shutter.exposure_s:
             view = View(camera, pose, motion, self.shutter)
-            return self.sensor.expose(self._draw(self._ground(view), view, *team, occluders))
-        return self.sensor.expose(self.light(camera, pose, *team, motion=motion, occluders=occluders))
+            return self.sensor.expose(self._draw(self._ground(view), view, *team, occluders), stream)
+        light = self.light(camera, pose, *team, motion=motion, occluders=occluders)
+        return self.sensor.expose(light, stream)
 
     def light(
         self,
@@ -115,12 +122,14 @@ class Renderer:
         Nothing is rounded but the ground's texture.
 
         Motion blur is the mean over the exposure, by Gauss-Legendre quadrature with a sharp image for every
-        two standard deviations of blur that anything moves, and two more.
+        two standard deviations of blur that anything moves, and two more; defocus and coma are the mean over
+        the rays through the lens (`skyherd.render.camera.lens_blur`).
         """
         team = (ids, positions_m, headings_rad)
         total: Light | None = None
-        for at_s, weight in self._instants(camera, pose, positions_m, headings_rad, motion):
-            view = View(camera, pose, motion, self.shutter, at_s)
+        instants = self._instants(camera, pose, positions_m, headings_rad, motion)
+        for (at_s, share), (ray, of_share) in product(instants, self._rays(camera, pose)):
+            view, weight = View(camera, pose, motion, self.shutter, at_s, ray), share * of_share
             if self.ground.kind == "plain":
                 canvas = np.full(camera.size_px[::-1], self.ground.mean, dtype=np.float32)
             else:
@@ -178,6 +187,12 @@ class Renderer:
         count = min(int(np.ceil(length_px / (2 * self._spread.sigma_px))) + 2, MOST_INSTANTS)
         nodes, weights = np.polynomial.legendre.leggauss(count)
         return [(float(x * half_s), float(w / 2)) for x, w in zip(nodes, weights, strict=True)]
+
+    def _rays(self, camera: Camera, pose: CameraPose) -> list[tuple[Ray | None, float]]:
+        """Rays through the lens and their weights, which sum to one: the middle one if the lens is sharp."""
+        if self.lens_blur.none:
+            return [(None, 1.0)]
+        return [(ray, ray.weight) for ray in self.lens_blur.rays(camera, pose, self._spread.sigma_px)]
 
     def _ground(self, view: View) -> Image:
         ground = view.ground()

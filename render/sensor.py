@@ -5,12 +5,16 @@ For light L (grey levels) at a pixel at p from the image's middle, in halves of 
     s = gain · L · (1 - vignetting |p|² / |p_corner|²)
                  · (1 + gradient / 2 · p·n / max p·n)
                  · (1 - shadow Φ((p·m - shadow_offset) / shadow_edge))
-    y = s + sqrt(noise² + shot s) ε,      rounded, cut to 0-255, and through a JPEG if asked,
+    y = s + sqrt(noise² + shot s) ε,      rounded and cut to 0-255,
 
-with ε normal and white, Φ the normal distribution, and n, m the directions of gradient and shadow.
+with ε normal and white, Φ the normal distribution, and n, m the directions of gradient and shadow. A camera
+that processes its images (`skyherd.render.processing`) has a mosaic of colour filters, whose white balance is
+part of the noise, and develops y before it is rounded. At last the image goes through a JPEG and a video, if
+asked.
 """
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -19,6 +23,10 @@ from scipy.special import ndtr
 
 from skyherd.errors import InputError
 from skyherd.geometry import Array
+from skyherd.render.processing.development import UNPROCESSED, Processing
+
+if TYPE_CHECKING:
+    from skyherd.render.processing.video_stream import VideoStream
 
 Image = npt.NDArray[np.uint8]
 """Grey levels (height, width)."""
@@ -99,6 +107,7 @@ class Sensor:
         gain: grey levels out for one in.
         illumination: how much light arrives where.
         jpeg_quality: 1 to 100, through a JPEG and back; None for none.
+        processing: what the camera does to its images.
 
     Raises:
         InputError: `jpeg_quality` is out of range.
@@ -113,34 +122,50 @@ class Sensor:
         gain: float = 1.0,
         illumination: Illumination | None = None,
         jpeg_quality: int | None = None,
+        processing: Processing = UNPROCESSED,
     ) -> None:
         if jpeg_quality is not None and not 1 <= jpeg_quality <= 100:
             raise InputError("jpeg_quality", str(jpeg_quality), "from 1 to 100, or none")
         self.noise, self.shot, self.gain, self.jpeg_quality = noise, shot, gain, jpeg_quality
         self.illumination = illumination or Illumination()
+        self.processing = processing
         self._rng = rng
         self._banks: dict[tuple[int, int], tuple[Image, Image]] = {}
         self._deviates: dict[tuple[int, int], Light] = {}
         self._factors: dict[tuple[int, int], Light] = {}
+        self._videos: dict[tuple[int, int, int], VideoStream] = {}
 
     @property
     def linear(self) -> bool:
         """Whether light is changed by nothing but noise: 8-bit images can then be exposed as they are."""
-        return not self.shot and self.gain == 1 and self.illumination.even
+        untouched = not self.shot and self.gain == 1 and self.illumination.even
+        return untouched and not self.processing.develops
 
-    def expose(self, light: Image | Light) -> Image:
+    def expose(self, light: Image | Light, stream: int = 0) -> Image:
         """Make an image (height, width) of light (height, width), whose array it may change.
 
-        Each call draws new noise.
+        Each call draws new noise. A video predicts images from those before them: `stream` says whose image
+        it is, where one sensor serves several cameras.
         """
         if light.dtype == np.uint8 and self.linear:
             image = self._add_noise(np.asarray(light, dtype=np.uint8))
         else:
             image = self._convert(np.asarray(light, dtype=np.float32))
-        if self.jpeg_quality is None:
+        if self.jpeg_quality is not None:
+            _, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, self.jpeg_quality])
+            image = np.asarray(cv2.imdecode(data, cv2.IMREAD_GRAYSCALE), dtype=np.uint8)
+        if self.processing.h264_crf is None:
             return image
-        _, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, self.jpeg_quality])
-        return np.asarray(cv2.imdecode(data, cv2.IMREAD_GRAYSCALE), dtype=np.uint8)
+        return self._video(stream, image.shape, self.processing.h264_crf).send(image)
+
+    def _video(self, stream: int, shape: tuple[int, ...], crf: int) -> "VideoStream":
+        """The video of a camera; PyAV is loaded with the first one, for it takes long."""
+        from skyherd.render.processing.video_stream import VideoStream
+
+        key = (stream, shape[0], shape[1])
+        if key not in self._videos:
+            self._videos[key] = VideoStream((shape[1], shape[0]), crf)
+        return self._videos[key]
 
     def _convert(self, light: Light) -> Image:
         """All of the law, in floating point."""
@@ -153,12 +178,19 @@ class Sensor:
             light *= np.float32(self.gain)
         if self.noise or self.shot:
             deviates = self._window(self._deviates_of(height, width), height, width)
-            if self.shot:
+            if self.processing.mosaic.on:
+                gains = self.processing.mosaic.gains(height, width)
+                variance = np.maximum(light, 0.0) * np.float32(self.shot) * gains
+                variance += np.float32(self.noise**2) * gains * gains
+                light += np.sqrt(variance, out=variance) * deviates
+            elif self.shot:
                 variance = np.maximum(light, 0.0) * np.float32(self.shot)
                 variance += np.float32(self.noise**2)
                 light += np.sqrt(variance, out=variance) * deviates
             else:
                 light += np.float32(self.noise) * deviates
+        if self.processing.develops:
+            return self.processing.develop(light)
         np.rint(light, out=light)
         return np.clip(light, 0, 255, out=light).astype(np.uint8)
 

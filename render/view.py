@@ -21,6 +21,7 @@ from skyherd.render.camera.camera import (
     lens_jacobians,
     undistort,
 )
+from skyherd.render.camera.lens_blur import Ray
 from skyherd.render.camera.lens_displacement import LensField
 from skyherd.render.camera.motion import INSTANT, STILL, Motion, Shutter
 from skyherd.render.raster.spans import Spans
@@ -159,6 +160,7 @@ class View:
         motion: what moves, and how fast.
         shutter: exposure and row time.
         at_s: instant within the exposure, s from its middle.
+        ray: the ray through the lens's pupil by which it is seen; None for the middle one.
     """
 
     camera: Camera
@@ -166,6 +168,7 @@ class View:
     motion: Motion = STILL
     shutter: Shutter = INSTANT
     at_s: float = 0.0
+    ray: Ray | None = None
 
     def images(self, ground_shapes: Callable[[float], Array]) -> ShapeImages:
         """Images of shapes that lie on the ground.
@@ -178,10 +181,16 @@ class View:
         matrices = []
         for time_s in times_s + self.at_s:
             pose = self.motion.pose_at(self.pose, float(time_s)) if time_s else self.pose
-            matrices.append(homography_image_ground(self.camera, pose) @ ground_shapes(float(time_s)))
+            matrices.append(self._homography(pose) @ ground_shapes(float(time_s)))
         return ShapeImages(
             camera=self.camera, zoom=self.pose.zoom, times_s=times_s, matrices=np.array(matrices)
         )
+
+    def _homography(self, pose: CameraPose) -> Array:
+        """From ground metres to pixels without the lens's distortion, (3, 3)."""
+        if self.ray is None:
+            return homography_image_ground(self.camera, pose)
+        return self.ray.homography(self.camera, pose)
 
     def ground(self) -> ShapeImages:
         """The image of the ground itself, a single shape whose coordinates are metres."""

@@ -9,7 +9,18 @@ from pydantic import Field, FiniteFloat, model_validator
 from skyherd.datasets.configuration.fields import Coordinate, Model, NotNegative, Point, Positive, Share
 from skyherd.errors import InputError
 from skyherd.markers.blur_model import total_sigma_px
-from skyherd.render import Clutter, Disc, Ground, Illumination, Quad, Sensor, Shutter
+from skyherd.render import (
+    Clutter,
+    Disc,
+    Ground,
+    Illumination,
+    LensBlur,
+    Mosaic,
+    Processing,
+    Quad,
+    Sensor,
+    Shutter,
+)
 
 Grey = Annotated[FiniteFloat, Field(ge=0, le=255)]
 """A grey level of 8 bits."""
@@ -17,6 +28,83 @@ Grey = Annotated[FiniteFloat, Field(ge=0, le=255)]
 PERIODS_M = {"concrete": 40.0, "tiles": 0.5, "image": 10.0}
 """What `tile_m` is for each kind of ground where it is left out, m: the period of concrete, the side of a
 tile, the width of a picture. *Chosen*: 2 cm a sample of concrete, and tiles and pictures of usual sizes."""
+
+
+BlurLength = Annotated[FiniteFloat, Field(ge=0, le=20)]
+"""A length of lens blur, px. *Chosen*: wider than any marker is legible through."""
+
+Aperture = Annotated[FiniteFloat, Field(ge=0, le=1)]
+"""Diameter of a lens's opening, m. *Chosen*: that of a large telescope at most."""
+
+BalanceGain = Annotated[FiniteFloat, Field(ge=1, le=4)]
+"""Factor of white balance on red or blue pixels, as `skyherd.render.Mosaic` takes it."""
+
+Gamma = Annotated[FiniteFloat, Field(ge=0.2, le=5)]
+"""Gamma of a tone curve, as `skyherd.render.Processing` takes it."""
+
+Sharpening = Annotated[FiniteFloat, Field(ge=0, le=5)]
+"""Amount of an unsharp mask, as `skyherd.render.Processing` takes it."""
+
+SharpeningRadius = Annotated[FiniteFloat, Field(ge=0.3, le=10)]
+"""Standard deviation of an unsharp mask's blur, px, as `skyherd.render.Processing` takes it."""
+
+ConstantRateFactor = Annotated[int, Field(ge=0, le=51)]
+"""Constant rate factor of x264, which has no others."""
+
+
+class LensBlurModel(Model):
+    """Blur of the lens that is no Gaussian, beside `psf_px`; each part is off at 0."""
+
+    disc_px: BlurLength = Field(0.0, description="px; radius of the disc that each point is seen as")
+    coma_px: BlurLength = Field(0.0, description="px; length C of the coma, whose tail is 3 C long")
+    coma_deg: FiniteFloat = Field(
+        0.0, description="deg; direction of the coma's tail in the image, from right (0) towards down (90)"
+    )
+    aperture_m: Aperture = Field(
+        0.0, description="m; diameter of the opening, for discs that grow with the distance from the focus"
+    )
+    focus_m: Positive = Field(10.0, description="m; distance along the optical axis that is in focus")
+
+    def make(self) -> LensBlur:
+        """Make the lens blur described."""
+        return LensBlur(
+            disc_px=self.disc_px,
+            coma_px=self.coma_px,
+            coma_rad=float(np.radians(self.coma_deg)),
+            aperture_m=self.aperture_m,
+            focus_m=self.focus_m,
+        )
+
+
+class ProcessingModel(Model):
+    """What a consumer camera does to an image after its sensor, before the JPEG; each part is off as it is."""
+
+    demosaic: Literal["none", "bilinear", "edge-aware"] = Field(
+        "none", description="a mosaic of colour filters after Bayer, and how colours between are interpolated"
+    )
+    red_gain: BalanceGain = Field(
+        1.0, description="factor of white balance on red pixels of the mosaic, and on their noise"
+    )
+    blue_gain: BalanceGain = Field(1.0, description="the same of blue pixels")
+    gamma: Gamma = Field(1.0, description="exponent 1 / gamma of the tone curve; 1 for a linear signal")
+    s_curve: Share = Field(0.0, description="strength of the curve that makes middle grey steeper")
+    denoise: Grey = Field(
+        0.0, description="grey levels up to which a bilateral filter takes differences for noise"
+    )
+    sharpen: Sharpening = Field(0.0, description="amount of an unsharp mask")
+    sharpen_px: SharpeningRadius = Field(1.0, description="px; standard deviation of the mask's blur")
+    h264_crf: ConstantRateFactor | None = Field(
+        None,
+        description="constant rate factor, 0 (hardly a loss) to 51, of an H.264 video that images go "
+        "through after the JPEG; none if left out",
+    )
+
+    def make(self) -> Processing:
+        """Make the processing described."""
+        return Processing(
+            mosaic=Mosaic(self.demosaic, self.red_gain, self.blue_gain),
+            **self.model_dump(exclude={"demosaic", "red_gain", "blue_gain"}),
+        )
 
 
 class SensorModel(Model):
@@ -58,11 +146,13 @@ class SensorModel(Model):
     jpeg_quality: Annotated[int, Field(ge=1, le=100)] | None = Field(
         None, description="quality, 1 to 100, of a JPEG that images go through; none if left out"
     )
+    lens_blur: LensBlurModel = Field(LensBlurModel(), description="defocus and coma")
+    processing: ProcessingModel = Field(ProcessingModel(), description="what the camera does to its images")
 
     def make(self, rng: np.random.Generator) -> Sensor:
         """Make the sensor described, its noise drawn from `rng`.
 
-        `psf_px` and the shutter are no part of it: the renderer takes these.
+        `psf_px`, `lens_blur` and the shutter are no part of it: the renderer takes these.
         """
         return Sensor(
             noise=self.noise,
@@ -71,6 +161,7 @@ class SensorModel(Model):
             gain=self.gain,
             illumination=self.make_illumination(),
             jpeg_quality=self.jpeg_quality,
+            processing=self.processing.make(),
         )
 
     def make_illumination(self) -> Illumination:

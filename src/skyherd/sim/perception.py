@@ -92,6 +92,7 @@ def make_renderer(mission: Mission, rng: np.random.Generator) -> Renderer:
         sensor.make(rng),
         psf_px=sensor.psf_px,
         shutter=sensor.make_shutter(),
+        lens_blur=sensor.lens_blur.make(),
     )
 
 
@@ -116,7 +117,9 @@ class RenderedPerception(Perception):
         markers = world.markers
         team = markers.ids, markers.positions_m, markers.headings_rad
         motion = world.motion(unit) if self._moves else Motion()
-        image = self.renderer.render(camera, pose, *team, motion=motion, occluders=self._occluders)
+        image = self.renderer.render(
+            camera, pose, *team, motion=motion, occluders=self._occluders, stream=unit
+        )
         truth = self.renderer.truth(camera, pose, *team, motion=motion, occluders=self._occluders)
         detections = self.detector.detect(image, time_s=time_s, unit_id=unit)
         whole_ids = truth.ids[truth.whole]

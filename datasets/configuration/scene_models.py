@@ -77,7 +77,7 @@ class LensBlurModel(Model):
 
 
 class ProcessingModel(Model):
-    """What a consumer camera does to an image after its sensor, before the JPEG; each part is off as it is."""
+    """What a consumer camera does to an image after its sensor; each part is off unless it is set."""
 
     demosaic: Literal["none", "bilinear", "edge-aware"] = Field(
         "none", description="a mosaic of colour filters after Bayer, and how colours between are interpolated"

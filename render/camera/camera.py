@@ -134,11 +134,14 @@ def rotation_camera_world(pose: CameraPose) -> Array:
 
 @lru_cache(maxsize=32)
 def homography_image_ground(camera: Camera, pose: CameraPose) -> Array:
-    """H (3, 3) from ground metres to pixels: `H = K [r1 r2 -R c]`, scaled so that H[2, 2] = 1."""
+    """H (3, 3) from ground metres to pixels: `H = K [r1 r2 -R c]`, scaled so that H[2, 2] = 1.
+
+    It is -1 where the ground's origin lies behind the camera, since the last row is positive before it.
+    """
     rotation = rotation_camera_world(pose)
     center = np.array([*pose.position_m, pose.height_m])
     matrix = camera.intrinsic_matrix(pose.zoom) @ np.column_stack([rotation[:, :2], -rotation @ center])
-    scaled: Array = matrix / matrix[2, 2]
+    scaled: Array = matrix / abs(matrix[2, 2])
     scaled.setflags(write=False)
     return scaled
 

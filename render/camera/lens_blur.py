@@ -31,11 +31,11 @@ from skyherd.render.camera.camera import (
     undistort,
 )
 
-RADIAL_PER_SIGMA, RADIAL_LEAST = 0.5, 1
-ANGULAR_PER_SIGMA, ANGULAR_LEAST = 1.5, 4
+RADIAL_PER_SIGMA, RADIAL_LEAST = 0.5, 0.5
+ANGULAR_PER_SIGMA, ANGULAR_LEAST = 1.5, 3.0
 """Nodes of the cubature along ρ² and along θ: so many for each standard deviation σ of lens and pixel that
-rays spread, and these more. *Measured*: with three times as many no pixel of a marker changes by 0.3 grey
-levels of 200, their root mean square by 0.03 (`tests/render/camera/test_lens_blur.py`)."""
+rays spread, and these more, rounded up. *Measured*: with three times as many no pixel of a marker changes by
+0.3 grey levels of 200, their root mean square by 0.03 (`tests/render/camera/test_lens_blur.py`)."""
 
 MOST_RAYS = 1024
 """Rays at most. *Chosen*: enough for discs of a radius of some 30 σ; a larger one shows single rays."""
@@ -102,21 +102,20 @@ class LensBlur:
         """Whether every point is seen as a point, but for the Gaussian."""
         return not (self.disc_px or self.coma_px or self.aperture_m)
 
-    def radii_px(self, camera: Camera, pose: CameraPose, inverse_depths: Array) -> Array:
-        """Signed radii (...), px, of the discs at inverse distances (...), 1/m; positive behind the focus.
+    def radii_px(self, camera: Camera, pose: CameraPose, points_px: Array) -> Array:
+        """Signed radii (...), px, of the discs of the ground at pixels (..., 2); positive behind the focus.
 
         `disc + f A/2 (1/z_focus - 1/z)`; f is the focal length along u.
         """
         reach = camera.focal_px * pose.zoom * self.aperture_m / 2
-        return np.asarray(self.disc_px + reach * (1 / self.focus_m - inverse_depths))
+        return np.asarray(self.disc_px + reach * (1 / self.focus_m - inverse_depths(camera, pose, points_px)))
 
     def variances_px2(self, camera: Camera, pose: CameraPose, points_px: Array) -> Array:
-        """Variances (N,), px², that the blur adds along either axis, on average, at pixels (N, 2) of the ground.
+        """Variances (...), px², that the blur adds along an axis, in the mean of both, at pixels (..., 2).
 
         `r²/4 + C²/3`.
         """
-        radii = self.radii_px(camera, pose, inverse_depths(camera, pose, points_px))
-        return np.asarray(radii**2 / 4 + self.coma_px**2 / 3)
+        return np.asarray(self.radii_px(camera, pose, points_px) ** 2 / 4 + self.coma_px**2 / 3)
 
     def rays(self, camera: Camera, pose: CameraPose, sigma_px: float) -> list[Ray]:
         """The rays whose images' mean is the blurred one; their weights sum to one.
@@ -124,12 +123,11 @@ class LensBlur:
         `sigma_px` is the standard deviation of the Gaussian and the pixel together; the sharper these, the
         more rays it takes.
         """
-        corners = inverse_depths(camera, pose, camera.corners_px)
-        radius = float(np.abs(self.radii_px(camera, pose, corners)).max())
-        # Along ρ² coma spreads rays by 3 C; around a ring, by 2 C at most.
-        along, around = ((radius + times * self.coma_px) / sigma_px for times in (3, 2))
-        rings = int(np.ceil(RADIAL_PER_SIGMA * along)) + RADIAL_LEAST
-        spokes = int(np.ceil(ANGULAR_PER_SIGMA * around)) + ANGULAR_LEAST
+        radius = float(np.abs(self.radii_px(camera, pose, camera.corners_px)).max())
+        # Coma spreads rays by 3 C along ρ², and goes twice around where a disc goes once.
+        along, around = ((radius + times * self.coma_px) / sigma_px for times in (4, 3))
+        rings = int(np.ceil(RADIAL_PER_SIGMA * along + RADIAL_LEAST))
+        spokes = int(np.ceil(ANGULAR_PER_SIGMA * around + ANGULAR_LEAST))
         rings = min(rings, MOST_RAYS // min(spokes, MOST_RAYS))
         nodes, weights = np.polynomial.legendre.leggauss(rings)
         square = np.repeat((nodes + 1) / 2, spokes)
@@ -163,4 +161,4 @@ def inverse_depths(camera: Camera, pose: CameraPose, points_px: Array) -> Array:
 def _per_metre(pose: CameraPose) -> float:
     """s, by which the homography's last row is to be divided to give the distance z, m."""
     center = np.array([*pose.position_m, pose.height_m])
-    return float(-1.0 / (rotation_camera_world(pose)[2] @ center))
+    return float(1.0 / abs(rotation_camera_world(pose)[2] @ center))

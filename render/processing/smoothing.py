@@ -1,4 +1,4 @@
-"""Denoising and sharpening of the luma, by which errors of neighbouring pixels come to depend on each other."""
+"""Denoising and sharpening of the luma, by which errors of neighbouring pixels depend on each other."""
 
 import cv2
 import numpy as np

@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from skyherd.bench.design import EMPTY, GRID, SWEEPS, Cell, full_design, quick_design
+from skyherd.bench.design import CAMERA_SWEEPS, EMPTY, GRID, SWEEPS, Cell, full_design, quick_design
 from skyherd.bench.entrants import EntrantError, default_entrants, dictionary_for, make_entrant
 from skyherd.bench.execution import Plan, measure_cells
-from skyherd.bench.frames import rendered_frames
+from skyherd.bench.frames import lens_blur, rendered_frames
 from skyherd.bench.page import MARKDOWN, PAGE, write_outputs
 from skyherd.bench.result import RESULT, Result, environment, read_result
-from skyherd.bench.scene import SPEED_PX, TURN_RAD
+from skyherd.bench.scene import SPEED_PX, TURN_RAD, camera_shots
 from skyherd.bench.tables import make_tables, share, short
 from skyherd.bench.timing import WARM_UP, measure_times, timing_cells
 from skyherd.cli import main
@@ -67,11 +67,13 @@ def test_the_design_covers_every_factor_and_fixes_all_others():
         (30.0, 5.0),
         (100.0, 10.0),
     }
-    for sweep in SWEEPS:
+    for sweep in (*SWEEPS, *CAMERA_SWEEPS):
         swept = [cell for cell in cells if cell.sweep == sweep.name]
         assert [getattr(cell, sweep.key) for cell in swept] == list(sweep.values)
         for cell in swept:
-            assert replace(cell, sweep="base", **{sweep.key: getattr(base, sweep.key)}) == base
+            held = {key: getattr(base, key) for key in (sweep.key, *sweep.fixed)}
+            assert replace(cell, sweep="base", **held) == base
+            assert {key: getattr(cell, key) for key in sweep.fixed} == dict(sweep.fixed)
     assert {cell.sweep for cell in quick_design()} == {cell.sweep for cell in cells}
     assert [cell.clutter for cell in full_design(0) if cell.sweep == EMPTY] == []
 
@@ -100,7 +102,10 @@ def test_another_dictionary_changes_bits_and_nothing_else():
         assert not np.array_equal(a.image, b.image)
 
 
-@pytest.mark.parametrize("cell", [Cell(), Cell(side_px=100.0), Cell(side_px=8.0), Cell(tilt_deg=30.0)])
+@pytest.mark.parametrize(
+    "cell",
+    [Cell(), Cell(side_px=100.0), Cell(side_px=8.0), Cell(tilt_deg=30.0), Cell(touching=0.5)],
+)
 def test_markers_lie_whole_in_the_image_apart_and_of_the_right_size(cell):
     """Sides are the cell's to 0.1 % seen from above; under tilt they are at the image's centre alone."""
     for frame in frames(cell):
@@ -149,6 +154,74 @@ def test_uneven_light_spans_its_share_and_saturates_nothing():
     at = np.rint(even.centers_px).astype(int)
     around = [np.median(ratio[v - 10 : v + 10, u - 10 : u + 10]) for u, v in at]
     np.testing.assert_allclose(light, around, rtol=0.05)
+
+
+@pytest.mark.parametrize("tilt_deg", [60.0, 70.0])
+def test_steep_tilts_show_slanted_markers_and_no_horizon(tilt_deg):
+    """All are whole, in the image, drawn (white card round black square), and of about the size asked for."""
+    for frame in frames(Cell(tilt_deg=tilt_deg)):
+        assert frame.whole.all() and len(frame.ids) >= 4
+        assert frame.sides_px.mean() == pytest.approx(30.0, rel=0.35) and (frame.sides_px > 10).all()
+        assert (np.einsum("nii->ni", frame.bounds) > 0).all() and np.isfinite(frame.bounds).all()
+        assert (frame.image > 200).mean() > 0.4 * (frame.sides_px**2).sum() / frame.image.size
+
+
+def test_touching_squares_are_black_at_the_corners_of_whole_cards():
+    """Black in the squares' middles, white beside the middles of the marker's edges."""
+    touched, _ = frame_of(touching=0.3)
+    assert touched.whole.all()
+    y, x = np.mgrid[: touched.image.shape[0], : touched.image.shape[1]]
+    for (u, v), heading, side in zip(touched.centers_px, touched.headings_rad, touched.sides_px, strict=True):
+        at = ((x - u) + 1j * (y - v)) * np.exp(-1j * heading) / side
+        far, near = (f(np.abs(at.real), np.abs(at.imag)) for f in (np.maximum, np.minimum))
+        squares = (np.abs(far - 0.65) < 0.06) & (np.abs(near - 0.65) < 0.06)
+        beside = (np.abs(far - 0.58) < 0.02) & (near < 0.3)
+        assert squares.sum() >= 4 and touched.image[squares].max() < 40
+        assert beside.sum() >= 20 and touched.image[beside].min() > 180
+
+
+def test_a_drawing_has_two_grey_levels_but_for_its_edges():
+    """30 and 230; only pixels that an edge crosses are between, a few in a hundred."""
+    drawing = next(
+        rendered_frames(Cell(noise=0.0, blur_px=0.0, plain=True, cameras=1, frames=1), "4X4_50", 3)
+    )
+    assert np.isin(drawing.image, (30, 230)).mean() > 0.97
+    assert {30, 230} <= set(np.unique(drawing.image).tolist())
+
+
+@pytest.mark.parametrize(
+    "factors",
+    [
+        {"disc_px": 2.0},
+        {"coma_px": 1.0},
+        {"gamma": 2.0},
+        {"white_balance": 2.0},
+        {"denoise": 10.0},
+        {"sharpen": 1.0},
+        {"jpeg": 50},
+        {"h264": 30},
+    ],
+)
+def test_lens_and_processing_change_the_image_and_not_the_scene(factors):
+    """The bound is that of the raw pixels: it knows the lens's blur and the filters, and nothing else."""
+    cell = Cell(noise=2.0, blur_px=0.6, cameras=1, frames=1)
+    changed, plain = (next(rendered_frames(c, "4X4_50", 3)) for c in (replace(cell, **factors), cell))
+    np.testing.assert_array_equal(changed.centers_px, plain.centers_px)
+    assert (changed.image != plain.image).mean() > 0.2
+    grown = np.einsum("nii->ni", changed.bounds) / np.einsum("nii->ni", plain.bounds)
+    raw = {"disc_px", "coma_px", "white_balance"} & set(factors)
+    assert (grown > 1.2).all() if raw else np.array_equal(grown, np.ones_like(grown))
+
+
+def test_defocus_is_sharp_in_the_middle_of_the_image_and_a_disc_in_its_corner():
+    """At 25 deg of tilt; the blur of the image is that of the renderer's thin lens."""
+    cell = Cell(tilt_deg=25.0, defocus_px=2.5, cameras=1, frames=1)
+    shot = next(camera_shots(cell, "4X4_50", 0, np.random.default_rng(1)))
+    blur = lens_blur(cell, shot)
+    middle = blur.radii_px(shot.camera, shot.pose, np.array(shot.camera.size_px) / 2 - 0.5)
+    corners = blur.radii_px(shot.camera, shot.pose, shot.camera.corners_px)
+    assert middle == pytest.approx(0.0, abs=1e-9)
+    assert np.abs(corners).max() == pytest.approx(2.5)
 
 
 @pytest.mark.parametrize("share", [0.02, 0.1])
@@ -315,7 +388,7 @@ def test_a_result_is_read_back_as_it_was_written(result, tmp_path):
 
 def test_tables_have_a_cell_for_every_column_and_name_ours_first(result):
     tables = make_tables(result)
-    assert len(tables) == 7
+    assert len(tables) == 8
     for table in tables:
         assert all(len(row) == len(table.header) for row in table.rows)
     assert [row[0] for row in tables[0].rows] == ["photometric", "opencv"]
@@ -345,10 +418,11 @@ def page(result, tmp_path_factory) -> Path:
 def test_all_figures_and_tables_are_made(page):
     drawn = sorted(path.name for path in (page.parent / "figures").glob("*.png"))
     assert drawn == [
-        "accuracy.png", "factor_recall.png", "factors.png", "honesty.png", "recall.png", "times.png"
+        "accuracy.png", "camera.png", "camera_recall.png", "factor_recall.png", "factors.png", "honesty.png",
+        "recall.png", "times.png",
     ]  # fmt: skip
     text = (page.parent / MARKDOWN).read_text("utf-8")
-    assert text.count("### ") == 7 and "| photometric |" in text
+    assert text.count("### ") == 8 and "| photometric |" in text
 
 
 @pytest.mark.parametrize("width", [1280, 390])

@@ -162,3 +162,17 @@ def test_pixels_come_from_the_seeds() -> None:
     np.testing.assert_array_equal(scene(1, one), scene(1, again))
     assert not np.array_equal(scene(1, one), scene(2, one)), "the sensor's seed"
     assert not np.array_equal(scene(1, one), scene(1, other)), "the ground's seed"
+
+
+def test_a_camera_that_looks_away_from_the_origin_sees_what_is_before_it() -> None:
+    """Tilted by 60 deg, with the ground's origin behind it: the same image as with the whole world moved."""
+    camera, tilt = Camera((120, 120), 300.0), (np.radians(60.0), 0.0)
+    ahead = np.array([[0.0, -10.0 * np.tan(tilt[0])]])
+    images = []
+    for away in (np.array([0.0, -30.0]), np.array([0.0, 40.0])):
+        pose = CameraPose((float(away[0]), float(away[1])), 10.0, tilt_rad=tilt)
+        team = np.array([3]), ahead + away, np.array([0.5])
+        assert project(camera, pose, team[1])[0] == pytest.approx([59.5, 59.5], abs=1e-9)
+        images.append(flat_renderer().render(camera, pose, *team))
+    assert images[0].max() > 200 and images[0].min() < 100
+    np.testing.assert_array_equal(*images)

@@ -4,9 +4,9 @@ Any other source can take its place that yields `Frame`s for a cell, a dictionar
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Protocol
+from typing import Literal, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -22,7 +22,11 @@ from skyherd.render import (
     FrameTruth,
     Ground,
     Illumination,
+    LensBlur,
+    Mosaic,
     Motion,
+    Processing,
+    Quad,
     Renderer,
     Sensor,
     Shutter,
@@ -35,6 +39,12 @@ alone."""
 
 COVER_LEVEL = 40.0
 """Grey level of the discs that cover markers: dark, and neither a marker's black nor its white."""
+
+GOLDEN_ANGLE_RAD = np.pi * (3.0 - 5.0**0.5)
+"""Angle by which directions of coma differ from camera to camera: they fill the circle, however many."""
+
+LEAST_BLUR_PX = 0.05
+"""Least blur of the bound's lens. *Chosen*: as narrow as the renderer draws one; the pixel hides it."""
 
 QUAD_SIDES = (0.4, 1.2)
 """Least and greatest side of clutter, in marker sides."""
@@ -90,11 +100,51 @@ def rendered_frames(cell: Cell, dictionary: str, seed: int) -> Iterator[Frame]:
         toward = rng.uniform(-np.pi, np.pi)
         light = Illumination(gradient=cell.uneven, gradient_rad=toward)
         # The gain takes off what the brightest border has in excess, so that white stays within 8 bits.
-        sensor = Sensor(cell.noise, noise, gain=1.0 / (1.0 + cell.uneven / 2.0), illumination=light)
+        sensor = Sensor(
+            cell.noise,
+            noise,
+            gain=1.0 / (1.0 + cell.uneven / 2.0),
+            illumination=light,
+            jpeg_quality=cell.jpeg,
+            processing=_processing(cell),
+        )
         renderer: Renderer | None = None
         for shot in camera_shots(cell, dictionary, unit, layout):
             renderer = renderer or _renderer(cell, dictionary, shot, sensor)
             yield _expose(cell, shot, renderer, rng)
+
+
+def _mosaic(cell: Cell) -> Mosaic:
+    """The colour filters of a cell's cameras."""
+    return Mosaic("edge-aware", cell.white_balance, cell.white_balance) if cell.white_balance else Mosaic()
+
+
+def _processing(cell: Cell) -> Processing:
+    """What a cell's cameras do to their images, but for the JPEG."""
+    return Processing(
+        mosaic=_mosaic(cell),
+        gamma=cell.gamma,
+        denoise=cell.denoise,
+        sharpen=cell.sharpen,
+        h264_crf=cell.h264,
+    )
+
+
+def lens_blur(cell: Cell, shot: Shot) -> LensBlur:
+    """Defocus and coma of a camera: what is seen in the image's middle is in focus.
+
+    The aperture follows from the disc asked for in the image corner that is farthest out of focus. The
+    coma's direction is the camera's own, by the golden angle.
+    """
+    blur = LensBlur(cell.disc_px, cell.coma_px, coma_rad=GOLDEN_ANGLE_RAD * shot.unit_id)
+    if not cell.defocus_px:
+        return blur
+    focus_m = shot.pose.height_m / np.prod(np.cos(shot.pose.tilt_rad))
+    wide_open = LensBlur(aperture_m=1.0, focus_m=float(focus_m))
+    radii_px = wide_open.radii_px(shot.camera, shot.pose, shot.camera.corners_px)
+    return replace(
+        blur, aperture_m=cell.defocus_px / float(np.abs(radii_px).max()), focus_m=wide_open.focus_m
+    )
 
 
 def _renderer(cell: Cell, dictionary: str, shot: Shot, sensor: Sensor) -> Renderer:
@@ -105,19 +155,21 @@ def _renderer(cell: Cell, dictionary: str, shot: Shot, sensor: Sensor) -> Render
     return Renderer(
         dictionary,
         1.0,
-        _ground(shot.unit_id, total_sigma_px(shot.blur_px), clutter),
+        _ground(shot.unit_id, total_sigma_px(shot.blur_px), clutter, cell.ground, cell.plain),
         sensor,
         psf_px=shot.blur_px,
         black=cell.black,
         white=cell.white,
         shutter=Shutter(exposure_s=EXPOSURE_S if cell.motion_px else 0.0),
+        lens_blur=lens_blur(cell, shot),
     )
 
 
 @lru_cache(maxsize=6)
-def _ground(seed: int, sigma_px: float, clutter: Clutter | None) -> Ground:
+def _ground(seed: int, sigma_px: float, clutter: Clutter | None, mean: float, plain: bool) -> Ground:
     """The ground of a camera; it is slow to make, and the same cameras come back in every cell."""
-    return Ground(seed, sigma_px=sigma_px, clutter=clutter)
+    kind: Literal["plain", "concrete"] = "plain" if plain else "concrete"
+    return Ground(seed, kind=kind, mean=mean, sigma_px=sigma_px, clutter=clutter)
 
 
 def _area(corners: Array) -> float:
@@ -128,9 +180,12 @@ def _area(corners: Array) -> float:
 
 def _expose(cell: Cell, shot: Shot, renderer: Renderer, rng: np.random.Generator) -> Frame:
     motion, team = _shake(cell, shot, rng), (shot.ids, shot.positions_m, shot.headings_rad)
-    image = renderer.render(shot.camera, shot.pose, *team, motion=motion, occluders=_covers(cell, shot, rng))
+    around: list[Disc | Quad] = [*_covers(cell, shot, rng), *_touching(cell, shot)]
+    image = renderer.render(shot.camera, shot.pose, *team, motion=motion, occluders=around)
     truth = renderer.truth(shot.camera, shot.pose, *team, motion=motion)
-    bounds = marker_bounds(cell, renderer.dictionary, shot.blur_px, truth)
+    spread = renderer.lens_blur.variances_px2(shot.camera, shot.pose, truth.centers_px)
+    blur_px = float(np.sqrt(shot.blur_px**2 + spread.mean())) if len(spread) else shot.blur_px
+    bounds = marker_bounds(cell, renderer.dictionary, blur_px, truth)
     sensor = renderer.sensor
     if not sensor.illumination.even:
         at = np.rint(truth.centers_px).astype(int)
@@ -161,18 +216,27 @@ def make_frame(shot: Shot, image: npt.NDArray[np.uint8], truth: FrameTruth, boun
 def marker_bounds(cell: Cell, dictionary: str, blur_px: float, truth: FrameTruth) -> Array:
     """Cramér–Rao bounds (N, 3, 3) on u, v (px) and heading (rad) of the markers of an image.
 
-    Rounding to grey levels adds a variance of 1/12 to the noise. A streak of length L has the variance L² /
-    12 along its direction; over both axes that is L² / 24 of the variance of the blur.
+    Rounding to grey levels adds a variance of 1/12 to the noise, and colour filters take from what its
+    pixels tell. A streak of length L has the variance L² / 12 along its direction; over both axes that is L²
+    / 24 of the variance of the blur. What the camera does to the pixels afterwards is left out.
+
+    Args:
+        cell: the condition.
+        dictionary: of the markers.
+        blur_px: standard deviation of the lens's blur; that of discs and coma is taken as Gaussian, and
+            where it differs from marker to marker as its mean.
+        truth: of the image.
     """
-    noise = float(np.hypot(cell.noise, UNIFORM_VARIANCE**0.5))
+    noise = float(np.hypot(cell.noise / _mosaic(cell).information ** 0.5, UNIFORM_VARIANCE**0.5))
     return pose_covariances(
         dictionary,
         truth.ids,
         truth.images_marker,
-        psf_px=float(np.hypot(blur_px, cell.motion_px / 24**0.5)),
+        psf_px=max(float(np.hypot(blur_px, cell.motion_px / 24**0.5)), LEAST_BLUR_PX),
         noise=noise,
         black=cell.black,
         white=cell.white,
+        ground=cell.ground,
     )
 
 
@@ -191,3 +255,15 @@ def _covers(cell: Cell, shot: Shot, rng: np.random.Generator) -> list[Disc]:
     corners = ROBOT_FRAME_CORNERS[rng.integers(0, 4, len(shot.ids))] * np.exp(1j * shot.headings_rad)
     places = shot.positions_m + np.column_stack([corners.real, corners.imag])
     return [Disc((float(x), float(y)), radius, COVER_LEVEL) for x, y in places]
+
+
+def _touching(cell: Cell, shot: Shot) -> list[Quad]:
+    """Black squares outside of the markers' corners, each of which touches its marker in that one point."""
+    if not cell.touching:
+        return []
+    square = np.array([0.0, 1.0, 1.0 + 1.0j, 1.0j]) * cell.touching
+    outwards = np.exp(1j * np.pi / 2 * np.arange(4))
+    corners = (0.5 + 0.5j + square) * outwards[:, None]
+    turned = corners * np.exp(1j * shot.headings_rad)[:, None, None]
+    places = shot.positions_m[:, None, None] + np.stack([turned.real, turned.imag], axis=-1)
+    return [Quad(quad, cell.black) for quad in places.reshape(-1, 4, 2)]

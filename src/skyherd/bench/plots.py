@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullLocator
 
 from skyherd.bench.axes import AIM, ratio_axes, share_axes, side_axis, span
-from skyherd.bench.design import SWEEPS
+from skyherd.bench.design import CAMERA_SWEEPS, SWEEPS, Sweep
 from skyherd.bench.entrants import is_ours
 from skyherd.bench.result import Result, Row
 from skyherd.bench.tables import MIDDLE_NOISE
@@ -133,9 +133,13 @@ def draw_recall(result: Result) -> Figure | None:
 
 
 def _sweep_figure(
-    result: Result, key: str, label: str, finish: Callable[[Sequence[Axes]], None]
+    result: Result,
+    sweeps: Sequence[Sweep],
+    key: str,
+    label: str,
+    finish: Callable[[Sequence[Axes]], None],
 ) -> Figure | None:
-    shown = [s for s in SWEEPS if any(row["sweep"] == s.name for row in result.cells)]
+    shown = [s for s in sweeps if any(row["sweep"] == s.name for row in result.cells)]
     if not shown:
         return None
     columns = 4
@@ -157,13 +161,23 @@ def _sweep_figure(
 
 
 def draw_factors(result: Result) -> Figure | None:
-    """Draw the position's RMSE over its bound along each sweep."""
-    return _sweep_figure(result, "ratio_px", "position: RMSE / bound", ratio_axes)
+    """Draw the position's RMSE over its bound along each sweep over scene and sensor."""
+    return _sweep_figure(result, SWEEPS, "ratio_px", "position: RMSE / bound", ratio_axes)
 
 
 def draw_factor_recall(result: Result) -> Figure | None:
-    """Draw recall along each sweep."""
-    return _sweep_figure(result, "recall", "recall", share_axes)
+    """Draw recall along each sweep over scene and sensor."""
+    return _sweep_figure(result, SWEEPS, "recall", "recall", share_axes)
+
+
+def draw_camera(result: Result) -> Figure | None:
+    """Draw the position's RMSE over its bound along each sweep over lens and processing."""
+    return _sweep_figure(result, CAMERA_SWEEPS, "ratio_px", "position: RMSE / bound", ratio_axes)
+
+
+def draw_camera_recall(result: Result) -> Figure | None:
+    """Draw recall along each sweep over lens and processing."""
+    return _sweep_figure(result, CAMERA_SWEEPS, "recall", "recall", share_axes)
 
 
 def draw_nees(result: Result) -> Figure | None:
@@ -253,6 +267,19 @@ PLOTS = (
         draw_factors,
     ),
     Plot("factor_recall", "Recall, one factor at a time", "Recall in the same cells.", draw_factor_recall),
+    Plot(
+        "camera",
+        "Lens and processing, one at a time",
+        "The same through what a consumer camera does: blur that is no Gaussian, colour filters, tone, "
+        "denoising, sharpening, codecs, and all of it. The bound is that of the raw pixels.",
+        draw_camera,
+    ),
+    Plot(
+        "camera_recall",
+        "Recall, lens and processing",
+        "Recall in the same cells.",
+        draw_camera_recall,
+    ),
     Plot(
         "honesty",
         "Covariance compared with the errors",

@@ -55,10 +55,10 @@ class Result:
         return sorted(rows, key=lambda row: float(row["side_px"]))
 
     def along(self, sweep: Sweep, detector: str) -> list[tuple[float, Row]]:
-        """A detector's rows along a sweep, ascending by value; the base cell's too if it has one."""
+        """A detector's rows along a sweep, ascending by value; the base cell's too if it is one of them."""
         rows = [row for row in self.cells if row["detector"] == detector]
         found = [(float(row[sweep.key]), row) for row in rows if row["sweep"] == sweep.name]
-        if getattr(Cell(), sweep.key) is not None:
+        if getattr(Cell(), sweep.key) is not None and not sweep.fixed:
             found += [(float(row[sweep.key]), row) for row in rows if row["sweep"] == "base"]
         return sorted(found, key=lambda pair: pair[0])
 

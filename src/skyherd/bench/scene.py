@@ -17,7 +17,10 @@ SPEED_PX, TURN_RAD = 3.0, 0.07
 """Most that a marker moves, px, and turns, rad, from one image to the next: 90 px/s and 2 rad/s."""
 
 FOCAL_SHARE = 1.0
-"""Focal length in image widths: a horizontal field of view of 53 deg."""
+"""Focal length in image widths: a horizontal field of view of 53 deg. Under a steep tilt it is longer."""
+
+MOST_OBLIQUE_DEG = 80.0
+"""Largest angle between a ray of an image and the vertical. *Chosen*: at 90 it is the horizon."""
 
 MOST_IDS = 50
 """Only this many first markers of a dictionary are shown, so that the ids are the same in all
@@ -56,7 +59,8 @@ def make_team(cell: Cell, dictionary: str, rng: np.random.Generator) -> Team:
     width, height = cell.size_px
     # Under tilt the near half of the image shows larger markers.
     largest = cell.side_px * (1.0 + 2.0 * np.tan(np.radians(cell.tilt_deg)) * 0.5)
-    reach = largest * card_side(dictionary) * np.sqrt(2.0) + 4.0
+    around = max(card_side(dictionary), 1.0 + 2.0 * cell.touching)
+    reach = largest * around * np.sqrt(2.0) + 4.0
     columns, rows = (max(1, min(4, int(length // reach))) for length in (width, height))
     spacing = np.array([width / columns, height / rows])
     column, row = np.meshgrid(np.arange(columns) + 0.5, np.arange(rows) + 0.5)
@@ -72,9 +76,15 @@ def make_team(cell: Cell, dictionary: str, rng: np.random.Generator) -> Team:
     )
 
 
+def focal_share(cell: Cell) -> float:
+    """Focal length in image widths: `FOCAL_SHARE`, or so long that no ray is beyond `MOST_OBLIQUE_DEG`."""
+    half_diagonal = np.hypot(*cell.size_px) / (2.0 * cell.size_px[0])
+    return max(FOCAL_SHARE, float(half_diagonal / np.tan(np.radians(MOST_OBLIQUE_DEG - cell.tilt_deg))))
+
+
 def make_view(cell: Cell, rng: np.random.Generator) -> tuple[Camera, CameraPose]:
     """A camera at a random place that sees a marker of side 1 m at its centre with `cell.side_px`."""
-    camera = Camera(cell.size_px, focal_px=FOCAL_SHARE * cell.size_px[0])
+    camera = Camera(cell.size_px, focal_px=focal_share(cell) * cell.size_px[0])
     tilt, toward = np.radians(cell.tilt_deg), rng.uniform(-np.pi, np.pi)
     # At the centre a tilted view shrinks by cos for the distance and by sqrt cos for the slant.
     height_m = camera.focal_px / cell.side_px * np.cos(tilt) ** 1.5

@@ -1,9 +1,9 @@
 """The result as tables of texts, for the page and for Markdown alike."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from skyherd.bench.design import SWEEPS
+from skyherd.bench.design import CAMERA_SWEEPS, SWEEPS, Sweep
 from skyherd.bench.result import Result, Row
 
 NONE = "–"
@@ -45,7 +45,20 @@ def make_tables(result: Result) -> list[Table]:
     tables = [
         *(_ratios(result, noise) for noise in noises),
         *(_recalls(result, noise) for noise in noises),
-        _factors(result),
+        _factors(
+            result,
+            SWEEPS,
+            "One factor at a time",
+            "RMSE of position / of heading over its bound, and recall. Occlusion is held against the bound "
+            "of the whole marker, touching squares against that of the marker without them.",
+        ),
+        _factors(
+            result,
+            CAMERA_SWEEPS,
+            "Lens and processing, one at a time",
+            "The same through what a consumer camera does. The bound is that of the raw pixels, with a "
+            "Gaussian blur of the same variance: what is done to them afterwards can only lose.",
+        ),
         _nees(result, middle),
         _false_positives(result),
         *(_times(result, noise) for noise in sorted({row["noise"] for row in result.timing})),
@@ -105,25 +118,19 @@ def _recalls(result: Result, noise: float) -> Table:
     )
 
 
-def _factors(result: Result) -> Table:
-    """Rows of conditions, columns of detectors."""
+def _factors(result: Result, sweeps: Sequence[Sweep], title: str, note: str) -> Table:
+    """Rows of conditions, columns of detectors; none without a cell of the sweeps."""
     names = [name for name in result.detectors if any(row["detector"] == name for row in result.cells)]
     body = []
     base = {row["detector"]: row for row in result.cells if row["sweep"] == "base"}
-    if base:
+    if base and any(result.along(sweep, name) for sweep in sweeps for name in names):
         body.append(("none: 30 px, noise 5", *(_with_recall(base.get(name)) for name in names)))
-    for sweep in SWEEPS:
+    for sweep in sweeps:
         found = {name: dict(result.along(sweep, name)) for name in names}
         for value in sorted({v for rows in found.values() for v, r in rows.items() if r["sweep"] != "base"}):
             cells = (_with_recall(found[name].get(value)) for name in names)
             body.append((f"{sweep.label}: {value:g}", *cells))
-    return Table(
-        "One factor at a time",
-        "RMSE of position / of heading over its bound, and recall. Occlusion is held against the bound of "
-        "the whole marker.",
-        ("factor", *names),
-        tuple(body),
-    )
+    return Table(title, note, ("factor", *names), tuple(body))
 
 
 def _with_recall(row: Row | None) -> str:

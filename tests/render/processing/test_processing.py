@@ -120,7 +120,7 @@ def test_denoising_is_the_bilateral_filter_of_its_docstring():
 
 
 def test_sharpening_is_an_unsharp_mask():
-    """On a wave of frequency w a Gaussian leaves exp(-(w s)²/2), so that the wave grows by 1 + a (1 - that)."""
+    """On a wave of frequency w a Gaussian leaves g = exp(-(w s)²/2), so that it grows by 1 + a (1 - g)."""
     frequency, amount, radius = 2 * np.pi / 8, 0.7, 1.3
     wave = np.tile(np.sin(frequency * np.arange(160)), (40, 1)).astype(np.float32)
     grown = sharpen(wave, amount, radius)[20, 20:-20] @ wave[20, 20:-20] / (wave[20, 20:-20] ** 2).sum()
@@ -172,7 +172,7 @@ def test_a_video_gives_each_picture_back_in_order_and_the_same_bits_again():
 
 
 def test_a_video_is_h264_that_any_decoder_reads(tmp_path):
-    """Its packets in a file, read by PyAV's demuxer: the same pictures. Here encoded once more, the same way."""
+    """Its packets in a file, read by a demuxer and another decoder: the same pictures."""
     stream = VideoStream((64, 48), 23)
     packets = []
     encode = stream._encoder.encode

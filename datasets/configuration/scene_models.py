@@ -33,8 +33,8 @@ tile, the width of a picture. *Chosen*: 2 cm a sample of concrete, and tiles and
 BlurLength = Annotated[FiniteFloat, Field(ge=0, le=20)]
 """A length of lens blur, px. *Chosen*: wider than any marker is legible through."""
 
-Aperture = Annotated[FiniteFloat, Field(ge=0, le=1)]
-"""Diameter of a lens's opening, m. *Chosen*: that of a large telescope at most."""
+Aperture = Annotated[FiniteFloat, Field(ge=0, le=10)]
+"""Diameter of a lens's opening, m. *Chosen*: that of the largest telescopes at most."""
 
 BalanceGain = Annotated[FiniteFloat, Field(ge=1, le=4)]
 """Factor of white balance on red or blue pixels, as `skyherd.render.Mosaic` takes it."""

@@ -8,10 +8,22 @@ from functools import lru_cache
 import numpy as np
 
 from skyherd.datasets.configuration.camera_models import CameraModel, DistortionModel
-from skyherd.datasets.configuration.scene_models import GroundModel, OccluderModel, SensorModel
+from skyherd.datasets.configuration.scene_models import (
+    GroundModel,
+    LensBlurModel,
+    OccluderModel,
+    ProcessingModel,
+    SensorModel,
+)
 from skyherd.datasets.labelled.ranges import draw_integer, draw_number
 from skyherd.datasets.labelled.scenes import Scene, Station, corners_m
-from skyherd.datasets.labelled.spec import DatasetSpec, OccludersSpec, SensorSpec
+from skyherd.datasets.labelled.spec import (
+    DatasetSpec,
+    LensBlurSpec,
+    OccludersSpec,
+    ProcessingSpec,
+    SensorSpec,
+)
 from skyherd.geometry import Array, BoolArray, IntArray, apply_homography, inverse
 from skyherd.markers.dictionary import card_side, dictionary_size
 from skyherd.random_streams import LabelledSetStream, generator
@@ -70,6 +82,9 @@ def make_scene(spec: DatasetSpec, index: int) -> Scene:
         draw_number(rng, spec.sensor.motion_px),
         _draw_sensor(spec.sensor, station.psf_px, rng),
     )
+    camera_rng = generator(spec.seed, LabelledSetStream.PROCESSING, index)
+    lens_blur = _draw_lens_blur(spec.sensor.lens_blur, pose, camera_rng)
+    processing = _draw_processing(spec.sensor.processing, camera_rng)
     toward, speed = rng.uniform(-np.pi, np.pi), motion_px / EXPOSURE_S * pose.height_m
     speed /= station.camera.focal_length_px
     black, white = draw_number(rng, spec.markers.black), draw_number(rng, spec.markers.white)
@@ -84,7 +99,7 @@ def make_scene(spec: DatasetSpec, index: int) -> Scene:
         ids=ids,
         positions_m=positions_m,
         headings_rad=headings_rad,
-        sensor=sensor,
+        sensor=sensor.model_copy(update={"lens_blur": lens_blur, "processing": processing}),
         motion_px=motion_px,
         motion=Motion(camera_mps=(float(speed * np.cos(toward)), float(speed * np.sin(toward)), 0.0)),
         clutter=clutter,
@@ -125,6 +140,29 @@ def _draw_sensor(model: SensorSpec, psf_px: float, rng: np.random.Generator) -> 
         shadow_offset=rng.uniform(-0.8, 0.8),
         shadow_edge=rng.uniform(0.01, 0.2),
         jpeg_quality=None if model.jpeg_quality is None else quality,
+    )
+
+
+def _draw_lens_blur(model: LensBlurSpec, pose: CameraPose, rng: np.random.Generator) -> LensBlurModel:
+    """Defocus and coma; the distance in focus is drawn as a share of the one to the image's middle."""
+    disc, coma, aperture, focus = (draw_number(rng, span) for _, span in model)
+    middle_m = pose.height_m / float(np.prod(np.cos(pose.tilt_rad)))
+    return LensBlurModel(
+        disc_px=disc,
+        coma_px=coma,
+        coma_deg=rng.uniform(-180, 180),
+        aperture_m=aperture,
+        focus_m=focus * middle_m,
+    )
+
+
+def _draw_processing(model: ProcessingSpec, rng: np.random.Generator) -> ProcessingModel:
+    """What the camera does to an image."""
+    names = ("red_gain", "blue_gain", "gamma", "s_curve", "denoise", "sharpen", "sharpen_px")
+    values = {name: draw_number(rng, getattr(model, name)) for name in names}
+    factor = draw_integer(rng, model.h264_crf or (0, 0))
+    return ProcessingModel(
+        demosaic=model.demosaic, **values, h264_crf=None if model.h264_crf is None else factor
     )
 
 

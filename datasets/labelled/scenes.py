@@ -131,6 +131,7 @@ class Scene:
             black=self.black,
             white=self.white,
             shutter=sensor.make_shutter(),
+            lens_blur=sensor.lens_blur.make(),
         )
         return renderer.render(
             self.camera,
@@ -146,14 +147,17 @@ class Scene:
         """Cramér–Rao bound (N, 3, 3) on (u px, v px, heading rad) of each marker, as if wholly seen.
 
         At the light that falls on its centre, shot noise taken at mid-grey, rounding included; a streak L px
-        long adds L² / 24 to the blur's variance. What a JPEG does is left out.
+        long adds L² / 24 to the blur's variance, and defocus and coma theirs, in the markers' mean. Colour
+        filters take from what the raw pixels tell; what is done to these afterwards is left out.
         """
         sensor, truth = self.sensor, self.truth
+        lens = sensor.lens_blur.make().variances_px2(self.camera, self.pose, truth.centers_px)
+        spread = self.motion_px**2 / 24 + (float(lens.mean()) if len(lens) else 0.0)
         bounds = pose_covariances(
             self.dictionary,
             truth.ids,
             truth.images_marker,
-            psf_px=float(np.hypot(sensor.psf_px, self.motion_px / 24**0.5)),
+            psf_px=float(np.hypot(sensor.psf_px, spread**0.5)),
             noise=1.0,
             black=self.black,
             white=self.white,
@@ -165,7 +169,8 @@ class Scene:
             float
         )
         signal = light * (self.black + self.white) / 2
-        variance = sensor.noise**2 + sensor.shot * signal + UNIFORM_VARIANCE
+        noise = (sensor.noise**2 + sensor.shot * signal) / sensor.processing.make().mosaic.information
+        variance = noise + UNIFORM_VARIANCE
         return np.asarray(bounds * (variance / light**2)[:, None, None])
 
 

@@ -15,7 +15,15 @@ from pydantic import Field, FiniteFloat, ValidationError, model_validator
 
 from skyherd.datasets.configuration.camera_models import CameraModel, Coefficient, DistortionModel
 from skyherd.datasets.configuration.fields import Fraction, Model, NotNegative, Positive, Share
-from skyherd.datasets.configuration.scene_models import Grey
+from skyherd.datasets.configuration.scene_models import (
+    BalanceGain,
+    BlurLength,
+    ConstantRateFactor,
+    Gamma,
+    Grey,
+    Sharpening,
+    SharpeningRadius,
+)
 from skyherd.datasets.configuration.toml_files import (
     built_in_names,
     built_in_text,
@@ -104,6 +112,37 @@ class CameraSpec(Model):
     distortion: DistortionSpec = Field(DistortionSpec(), description="coefficients of the lenses")
 
 
+class LensBlurSpec(Model):
+    """Blur of the lens that is no Gaussian, beside `camera.psf_px`; each part is off at 0."""
+
+    disc_px: Span[BlurLength] = Field((0.0, 0.0), description="px; radius of the disc of defocus")
+    coma_px: Span[BlurLength] = Field((0.0, 0.0), description="px; length C of the coma, in any direction")
+    aperture_sides: Span[Annotated[FiniteFloat, Field(ge=0, le=10)]] = Field(
+        (0.0, 0.0), description="marker sides; diameter of the opening, for discs that grow with the distance"
+    )
+    focus: Span[Annotated[FiniteFloat, Field(ge=0.1, le=10)]] = Field(
+        (1.0, 1.0), description="distance in focus over that of what is in the image's middle"
+    )
+
+
+class ProcessingSpec(Model):
+    """What the cameras do to images after their sensors; each part is off unless it is set."""
+
+    demosaic: Literal["none", "bilinear", "edge-aware"] = Field(
+        "none", description="a mosaic of colour filters after Bayer, and how colours between are interpolated"
+    )
+    red_gain: Span[BalanceGain] = Field((1.0, 1.0), description="white balance on red pixels")
+    blue_gain: Span[BalanceGain] = Field((1.0, 1.0), description="white balance on blue pixels")
+    gamma: Span[Gamma] = Field((1.0, 1.0), description="of the tone curve; 1 for a linear signal")
+    s_curve: Span[Share] = Field((0.0, 0.0), description="strength of the curve that adds contrast")
+    denoise: Span[Grey] = Field((0.0, 0.0), description="grey levels that are taken for noise")
+    sharpen: Span[Sharpening] = Field((0.0, 0.0), description="amount of an unsharp mask")
+    sharpen_px: Span[SharpeningRadius] = Field((1.0, 1.0), description="px; blur of that mask")
+    h264_crf: Span[ConstantRateFactor] | None = Field(
+        None, description="rate factor of an H.264 video whose first picture each image is; none if left out"
+    )
+
+
 class SensorSpec(Model):
     """What the sensor does to images; each part is off at 0, gain at 1, jpeg_quality if left out."""
 
@@ -119,6 +158,8 @@ class SensorSpec(Model):
     jpeg_quality: Span[Annotated[int, Field(ge=1, le=100)]] | None = Field(
         None, description="quality, 1 to 100, of a JPEG that images go through; none if left out"
     )
+    lens_blur: LensBlurSpec = Field(LensBlurSpec(), description="defocus and coma")
+    processing: ProcessingSpec = Field(ProcessingSpec(), description="what cameras do to their images")
 
 
 class GroundSpec(Model):

@@ -94,7 +94,9 @@ def image_row(image: str, split: str, scene: Scene) -> Row:
         "black": scene.black,
         "white": scene.white,
         "motion_px": scene.motion_px,
-        **sensor.model_dump(exclude={"row_time_s", "exposure_s"}),
+        **sensor.model_dump(exclude={"row_time_s", "exposure_s", "lens_blur", "processing"}),
+        **_in_sides(sensor.lens_blur.model_dump()),
+        **sensor.processing.model_dump(),
         "ground": station.ground.image or station.ground.kind,
         "ground_mean": station.ground.mean,
         "ground_contrast": station.ground.contrast,
@@ -105,6 +107,11 @@ def image_row(image: str, split: str, scene: Scene) -> Row:
         name: round(float(value), DIGITS) if isinstance(value, float) else value
         for name, value in row.items()
     }
+
+
+def _in_sides(values: Row) -> Row:
+    """The values with names that end in `_sides` where they end in `_m`: a side is 1 m."""
+    return {f"{name[:-2]}_sides" if name.endswith("_m") else name: value for name, value in values.items()}
 
 
 def table_text(rows: Iterable[Mapping[str, Any]], columns: Iterable[str]) -> str:

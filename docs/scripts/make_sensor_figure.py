@@ -1,4 +1,4 @@
-"""Make sensor.png: one scene through every part of camera and sensor.
+"""Make sensor.png: one scene through every part of lens, sensor and processing.
 
 python docs/scripts/make_sensor_figure.py            # writes docs/sensor.png
 """
@@ -18,7 +18,10 @@ from skyherd.render import (
     Distortion,
     Ground,
     Illumination,
+    LensBlur,
+    Mosaic,
     Motion,
+    Processing,
     Quad,
     Renderer,
     Sensor,
@@ -46,6 +49,7 @@ def draw(
     distortion: Distortion | None = None,
     shutter: Shutter | None = None,
     psf_px: float = 0.8,
+    lens_blur: LensBlur | None = None,
     covered: bool = False,
 ) -> np.ndarray:
     """The scene with some part of it changed."""
@@ -56,6 +60,7 @@ def draw(
         sensor or Sensor(0.0, np.random.default_rng(1)),
         psf_px=psf_px,
         shutter=shutter or Shutter(),
+        lens_blur=lens_blur or LensBlur(),
     )
     camera = Camera(SIZE_PX, FOCAL_PX, distortion=distortion or Distortion())
     over = [Disc((0.2, 1.0), 0.6, 60.0), Quad([[2.0, -1.6], [4.0, -1.0], [3.8, -0.4], [1.8, -1.0]], 190.0)]
@@ -71,6 +76,12 @@ def sensor(noise: float = 0.0, jpeg_quality: int | None = None, shot: float = 0.
         jpeg_quality=jpeg_quality,
         illumination=Illumination(**light),
     )
+
+
+def processed(noise: float = 0.0, **steps: object) -> np.ndarray:
+    """The scene through some steps of processing."""
+    camera = Sensor(noise, np.random.default_rng(1), processing=Processing(**steps))
+    return draw(sensor=camera)
 
 
 def panels() -> dict[str, np.ndarray]:
@@ -91,6 +102,14 @@ def panels() -> dict[str, np.ndarray]:
         "tiles of 1 m": draw(ground=Ground(3, kind="tiles", tile_m=1.0, contrast=9.0)),
         "clutter 0.8 /m²": draw(ground=Ground(3, contrast=10.0, clutter=Clutter(3, 0.8, (0.4, 1.2)))),
         "disc and quad over markers": draw(covered=True),
+        "disc of defocus 2 px": draw(lens_blur=LensBlur(disc_px=2.0), psf_px=0.5),
+        "coma C = 1.5 px": draw(lens_blur=LensBlur(coma_px=1.5), psf_px=0.5),
+        "tilt 20°, aperture 0.6 m": draw(pose=tilt, lens_blur=LensBlur(aperture_m=0.6, focus_m=11.0)),
+        "noise 10, Bayer, balance 2": processed(10.0, mosaic=Mosaic("edge-aware", 2.0, 2.0)),
+        "gamma 2.2": processed(gamma=2.2),
+        "noise 10, denoising 25": processed(10.0, denoise=25.0),
+        "sharpening 2": processed(sharpen=2.0),
+        "H.264, rate factor 40": processed(2.0, h264_crf=40),
     }
 
 

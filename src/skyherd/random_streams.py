@@ -37,6 +37,7 @@ class LabelledSetStream(IntEnum):
     CAMERA = 0
     IMAGE = 1
     NOISE = 2
+    PROCESSING = 3
 
 
 def generator(seed: int, stream: RunStream | LabelledSetStream, *number: int) -> np.random.Generator:

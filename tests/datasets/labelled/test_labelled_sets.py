@@ -313,3 +313,72 @@ def test_the_bound_is_that_of_the_sensors_gain_and_noise():
     )
     assert len(scene.ids) >= 2
     np.testing.assert_allclose(scene.bounds(), expected, rtol=1e-5)
+
+
+CAMERA_KEYS = {
+    "lens_blur": {"disc_px": 1.5, "coma_px": 0.5, "aperture_sides": 0.3},
+    "processing": {
+        "demosaic": "bilinear",
+        "gamma": (1.8, 2.4),
+        "s_curve": 0.3,
+        "denoise": 20,
+        "sharpen": (1, 2),
+        "h264_crf": 30,
+    },
+}
+
+
+@pytest.mark.parametrize("table", CAMERA_KEYS)
+def test_each_key_of_lens_and_processing_changes_the_image_and_not_the_scene(table):
+    """Nothing else is drawn otherwise: markers, pose and the sensor's numbers stay, so that sets stay."""
+    sensor = TREE["sensor"]
+    plain = make_scene(spec_of(sensor=sensor).spec, 1)
+    image = plain.render(Path())
+    for key, value in CAMERA_KEYS[table].items():
+        extra = {"focus": 0.7} if key == "aperture_sides" else {}
+        scene = make_scene(spec_of(sensor={**sensor, table: {key: value, **extra}}).spec, 1)
+        assert scene.motion.camera_mps == plain.motion.camera_mps
+        for field in ("pose", "black", "white", "motion_px", "clutter", "noise_key"):
+            assert getattr(scene, field) == getattr(plain, field), key
+        np.testing.assert_array_equal(scene.positions_m, plain.positions_m)
+        off = {"lens_blur", "processing"}
+        assert scene.sensor.model_dump(exclude=off) == plain.sensor.model_dump(exclude=off)
+        assert np.abs(scene.render(Path()).astype(int) - image).max() > 10, key
+
+
+def test_lens_and_processing_are_drawn_within_their_ranges_and_the_same_again():
+    spec = load_spec("consumer").spec
+    drawn = [make_scene(spec, index).sensor for index in range(40)]
+    gammas = [sensor.processing.gamma for sensor in drawn]
+    assert min(gammas) >= 1.8 and max(gammas) <= 2.4 and max(gammas) - min(gammas) > 0.4
+    assert {sensor.processing.h264_crf for sensor in drawn} > {17, 22, 26}
+    assert all(0 <= sensor.lens_blur.disc_px <= 1 for sensor in drawn)
+    assert drawn == [make_scene(spec, index).sensor for index in range(40)]
+
+
+def test_focus_is_a_share_of_the_distance_to_the_images_middle():
+    """At 1 the middle is sharp, whatever the tilt: the disc's radius there is 0."""
+    lens = {"aperture_sides": 0.5, "focus": 1.0}
+    scene = make_scene(spec_of(sensor={"lens_blur": lens}, camera={"tilt_deg": 14}).spec, 2)
+    middle = (np.array(scene.camera.size_px) - 1) / 2
+    blur = scene.sensor.lens_blur.make()
+    assert blur.radii_px(scene.camera, scene.pose, middle) == pytest.approx(0.0, abs=1e-9)
+    assert np.abs(blur.radii_px(scene.camera, scene.pose, scene.camera.corners_px)).max() > 0.3
+
+
+def test_the_bound_knows_the_lens_and_the_filters():
+    """Variances of blur add up; half of the pixels are green, the others' noise is twice as strong."""
+    sensor = {"noise": 4.0, "lens_blur": {"disc_px": 2.0, "coma_px": 0.6}}
+    sensor["processing"] = {"demosaic": "edge-aware", "red_gain": 2.0, "blue_gain": 2.0}
+    scene = make_scene(spec_of(sensor=sensor, ground={"kinds": ["plain"]}).spec, 0)
+    expected = pose_covariances(
+        scene.dictionary,
+        scene.ids,
+        scene.truth.images_marker,
+        psf_px=np.sqrt(scene.sensor.psf_px**2 + 2.0**2 / 4 + 0.6**2 / 3),
+        noise=np.sqrt(4.0**2 / (1 / 2 + 1 / 2 / 4) + 1 / 12),
+        black=scene.black,
+        white=scene.white,
+        ground=scene.station.ground.mean,
+    )
+    np.testing.assert_allclose(scene.bounds(), expected, rtol=1e-5)

@@ -1,4 +1,4 @@
-"""Lens blur and processing as keys of scenario files: off as they come, bounded, and in built-in scenarios."""
+"""Lens blur and processing as keys of scenario files: off as they come, bounded, and in two scenarios."""
 
 import numpy as np
 import pytest

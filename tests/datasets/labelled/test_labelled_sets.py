@@ -316,11 +316,11 @@ def test_the_bound_is_that_of_the_sensors_gain_and_noise():
 
 
 CAMERA_KEYS = {
-    "lens_blur": {"disc_px": 1.5, "coma_px": 0.5, "aperture_sides": 0.3},
+    "lens_blur": {"disc_px": 1.5, "coma_px": 1.5, "aperture_sides": 0.3},
     "processing": {
         "demosaic": "bilinear",
         "gamma": (1.8, 2.4),
-        "s_curve": 0.3,
+        "s_curve": 0.8,
         "denoise": 20,
         "sharpen": (1, 2),
         "h264_crf": 30,
@@ -330,7 +330,7 @@ CAMERA_KEYS = {
 
 @pytest.mark.parametrize("table", CAMERA_KEYS)
 def test_each_key_of_lens_and_processing_changes_the_image_and_not_the_scene(table):
-    """Nothing else is drawn otherwise: markers, pose and the sensor's numbers stay, so that sets stay."""
+    """Nothing else is drawn otherwise, noise included: off, not one grey level would differ."""
     sensor = TREE["sensor"]
     plain = make_scene(spec_of(sensor=sensor).spec, 1)
     image = plain.render(Path())
@@ -343,7 +343,7 @@ def test_each_key_of_lens_and_processing_changes_the_image_and_not_the_scene(tab
         np.testing.assert_array_equal(scene.positions_m, plain.positions_m)
         off = {"lens_blur", "processing"}
         assert scene.sensor.model_dump(exclude=off) == plain.sensor.model_dump(exclude=off)
-        assert np.abs(scene.render(Path()).astype(int) - image).max() > 10, key
+        assert np.abs(scene.render(Path()).astype(int) - image).max() > 3, key
 
 
 def test_lens_and_processing_are_drawn_within_their_ranges_and_the_same_again():

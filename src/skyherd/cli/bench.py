@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from skyherd.cli.choices import complete_dictionary
-from skyherd.cli.console import ProgressReporter, say, warn
+from skyherd.cli.console import ProgressReporter, say, say_table, warn
 from skyherd.errors import InputError
 
 bench_app = typer.Typer(help="Measure parts of skyherd, and their peers.", rich_markup_mode=None)
@@ -34,7 +34,7 @@ def detectors(
     dictionary: Annotated[
         str,
         typer.Option(
-            help="Of the markers; apriltag3 keeps to its own if it does not know it.",
+            help="Of the markers; apriltag3 and locus-tag keep to their own if they do not know it.",
             autocompletion=complete_dictionary,
         ),
     ] = "4X4_50",
@@ -54,16 +54,16 @@ def detectors(
     It leaves bench.json, bench.html, bench.md and figures.
     """
     from skyherd.bench.design import full_design, quick_design
-    from skyherd.bench.entrants import default_entrants
+    from skyherd.bench.entrants import default_entrants, missing_libraries
     from skyherd.bench.execution import Plan, measure_cells
     from skyherd.bench.page import write_outputs
     from skyherd.bench.result import Result, environment
     from skyherd.bench.timing import measure_times, timing_cells
 
-    chosen = [name.strip() for name in (names or "").split(",") if name.strip()] or default_entrants()
+    chosen = _split(names) or default_entrants()
     _check(chosen, jobs, clutter_images)
-    if names is None and "apriltag3" not in chosen:
-        warn("apriltag3 is left out: pip install skyherd[peers]")
+    if names is None and (missing := missing_libraries()):
+        warn(f"{', '.join(missing)} left out: pip install skyherd[peers]")
     images = {} if clutter_images is None else {"clutter_images": clutter_images}
     cells = quick_design(**images) if quick else full_design(**images)
     timed = timing_cells(QUICK_FRAMES, QUICK_SIZES_PX) if quick else timing_cells(FULL_FRAMES)
@@ -77,6 +77,60 @@ def detectors(
     result.write(out_dir)
     say(f"see {write_outputs(result, out_dir)}")
     return 0
+
+
+@bench_app.command()
+def photographs(
+    folder: Annotated[Path, typer.Argument(help="Folder of the photographs.")],
+    sets_file: Annotated[
+        Path | None,
+        typer.Option("--sets", help="File of the sets; photographs.toml in the folder if left out."),
+    ] = None,
+    names: Annotated[
+        str | None,
+        typer.Option("--detector", help="Names, or module:factory, with commas between; all if left out."),
+    ] = None,
+    only: Annotated[
+        str | None, typer.Option("--only", help="Names of sets, with commas between; all if left out.")
+    ] = None,
+    out_dir: Annotated[Path, typer.Option("--out", help="Folder for results.")] = Path("runs/photographs"),
+) -> int:
+    """Count which markers detectors find on photographs, of those that two of them confirm.
+
+    The file of the sets says which files there are and what their markers are; docs/how-to/photographs.md
+    has its keys. It leaves photographs.json, photographs.html, missed.csv, unconfirmed.csv and pictures.
+    """
+    from skyherd.bench.entrants import default_entrants, missing_libraries
+    from skyherd.bench.image_sets import load_image_sets
+    from skyherd.bench.photographs.measurement import JUDGES, measure_photographs
+    from skyherd.bench.photographs.page import write_page
+    from skyherd.bench.photographs.result import PhotographsResult
+    from skyherd.bench.photographs.tables import long_table
+    from skyherd.bench.result import environment
+
+    chosen = _split(names) or [name for name in default_entrants() if name != "tracking"]
+    _check(chosen, None, None)
+    image_sets = load_image_sets(folder, sets_file, only=tuple(_split(only)))
+    if missing := missing_libraries():
+        warn(f"{', '.join(missing)} cannot confirm any marker: pip install skyherd[peers]")
+    judges = [name for name in JUDGES if name not in missing]
+    _check_writable(out_dir)
+    with ProgressReporter() as progress:
+        measured = measure_photographs(image_sets, chosen, judges, progress=progress)
+    result = PhotographsResult(environment(confirmed_by=judges), measured.rows, measured.refused)
+    result.write(out_dir, measured.missed, measured.unconfirmed)
+    table = long_table(result)
+    say_table(table.header, table.rows, right_aligned=table.header[2:])
+    for name in result.sets:
+        if not any(row["set"] == name for row in result.rows):
+            warn(f"no detector can read {name}: {next(iter(result.refused[name].values()), 'none chosen')}")
+    say(f"see {write_page(result, measured, out_dir)}")
+    return 0
+
+
+def _split(names: str | None) -> list[str]:
+    """Names between commas."""
+    return [name.strip() for name in (names or "").split(",") if name.strip()]
 
 
 def _check_writable(folder: Path) -> None:

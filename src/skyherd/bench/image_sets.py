@@ -22,6 +22,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field, ValidationError, field_validator
 
+from skyherd.bench.boards.layout import BoardModel
 from skyherd.datasets import Model, first_error, parse_toml, read_text
 from skyherd.errors import InputError
 from skyherd.files.images import SUFFIXES, read_grey
@@ -46,6 +47,7 @@ class ImageSetModel(Model):
     inverted: bool = Field(False, description="whether markers are white on black")
     ids_repeat: bool = Field(False, description="whether an image may show several markers of one id")
     every: Annotated[int, Field(ge=1)] = Field(1, description="of videos, every how manieth frame")
+    board: BoardModel | None = Field(None, description="the calibration board that all images show")
 
     @field_validator("dictionary")
     @classmethod

@@ -1,14 +1,18 @@
-"""`skyherd bench`: measure marker detectors against the Cramér–Rao bound, and against each other."""
+"""`skyherd bench`: measure marker detectors on drawings, on photographs, and on calibration boards."""
 
 import os
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from skyherd.cli.choices import complete_dictionary
 from skyherd.cli.console import ProgressReporter, say, say_table, warn
 from skyherd.errors import InputError
+
+if TYPE_CHECKING:
+    from skyherd.bench.set_result import SetResult
+    from skyherd.bench.tables import Table
 
 bench_app = typer.Typer(help="Measure parts of skyherd, and their peers.", rich_markup_mode=None)
 
@@ -79,53 +83,104 @@ def detectors(
     return 0
 
 
+Folder = Annotated[Path, typer.Argument(help="Folder of the photographs.")]
+SetsFile = Annotated[
+    Path | None, typer.Option("--sets", help="File of the sets; photographs.toml in the folder if left out.")
+]
+Names = Annotated[
+    str | None,
+    typer.Option("--detector", help="Names, or module:factory, with commas between; all if left out."),
+]
+Only = Annotated[
+    str | None, typer.Option("--only", help="Names of sets, with commas between; all if left out.")
+]
+
+
 @bench_app.command()
 def photographs(
-    folder: Annotated[Path, typer.Argument(help="Folder of the photographs.")],
-    sets_file: Annotated[
-        Path | None,
-        typer.Option("--sets", help="File of the sets; photographs.toml in the folder if left out."),
-    ] = None,
-    names: Annotated[
-        str | None,
-        typer.Option("--detector", help="Names, or module:factory, with commas between; all if left out."),
-    ] = None,
-    only: Annotated[
-        str | None, typer.Option("--only", help="Names of sets, with commas between; all if left out.")
-    ] = None,
+    folder: Folder,
+    sets_file: SetsFile = None,
+    names: Names = None,
+    only: Only = None,
     out_dir: Annotated[Path, typer.Option("--out", help="Folder for results.")] = Path("runs/photographs"),
 ) -> int:
     """Count which markers detectors find on photographs, of those that two of them confirm.
 
-    The file of the sets says which files there are and what their markers are; docs/how-to/photographs.md
-    has its keys. It leaves photographs.json, photographs.html, missed.csv, unconfirmed.csv and pictures.
+    The file of the sets says which files there are and what their markers are; the guide "Test detectors on
+    photographs" has its keys. It leaves photographs.json, photographs.html, missed.csv, unconfirmed.csv and
+    pictures.
     """
-    from skyherd.bench.entrants import default_entrants, missing_libraries
     from skyherd.bench.image_sets import load_image_sets
-    from skyherd.bench.photographs.measurement import JUDGES, measure_photographs
+    from skyherd.bench.photographs.measurement import measure_photographs
     from skyherd.bench.photographs.page import write_page
     from skyherd.bench.photographs.result import PhotographsResult
     from skyherd.bench.photographs.tables import long_table
     from skyherd.bench.result import environment
 
-    chosen = _split(names) or [name for name in default_entrants() if name != "tracking"]
-    _check(chosen, None, None)
+    chosen, judges = _chosen_and_judges(names)
     image_sets = load_image_sets(folder, sets_file, only=tuple(_split(only)))
-    if missing := missing_libraries():
-        warn(f"{', '.join(missing)} cannot confirm any marker: pip install skyherd[peers]")
-    judges = [name for name in JUDGES if name not in missing]
     _check_writable(out_dir)
     with ProgressReporter() as progress:
         measured = measure_photographs(image_sets, chosen, judges, progress=progress)
     result = PhotographsResult(environment(confirmed_by=judges), measured.rows, measured.refused)
-    result.write(out_dir, measured.missed, measured.unconfirmed)
-    table = long_table(result)
-    say_table(table.header, table.rows, right_aligned=table.header[2:])
-    for name in result.sets:
-        if not any(row["set"] == name for row in result.rows):
-            warn(f"no detector can read {name}: {next(iter(result.refused[name].values()), 'none chosen')}")
+    result.write_all(out_dir, measured.missed, measured.unconfirmed)
+    _say_result(result, long_table(result))
     say(f"see {write_page(result, measured, out_dir)}")
     return 0
+
+
+@bench_app.command()
+def boards(
+    folder: Folder,
+    sets_file: SetsFile = None,
+    names: Names = None,
+    only: Only = None,
+    out_dir: Annotated[Path, typer.Option("--out", help="Folder for results.")] = Path("runs/boards"),
+) -> int:
+    """Measure detectors on photographs of calibration boards, leaving one marker out at a time.
+
+    Sets need a table `board`, as the guide "Measure accuracy on boards" has it. It leaves boards.json,
+    boards.html, boards.md and figures.
+    """
+    from skyherd.bench.boards.measurement import measure_boards
+    from skyherd.bench.boards.page import write_outputs
+    from skyherd.bench.boards.tables import long_table
+    from skyherd.bench.image_sets import load_image_sets
+    from skyherd.bench.result import environment
+    from skyherd.bench.set_result import SetResult
+
+    chosen, judges = _chosen_and_judges(names)
+    image_sets = load_image_sets(folder, sets_file, only=tuple(_split(only)))
+    _check_writable(out_dir)
+    with ProgressReporter() as progress:
+        measured = measure_boards(image_sets, chosen, judges, progress=progress)
+    result = SetResult(environment(confirmed_by=judges), measured.rows, measured.refused)
+    _say_result(result, long_table(result))
+    say(f"see {write_outputs(result, measured, out_dir)}")
+    return 0
+
+
+def _chosen_and_judges(names: str | None) -> tuple[list[str], list[str]]:
+    """The detectors that are reported, and those by which markers are confirmed.
+
+    Raises:
+        InputError: a detector is named twice.
+    """
+    from skyherd.bench.entrants import default_entrants, missing_libraries
+    from skyherd.bench.photographs.measurement import JUDGES
+
+    chosen = _split(names) or [name for name in default_entrants() if name != "tracking"]
+    _check(chosen, None, None)
+    if missing := missing_libraries():
+        warn(f"{', '.join(missing)} cannot confirm any marker: pip install skyherd[peers]")
+    return chosen, [name for name in JUDGES if name not in missing]
+
+
+def _say_result(result: "SetResult", table: "Table") -> None:
+    """Print the rows, and which sets nobody can read."""
+    say_table(table.header, table.rows, right_aligned=table.header[2:])
+    for name, why in result.unread().items():
+        warn(f"no detector can read {name}: {why}")
 
 
 def _split(names: str | None) -> list[str]:

@@ -2,13 +2,12 @@
 
 import csv
 import io
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from skyherd.bench.result import Row
+from skyherd.bench.set_result import SetResult
 from skyherd.files.atomic import write_text
 
 RESULT, MISSED, UNCONFIRMED = "photographs.json", "missed.csv", "unconfirmed.csv"
@@ -19,41 +18,16 @@ PLACE_COLUMNS = ("set", "image", "id", "u_px", "v_px", "side_px", "found_by")
 
 
 @dataclass(frozen=True)
-class PhotographsResult:
-    """What `photographs.json` holds.
+class PhotographsResult(SetResult):
+    """What `photographs.json` holds; its rows are made of `skyherd.bench.photographs.measurement.Count`."""
 
-    Attributes:
-        environment: versions of programs, the machine, and the options of the run.
-        rows: one for each set and detector (`skyherd.bench.photographs.measurement.Count`).
-        refused: why a detector could not read a set, by the set's and the detector's names.
-    """
-
-    environment: dict[str, Any]
-    rows: list[Row]
-    refused: dict[str, dict[str, str]]
-
-    @property
-    def detectors(self) -> list[str]:
-        """Names of the detectors, in the order measured."""
-        return list(dict.fromkeys(row["detector"] for row in self.rows))
-
-    @property
-    def sets(self) -> list[str]:
-        """Names of the sets, in the order measured."""
-        return list(dict.fromkeys([*self.refused, *(row["set"] for row in self.rows)]))
-
-    def row(self, set_name: str, detector: str) -> Row | None:
-        """The row of a set and a detector; None if it could not read the set."""
-        return next((r for r in self.rows if (r["set"], r["detector"]) == (set_name, detector)), None)
-
-    def write(self, folder: Path, missed: Sequence[Row], unconfirmed: Sequence[Row]) -> None:
+    def write_all(self, folder: Path, missed: Sequence[Row], unconfirmed: Sequence[Row]) -> None:
         """Write the result and the tables of places into a folder.
 
         Raises:
             OutputError: a file could not be written.
         """
-        content = {"environment": self.environment, "rows": self.rows, "refused": self.refused}
-        write_text(folder / RESULT, json.dumps(content, indent=1) + "\n")
+        self.write(folder / RESULT)
         write_text(folder / MISSED, csv_text(missed, (*PLACE_COLUMNS, "missed_by")))
         write_text(folder / UNCONFIRMED, csv_text(unconfirmed, (*PLACE_COLUMNS, "kind")))
 

@@ -114,7 +114,7 @@ def photographs(
     from skyherd.bench.photographs.measurement import measure_photographs
     from skyherd.bench.photographs.page import write_page
     from skyherd.bench.photographs.result import PhotographsResult
-    from skyherd.bench.photographs.tables import long_table
+    from skyherd.bench.photographs.tables import set_tables
     from skyherd.bench.result import environment
 
     chosen, judges = _chosen_and_judges(names)
@@ -124,7 +124,7 @@ def photographs(
         measured = measure_photographs(image_sets, chosen, judges, progress=progress)
     result = PhotographsResult(environment(confirmed_by=judges), measured.rows, measured.refused)
     result.write_all(out_dir, measured.missed, measured.unconfirmed)
-    _say_result(result, long_table(result))
+    _say_result(result, set_tables(result))
     say(f"see {write_page(result, measured, out_dir)}")
     return 0
 
@@ -144,7 +144,7 @@ def boards(
     """
     from skyherd.bench.boards.measurement import measure_boards
     from skyherd.bench.boards.page import write_outputs
-    from skyherd.bench.boards.tables import long_table
+    from skyherd.bench.boards.tables import set_tables
     from skyherd.bench.image_sets import load_image_sets
     from skyherd.bench.result import environment
     from skyherd.bench.set_result import SetResult
@@ -155,7 +155,7 @@ def boards(
     with ProgressReporter() as progress:
         measured = measure_boards(image_sets, chosen, judges, progress=progress)
     result = SetResult(environment(confirmed_by=judges), measured.rows, measured.refused)
-    _say_result(result, long_table(result))
+    _say_result(result, set_tables(result))
     say(f"see {write_outputs(result, measured, out_dir)}")
     return 0
 
@@ -176,9 +176,11 @@ def _chosen_and_judges(names: str | None) -> tuple[list[str], list[str]]:
     return chosen, [name for name in JUDGES if name not in missing]
 
 
-def _say_result(result: "SetResult", table: "Table") -> None:
-    """Print the rows, and which sets nobody can read."""
-    say_table(table.header, table.rows, right_aligned=table.header[2:])
+def _say_result(result: "SetResult", tables: "list[Table]") -> None:
+    """Print the tables of the sets, and which sets nobody can read."""
+    for table in tables:
+        say(table.title, bold=True)
+        say_table(table.header, table.rows, right_aligned=table.header[1:])
     for name, why in result.unread().items():
         warn(f"no detector can read {name}: {why}")
 

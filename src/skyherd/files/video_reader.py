@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import av
 import numpy as np
@@ -122,8 +123,9 @@ def read_clip(clip: Clip) -> Iterator[Frame]:
     try:
         with av.open(str(clip.path)) as container:
             for picture in container.decode(video=0):
-                if picture.time is not None:
-                    time_s = float(picture.time)
+                own_s: Any = picture.time
+                if own_s is not None:
+                    time_s = float(own_s)
                 elif index:
                     time_s += float(1 / clip.rate_hz)
                 grey = np.asarray(picture.to_ndarray(format="gray"), dtype=np.uint8)
@@ -141,7 +143,7 @@ def _upright(image: npt.NDArray[np.uint8], picture: av.VideoFrame) -> npt.NDArra
     The matrix (a, b, ., c, d, ., ...) takes the point (u, v) to (a u + c v, b u + d v), and what is then
     negative back into view. Of angles in between, the nearest quarter turn is taken.
     """
-    data = picture.side_data.get(DISPLAY_MATRIX)
+    data: Any = picture.side_data.get(DISPLAY_MATRIX)
     if data is None:
         return image
     a, b, _, c, d = np.frombuffer(bytes(data), dtype=np.int32)[:5].tolist()

@@ -44,10 +44,10 @@ def fit_images(corners: dict[int, Array], found: ImagesOfSets, degrees: Mapping[
 def choose_degrees(corners: dict[int, Array], found: ImagesOfSets) -> dict[str, int]:
     """The lowest degree for each set beyond which the errors hardly become smaller.
 
-    For each degree, fits are made and the board's errors are learned. Of each detector the robust standard
-    deviation of all standardised residuals counts, and of these the geometric mean. Terms that are not needed
-    do not change it, while a lens that is not described adds to it: the lowest degree within `TOLERANCE` of
-    the least is returned. Without any fit it is the lowest of all.
+    For each degree, fits are made and the board's errors are learned. The robust standard deviations σ of
+    each detector's standardised residuals are taken together as (Σ 1 / σ²)^-1/2: the accurate ones count.
+    Terms that are not needed do not change it, while a lens that is not described adds to it: the lowest
+    degree within `TOLERANCE` of the least is returned. Without any fit it is the lowest of all.
     """
     scores: dict[str, list[float]] = {name: [] for name in found}
     images = sum(len(of_set) for of_set in found.values())
@@ -62,8 +62,10 @@ def choose_degrees(corners: dict[int, Array], found: ImagesOfSets) -> dict[str, 
         for name, of_set in scores.items():
             spreads = [robust_sigma(np.concatenate(v)) for (s, _), v in residuals.items() if s == name]
             known = [spread for spread in spreads if spread > 0]
-            of_set.append(float(np.mean(np.log(known))) if known else float("inf"))
+            of_set.append(float(np.sum(np.power(known, -2.0)) ** -0.5) if known else float("inf"))
     return {
-        name: next(d for d, score in zip(DEGREES, of_set, strict=True) if score <= min(of_set) + TOLERANCE)
+        name: next(
+            d for d, score in zip(DEGREES, of_set, strict=True) if score <= min(of_set) * (1 + TOLERANCE)
+        )
         for name, of_set in scores.items()
     }

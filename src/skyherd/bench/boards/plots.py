@@ -1,8 +1,10 @@
 """The result on boards as figures: how errors are distributed, medians over the floor, the boards' errors."""
 
 import numpy as np
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from skyherd.bench.boards.measurement import Measurement
 from skyherd.bench.plots import style_of
@@ -11,7 +13,7 @@ from skyherd.drawing.palette import INK, MUTED, UNIT_COLORS
 from skyherd.plots.style import legend_above, new_figure
 
 LOWEST_PX = 0.005
-"""Where the axes of errors begin, px. Chosen: below what any detector reaches on photographs."""
+"""Where the axes of errors begin, px. Chosen: below the median of any detector on photographs."""
 
 ARROW_SIDES = 0.35
 """Length of the median arrow in the figure of a board's errors, in marker sides. Chosen: arrows are seen, and
@@ -26,7 +28,7 @@ def draw_distributions(result: SetResult, measured: Measurement) -> Figure | Non
     columns = min(len(sets), 3)
     rows = -(-len(sets) // columns)
     figure = new_figure(3.1 * rows + 0.8, 3.6 * columns + 0.6)
-    panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel()
+    panels = figure.subplots(rows, columns, sharey=True, squeeze=False).ravel()
     for axes in panels[len(sets) :]:
         axes.set_visible(False)
     names = result.detectors
@@ -41,6 +43,7 @@ def draw_distributions(result: SetResult, measured: Measurement) -> Figure | Non
             axes.axvline(row["center_floor_px"], color=MUTED, lw=1.0, ls=":")
         axes.set(title=name, xscale="log", ylim=(0, 1), xlim=(LOWEST_PX, 3.0))
         axes.set_xlabel("error of the centre (px)")
+        _plain_logarithms(axes.xaxis)
     for axes in panels[::columns]:
         axes.set_ylabel("share of markers")
     handles = [Line2D([], [], label=name, **(style_of(names, name) | {"marker": ""})) for name in names]
@@ -74,9 +77,17 @@ def draw_medians(result: SetResult) -> Figure | None:
                 axes.hlines(floor, place - 0.4, place + 0.4, color=INK, lw=1.0)
         axes.set(ylabel=f"median error, {label}", yscale="log", xlim=(-0.6, len(sets) - 0.4))
         axes.set_xticks(range(len(sets)), sets, rotation=30, ha="right")
+        _plain_logarithms(axes.yaxis)
     handles = [Line2D([], [], label=name, **(style_of(names, name) | {"linestyle": ""})) for name in names]
     legend_above(figure, handles, columns=5)
     return figure
+
+
+def _plain_logarithms(axis: Axis) -> None:
+    """Label a logarithmic axis at 1, 2 and 5 of each decade, as plain numbers."""
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.set_minor_locator(NullLocator())
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
 
 
 def draw_boards(measured: Measurement) -> Figure | None:

@@ -68,11 +68,11 @@ def make_tables(result: SetResult) -> list[Table]:
     ]
 
 
-def long_table(result: SetResult) -> Table:
-    """One row for each set and detector, narrow enough for a terminal."""
-    rows = [
-        (
-            row["set"],
+def set_tables(result: SetResult) -> list[Table]:
+    """A table for each set, with a row for each detector, narrow enough for a terminal."""
+
+    def cells(row: Row) -> tuple[str, ...]:
+        return (
             row["detector"],
             share(row["recall"]),
             fine(row["center_px"]),
@@ -81,10 +81,13 @@ def long_table(result: SetResult) -> Table:
             short(row["nees_center"]),
             short(row["times_reference"]),
         )
-        for row in result.rows
+
+    header = ("detector", "recall", "centre px", "corner px", "heading deg", "NEES", "x opencv")
+    return [
+        Table(name, "", header, tuple(cells(row) for row in result.rows if row["set"] == name))
+        for name in result.sets
+        if name not in result.unread()
     ]
-    header = ("set", "detector", "recall", "centre px", "corner px", "heading deg", "NEES", "x opencv")
-    return Table("Accuracy on boards", "", header, tuple(rows))
 
 
 def fine(value: float | None) -> str:

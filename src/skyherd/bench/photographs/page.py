@@ -67,7 +67,7 @@ def draw_recall(result: PhotographsResult) -> Figure:
     """Draw recall in each set as bars, one for each detector that can read it."""
     figure = new_figure(4.2, 11.0)
     axes = figure.subplots()
-    names, sets = result.detectors, result.sets
+    names, sets = result.detectors, [name for name in result.sets if name not in result.unread()]
     width = 0.85 / max(len(names), 1)
     ours, others = iter(OUR_COLORS), iter(OTHER_COLORS)
     for index, name in enumerate(names):

@@ -10,11 +10,11 @@ def make_tables(result: PhotographsResult) -> list[Table]:
     return [_found(result), _false(result), _times(result)]
 
 
-def long_table(result: PhotographsResult) -> Table:
-    """One row for each set and detector, narrow enough for a terminal."""
-    rows = [
-        (
-            row["set"],
+def set_tables(result: PhotographsResult) -> list[Table]:
+    """A table for each set, with a row for each detector, narrow enough for a terminal."""
+
+    def cells(row: Row) -> tuple[str, ...]:
+        return (
             row["detector"],
             str(row["confirmed"]),
             str(row["found"]),
@@ -24,10 +24,13 @@ def long_table(result: PhotographsResult) -> Table:
             short(row["ms_median"]),
             short(row["times_reference"]),
         )
-        for row in result.rows
+
+    header = ("detector", "conf.", "found", "recall", "wrong", "alone", "ms", "x opencv")
+    return [
+        Table(name, "", header, tuple(cells(row) for row in result.rows if row["set"] == name))
+        for name in result.sets
+        if name not in result.unread()
     ]
-    header = ("set", "detector", "conf.", "found", "recall", "wrong", "alone", "ms", "x opencv")
-    return Table("Markers on photographs", "", header, tuple(rows))
 
 
 def _found(result: PhotographsResult) -> Table:

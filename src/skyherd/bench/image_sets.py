@@ -70,6 +70,11 @@ class ImageSet:
     model: ImageSetModel
     files: tuple[Path, ...]
 
+    @property
+    def dictionary(self) -> str:
+        """Name of the dictionary that detectors are given."""
+        return self.model.dictionary
+
     def images(self) -> Iterator[tuple[str, npt.NDArray[np.uint8]]]:
         """Read the images one by one: name of the file, of videos with the frame's number, and grey levels.
 

@@ -114,7 +114,7 @@ def measure_boards(
     runs: dict[str, list[_SetRun]] = {}
     with one_thread():
         for image_set in shown:
-            readers, refused = make_readers(names, image_set.model.dictionary, image_set.marker_options())
+            readers, refused = make_readers(names, image_set.dictionary, image_set.marker_options())
             measured.refused[image_set.name] = {name: refused[name] for name in reported if name in refused}
             assert image_set.model.board is not None
             board = image_set.model.board
@@ -164,7 +164,7 @@ def _count(run: _SetRun, found: dict[str, Sightings]) -> None:
 
 def _measure_board(measured: Measurement, name: str, runs: list[_SetRun], reported: Sequence[str]) -> None:
     """Fit all sets of one board, learn its errors, and add the rows of its sets."""
-    corners = board_corners(runs[0].board, runs[0].image_set.model.dictionary)
+    corners = board_corners(runs[0].board, runs[0].image_set.dictionary)
     clean = {run.image_set.name: run.clean for run in runs}
     degrees = {run.image_set.name: run.board.degree for run in runs}
     chosen = choose_degrees(corners, clean) if None in degrees.values() else {}
@@ -243,7 +243,7 @@ def _row(
     return {
         "set": run.image_set.name,
         "board": run.board.name or run.image_set.name,
-        "dictionary": run.image_set.model.dictionary,
+        "dictionary": run.image_set.dictionary,
         "detector": name,
         "images": run.images,
         "confirmed": run.confirmed,

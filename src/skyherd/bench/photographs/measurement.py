@@ -81,7 +81,7 @@ def measure_photographs(
     names = list(dict.fromkeys([*judges, *reported]))
     with one_thread():
         for image_set in image_sets:
-            readers, refused = make_readers(names, image_set.model.dictionary, image_set.marker_options())
+            readers, refused = make_readers(names, image_set.dictionary, image_set.marker_options())
             measured.refused[image_set.name] = {k: why for k, why in refused.items() if k in reported}
             _measure_set(measured, image_set, readers, [k for k in reported if k in readers], progress)
     return measured
@@ -172,7 +172,7 @@ def _row(image_set: ImageSet, name: str, counts: dict[str, Count], images: int, 
     ratios = None if reference is None else np.divide(count.times_ms, reference.times_ms)
     return {
         "set": image_set.name,
-        "dictionary": image_set.model.dictionary,
+        "dictionary": image_set.dictionary,
         "detector": name,
         "images": images,
         "confirmed": confirmed,

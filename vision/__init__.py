@@ -7,7 +7,7 @@
 from skyherd.vision.detectors.accuracy import DetectorAccuracy, load_accuracy
 from skyherd.vision.detectors.corners import detections_of_corners
 from skyherd.vision.detectors.opencv_tuned import ArucoDetector
-from skyherd.vision.detectors.peers import APRILTAG_FAMILIES, PeerDetector, peer_names
+from skyherd.vision.detectors.peers import APRILTAG_FAMILIES, LOCUS_FAMILIES, PeerDetector, peer_names
 from skyherd.vision.detectors.registry import (
     DEFAULT_DICTIONARY,
     Detector,
@@ -23,6 +23,7 @@ from skyherd.vision.photometric.detector import PhotometricDetector
 __all__ = [
     "APRILTAG_FAMILIES",
     "DEFAULT_DICTIONARY",
+    "LOCUS_FAMILIES",
     "ArucoDetector",
     "Detector",
     "DetectorAccuracy",

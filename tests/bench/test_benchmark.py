@@ -331,9 +331,11 @@ def test_a_detector_that_breaks_down_is_named(stranger):
         measure_cells(Plan((f"{stranger}:Broken",), "4X4_50", 1), [Cell(cameras=1, frames=1)])
 
 
-def test_apriltag3_gets_frames_of_its_own_dictionary():
+def test_peers_get_frames_of_a_dictionary_that_they_know():
     assert dictionary_for("apriltag3", "4X4_50") == "APRILTAG_36h11"
     assert dictionary_for("apriltag3", "APRILTAG_25h9") == "APRILTAG_25h9"
+    assert dictionary_for("locus-tag", "4X4_50") == dictionary_for("opencv", "4X4_50") == "4X4_50"
+    assert dictionary_for("locus-tag", "5X5_50") == "APRILTAG_36h11"
     assert dictionary_for("aruco", "4X4_50") == "4X4_50"
     assert default_entrants()[0] == "opencv"
 

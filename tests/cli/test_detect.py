@@ -7,8 +7,10 @@ import cv2
 import numpy as np
 import pytest
 from PIL import Image
+from video_tags import tag_display
 
 from skyherd.cli import main
+from skyherd.files.video_reader import open_clip, read_clip
 from skyherd.files.video_writer import VideoSink, count_frames, read_frames
 from skyherd.inspection import inspector
 from skyherd.markers.dictionary import marker_cells
@@ -131,6 +133,28 @@ def test_rejections_are_numbered_with_place_and_remedy(here, capsys) -> None:
         rows = list(csv.DictReader(file))
     assert rows[0]["reason"] == "too few pixels a cell" and float(rows[0]["cell_px"]) < 2
     assert rows[-1]["reason"] == "no bits"
+
+
+def test_a_phone_s_video_is_read_upright_and_with_its_own_times(here, capsys) -> None:
+    """Held upright, it stores frames turned by 90 degrees; the annotated film keeps the uneven times, too."""
+    stored = np.repeat(np.rot90(sheet())[..., None], 3, axis=2)
+    times = [0.0, 0.1, 0.5]
+    with VideoSink("v.mp4", (stored.shape[1], stored.shape[0]), 10, timed=True) as sink:
+        for time_s in times:
+            sink.write(np.ascontiguousarray(stored), time_s)
+    tag_display(here / "v.mp4", (0, 1, -1, 0))
+    code, out, _ = call(capsys, "v.mp4")
+    assert code == 0 and "4, 11, 30" in out
+    with open("detections/v/detections.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    for row in rows:
+        k = IDS.index(int(row["id"]))
+        assert float(row["u_px"]) == pytest.approx(59.5 + 100 * k, abs=0.2)
+        assert float(row["heading_deg"]) == pytest.approx(-90, abs=0.5)
+        assert float(row["time_s"]) == pytest.approx(times[int(row["frame"])], abs=1e-4)
+    assert {row["frame"] for row in rows} == {"0", "1", "2"}
+    film = open_clip(here / "detections/v/v.mp4")
+    assert [frame.time_s for frame in read_clip(film)] == pytest.approx(times, abs=1e-4)
 
 
 def test_an_interrupted_video_leaves_no_table_and_no_film(here, capsys, monkeypatch) -> None:

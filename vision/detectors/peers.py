@@ -1,13 +1,13 @@
-"""Detectors by others behind the package's interface: `cv2.aruco` as it comes, and AprilTag 3.
+"""Detectors by others behind the package's interface: `cv2.aruco` as it comes, AprilTag 3, and locus-tag.
 
 They run at their own defaults, which is what their users have. Constant errors are subtracted and documented
 here; with `corrected=False` they are left in:
 
 - the point taken as a pixel's centre: OpenCV's APRILTAG refinement is off by +0.46 px in u and v, AprilTag 3
-  by +0.50 px;
+  and locus-tag by +0.50 px;
 - the marker's side, which OpenCV's refinements and contours make too short by 0.6 to 1.3 px at any size;
 - the order of the corners: AprilTag's run the other way round from OpenCV's, and its tags stand upside down,
-  so that headings differ by 180 degrees.
+  so that headings differ by 180 degrees. Those of locus-tag are OpenCV's, in all its families.
 
 `benchmarks/peer_biases.py --write` measures the first two into `peer_biases.toml`. Of the poses that four
 corners give, these detectors get the best one: the centre is the mean of the corners, and the heading that of
@@ -15,6 +15,7 @@ the nearest square in the plane of the image's markers (`headings_in_plane`). No
 covariance, and none is made up: theirs are zero, which means unknown.
 """
 
+from collections.abc import Callable
 from functools import cache
 from importlib import import_module
 from typing import Any, Protocol
@@ -47,6 +48,16 @@ APRILTAG_CORNERS, OPENCV_CORNERS = [3, 2, 1, 0], [1, 0, 3, 2]
 """Indices into AprilTag's corners that put them clockwise from its own top left, and from OpenCV's corner 0
 of the same marker."""
 
+LOCUS_FAMILIES = {
+    "4X4_50": "ArUco4x4_50",
+    "4X4_100": "ArUco4x4_100",
+    "6X6_250": "ArUco6x6_250",
+    "ARUCO_MIP_36h12": "ArUcoMip36h12",
+    "APRILTAG_16h5": "AprilTag16h5",
+    "APRILTAG_36h11": "AprilTag36h11",
+}
+"""Dictionaries that locus-tag can read, with the names that it has for them."""
+
 TILT_MIN_MARKERS = 3
 """Smallest number of markers from which a tilt is estimated. Derived: two markers have as many squeezes as
 the plane has unknowns, so that nothing would be averaged."""
@@ -76,7 +87,7 @@ class PeerDetector:
     def __init__(self, name: str, dictionary: str, *, corrected: bool = True) -> None:
         self.name, self.corrected = name, corrected
         self._finder: _Finder = (
-            _AprilTag3(dictionary) if name == "apriltag3" else _OpenCV(dictionary, REFINEMENTS[name])
+            _OpenCV(dictionary, REFINEMENTS[name]) if name in REFINEMENTS else _OTHERS[name](dictionary)
         )
 
     def detect(self, image: npt.NDArray[np.uint8], *, time_s: float = 0.0, unit_id: int = 0) -> Detections:
@@ -86,26 +97,40 @@ class PeerDetector:
             InputError: the image is not a grey one of 8 bits.
         """
         image = check_grey(image)
-        ids, corners = _largest_of_each(*self._finder.find(image, corrected=self.corrected))
-        sides, headings = pose_of_corners(corners)[2], headings_in_plane(corners)
-        if self.corrected:
-            bias = load_bias(self.name)
-            sides, corners = bias.true_sides_px(sides), corners - bias.position_px
+        ids, corners = _largest_of_each(*self.find_all(image))
         return detections_of_corners(
             image,
             ids,
             corners,
-            headings_rad=headings,
-            sides_px=sides,
+            headings_rad=headings_in_plane(corners),
+            sides_px=pose_of_corners(corners)[2],
             covariances=np.zeros((ids.size, 3, 3)),
             time_s=time_s,
             unit_id=unit_id,
         )
 
+    def find_all(self, image: npt.NDArray[np.uint8]) -> tuple[IntArray, Array]:
+        """Return ids (K,), which may repeat, and corners (K, 4, 2), px, of all that is found in an image.
+
+        Corners are corrected as those that `detect` returns. Quadrilaterals without an area are left out.
+
+        Raises:
+            InputError: the image is not a grey one of 8 bits.
+        """
+        ids, corners = self._finder.find(check_grey(image), corrected=self.corrected)
+        centers, _, sides = pose_of_corners(corners)
+        whole = sides > 0
+        ids, corners, centers, sides = ids[whole], corners[whole], centers[whole, None], sides[whole]
+        if self.corrected:
+            bias = load_bias(self.name)
+            growth = (bias.true_sides_px(sides) / sides)[:, None, None]
+            corners = centers + (corners - centers) * growth - bias.position_px
+        return ids, corners
+
 
 def peer_names() -> list[str]:
     """Return the names of the detectors by others, whether their libraries are installed or not."""
-    return [*REFINEMENTS, "apriltag3"]
+    return [*REFINEMENTS, *_OTHERS]
 
 
 def headings_in_plane(corners_px: Array) -> Array:
@@ -127,10 +152,8 @@ def headings_in_plane(corners_px: Array) -> Array:
 
 
 def _largest_of_each(ids: IntArray, corners: Array) -> tuple[IntArray, Array]:
-    """Each id once, ascending, with the largest quadrilateral found for it; none without an area."""
-    sides = pose_of_corners(corners)[2]
-    order = np.lexsort((-sides, ids))
-    order = order[sides[order] > 0]
+    """Each id once, ascending, with the largest quadrilateral found for it."""
+    order = np.lexsort((-pose_of_corners(corners)[2], ids))
     unique, first = np.unique(ids[order], return_index=True)
     return unique, corners[order[first]]
 
@@ -182,3 +205,26 @@ class _AprilTag3:
         corners = np.array([tag.corners for tag in tags], dtype=float).reshape(-1, 4, 2)
         order = OPENCV_CORNERS if corrected else APRILTAG_CORNERS
         return np.array([tag.tag_id for tag in tags], dtype=np.int64), corners[:, order]
+
+
+class _Locus:
+    """locus-tag with its standard profile, on one thread."""
+
+    def __init__(self, dictionary: str) -> None:
+        where = "detector locus-tag"
+        if dictionary not in LOCUS_FAMILIES:
+            raise InputError(where, f"does not know {dictionary}", f"one of {', '.join(LOCUS_FAMILIES)}")
+        try:
+            library: Any = import_module("locus")
+        except ImportError:
+            raise InputError(where, "locus-tag is not installed", "pip install skyherd[peers]") from None
+        family = getattr(library.TagFamily, LOCUS_FAMILIES[dictionary])
+        self._detector = library.Detector(families=[family], threads=1)
+
+    def find(self, image: npt.NDArray[np.uint8], *, corrected: bool) -> tuple[IntArray, Array]:
+        found = self._detector.detect(np.ascontiguousarray(image))
+        return found.ids.astype(np.int64), found.corners.astype(float).reshape(-1, 4, 2)
+
+
+_OTHERS: dict[str, Callable[[str], _Finder]] = {"apriltag3": _AprilTag3, "locus-tag": _Locus}
+"""Peers of other libraries than OpenCV, by name."""

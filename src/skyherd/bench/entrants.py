@@ -1,11 +1,12 @@
 """The detectors that are measured: by name skyherd's own and the peers, or any other as `module:factory`."""
 
-from importlib import import_module
+from importlib.util import find_spec
 
 from skyherd.errors import SkyherdError
 from skyherd.vision import (
     APRILTAG_FAMILIES,
     DEFAULT_DICTIONARY,
+    LOCUS_FAMILIES,
     Detector,
     create_detector,
     detector_names,
@@ -20,10 +21,17 @@ __all__ = [
     "dictionary_for",
     "is_ours",
     "make_entrant",
+    "missing_libraries",
 ]
 
 APRILTAG_DICTIONARY = "APRILTAG_36h11"
-"""Dictionary of the frames of AprilTag 3, which knows no other than its own families."""
+"""Dictionary of the frames of detectors that do not know the one asked for."""
+
+LIBRARIES = {"apriltag3": "pupil_apriltags", "locus-tag": "locus"}
+"""Modules of the libraries that detectors need and that may not be installed."""
+
+FAMILIES = {"apriltag3": APRILTAG_FAMILIES, "locus-tag": LOCUS_FAMILIES}
+"""Dictionaries of the detectors that know only a few."""
 
 REFERENCE = "opencv"
 """Times are given as ratios to this one: `cv2.aruco` at its defaults."""
@@ -36,14 +44,19 @@ class EntrantError(SkyherdError):
 
 
 def default_entrants() -> list[str]:
-    """Names of all detectors, the reference first; AprilTag 3 only where it is installed."""
+    """Names of all detectors whose libraries are installed, the reference first."""
     names = [REFERENCE, *(name for name in detector_names() if name != REFERENCE)]
-    return [name for name in names if name != "apriltag3" or _installed("pupil_apriltags")]
+    return [name for name in names if name not in missing_libraries()]
+
+
+def missing_libraries() -> list[str]:
+    """Names of the detectors whose libraries are not installed."""
+    return [name for name, module in LIBRARIES.items() if find_spec(module) is None]
 
 
 def dictionary_for(name: str, dictionary: str) -> str:
-    """Dictionary of a detector's frames: the one asked for, but for AprilTag 3, which has its own."""
-    return APRILTAG_DICTIONARY if name == "apriltag3" and dictionary not in APRILTAG_FAMILIES else dictionary
+    """Dictionary of a detector's frames: the one asked for, or one that it knows, `APRILTAG_DICTIONARY`."""
+    return APRILTAG_DICTIONARY if dictionary not in FAMILIES.get(name, (dictionary,)) else dictionary
 
 
 def make_entrant(name: str, dictionary: str, *, corrected: bool = True) -> Detector:
@@ -54,11 +67,3 @@ def make_entrant(name: str, dictionary: str, *, corrected: bool = True) -> Detec
 def is_ours(name: str) -> bool:
     """Whether a detector is skyherd's own: neither a peer nor a `module:factory`."""
     return ":" not in name and name not in peer_names()
-
-
-def _installed(module: str) -> bool:
-    try:
-        import_module(module)
-    except ImportError:
-        return False
-    return True

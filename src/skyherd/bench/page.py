@@ -4,7 +4,7 @@ from pathlib import Path
 
 from skyherd.bench.plots import write_plots
 from skyherd.bench.result import Result
-from skyherd.bench.tables import Table, make_tables, short
+from skyherd.bench.tables import Table, make_tables, markdown_page, plain_text, short
 from skyherd.files.atomic import write_text
 from skyherd.report.pages import Tile, figure_card, render_page
 
@@ -28,15 +28,14 @@ def write_outputs(result: Result, folder: Path) -> Path:
         tiles=_tiles(result),
         figures=[figure_card(figure) for figure in figures],
         tables=tables,
-        environment=[(key.replace("_", " "), _text(value)) for key, value in result.environment.items()],
+        environment=[(key.replace("_", " "), plain_text(value)) for key, value in result.environment.items()],
     )
     return write_text(folder / PAGE, page)
 
 
 def markdown(result: Result, tables: list[Table]) -> str:
     """The tables in Markdown, and below them the programs and the machine that they were measured with."""
-    about = ", ".join(f"{key} {value}" for key, value in result.environment.items() if value is not None)
-    return "\n\n".join([*(table.markdown() for table in tables), f"Measured with: {about}."]) + "\n"
+    return markdown_page(tables, result.environment)
 
 
 def _tiles(result: Result) -> list[Tile]:
@@ -58,8 +57,3 @@ def _tiles(result: Result) -> list[Tile]:
         label = "least position RMSE over bound, 30 px, noise 5"
         tiles.append(Tile(f"{short(ratio)} ({name})", label))
     return tiles
-
-
-def _text(value: object) -> str:
-    """An entry of the environment as text; None stands for a program that is not there."""
-    return "not installed" if value is None else ", ".join(value) if isinstance(value, list) else str(value)

@@ -58,11 +58,16 @@ def write_plots(result: Result, folder: Path) -> list[FigureFile]:
 
 
 def detector_style(result: Result, name: str) -> dict[str, Any]:
-    """Style of a detector's line, the same in all figures: solid for skyherd's own, dashed for the others.
+    """Style of a detector's line, the same in all figures of a result."""
+    return style_of(result.detectors, name)
+
+
+def style_of(names: Sequence[str], name: str) -> dict[str, Any]:
+    """Style of the line of one of these detectors: solid for skyherd's own, dashed for the others.
 
     Lines of own detectors become narrower one by one, so that lines that coincide all show.
     """
-    same = [other for other in result.detectors if is_ours(other) == is_ours(name)]
+    same = [other for other in names if is_ours(other) == is_ours(name)]
     index, ours = same.index(name), is_ours(name)
     colors = OUR_COLORS if ours else OTHER_COLORS
     return {

@@ -21,7 +21,11 @@ Row = dict[str, Any]
 """One detector in one cell: the cell's factors, and the fields of `skyherd.bench.scorer.Score` and its
 times."""
 
-PACKAGES = {"opencv": ("opencv-python-headless", "opencv-python"), "pupil-apriltags": ("pupil-apriltags",)}
+PACKAGES = {
+    "opencv": ("opencv-python-headless", "opencv-python"),
+    "pupil-apriltags": ("pupil-apriltags",),
+    "locus-tag": ("locus-tag",),
+}
 """Names of a program's packages, of which one is installed, by the name that the result has."""
 
 

@@ -1,6 +1,6 @@
 """The result as tables of texts, for the page and for Markdown alike."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from skyherd.bench.design import CAMERA_SWEEPS, SWEEPS, Sweep
@@ -84,6 +84,17 @@ def share(value: float | None) -> str:
     if value is None:
         return NONE
     return f"{100 * value:.1f} %" if value in (0.0, 1.0) else f"{min(max(100 * value, 0.1), 99.9):.1f} %"
+
+
+def markdown_page(tables: Sequence[Table], environment: Mapping[str, object]) -> str:
+    """Tables in Markdown, and below them the programs and the machine that they were measured with."""
+    about = ", ".join(f"{key} {value}" for key, value in environment.items() if value is not None)
+    return "\n\n".join([*(table.markdown() for table in tables), f"Measured with: {about}."]) + "\n"
+
+
+def plain_text(value: object) -> str:
+    """An entry of the environment as text; None stands for a program that is not there."""
+    return "not installed" if value is None else ", ".join(value) if isinstance(value, list) else str(value)
 
 
 def _by_side(result: Result, noise: float, title: str, note: str, cell: Callable[[Row], str]) -> Table:

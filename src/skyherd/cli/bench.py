@@ -1,14 +1,18 @@
-"""`skyherd bench`: measure marker detectors against the Cramér–Rao bound, and against each other."""
+"""`skyherd bench`: measure marker detectors on drawings, on photographs, and on calibration boards."""
 
 import os
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from skyherd.cli.choices import complete_dictionary
-from skyherd.cli.console import ProgressReporter, say, warn
+from skyherd.cli.console import ProgressReporter, say, say_table, warn
 from skyherd.errors import InputError
+
+if TYPE_CHECKING:
+    from skyherd.bench.set_result import SetResult
+    from skyherd.bench.tables import Table
 
 bench_app = typer.Typer(help="Measure parts of skyherd, and their peers.", rich_markup_mode=None)
 
@@ -34,7 +38,7 @@ def detectors(
     dictionary: Annotated[
         str,
         typer.Option(
-            help="Of the markers; apriltag3 keeps to its own if it does not know it.",
+            help="Of the markers; apriltag3 and locus-tag keep to their own if they do not know it.",
             autocompletion=complete_dictionary,
         ),
     ] = "4X4_50",
@@ -54,16 +58,16 @@ def detectors(
     It leaves bench.json, bench.html, bench.md and figures.
     """
     from skyherd.bench.design import full_design, quick_design
-    from skyherd.bench.entrants import default_entrants
+    from skyherd.bench.entrants import default_entrants, missing_libraries
     from skyherd.bench.execution import Plan, measure_cells
     from skyherd.bench.page import write_outputs
     from skyherd.bench.result import Result, environment
     from skyherd.bench.timing import measure_times, timing_cells
 
-    chosen = [name.strip() for name in (names or "").split(",") if name.strip()] or default_entrants()
+    chosen = _split(names) or default_entrants()
     _check(chosen, jobs, clutter_images)
-    if names is None and "apriltag3" not in chosen:
-        warn("apriltag3 is left out: pip install skyherd[peers]")
+    if names is None and (missing := missing_libraries()):
+        warn(f"{', '.join(missing)} left out: pip install skyherd[peers]")
     images = {} if clutter_images is None else {"clutter_images": clutter_images}
     cells = quick_design(**images) if quick else full_design(**images)
     timed = timing_cells(QUICK_FRAMES, QUICK_SIZES_PX) if quick else timing_cells(FULL_FRAMES)
@@ -77,6 +81,113 @@ def detectors(
     result.write(out_dir)
     say(f"see {write_outputs(result, out_dir)}")
     return 0
+
+
+Folder = Annotated[Path, typer.Argument(help="Folder of the photographs.")]
+SetsFile = Annotated[
+    Path | None, typer.Option("--sets", help="File of the sets; photographs.toml in the folder if left out.")
+]
+Names = Annotated[
+    str | None,
+    typer.Option("--detector", help="Names, or module:factory, with commas between; all if left out."),
+]
+Only = Annotated[
+    str | None, typer.Option("--only", help="Names of sets, with commas between; all if left out.")
+]
+
+
+@bench_app.command()
+def photographs(
+    folder: Folder,
+    sets_file: SetsFile = None,
+    names: Names = None,
+    only: Only = None,
+    out_dir: Annotated[Path, typer.Option("--out", help="Folder for results.")] = Path("runs/photographs"),
+) -> int:
+    """Count which markers detectors find on photographs, of those that two of them confirm.
+
+    The file of the sets says which files there are and what their markers are; the guide "Test detectors on
+    photographs" has its keys. It leaves photographs.json, photographs.html, missed.csv, unconfirmed.csv and
+    pictures.
+    """
+    from skyherd.bench.image_sets import load_image_sets
+    from skyherd.bench.photographs.measurement import measure_photographs
+    from skyherd.bench.photographs.page import write_page
+    from skyherd.bench.photographs.result import PhotographsResult
+    from skyherd.bench.photographs.tables import set_tables
+    from skyherd.bench.result import environment
+
+    chosen, judges = _chosen_and_judges(names)
+    image_sets = load_image_sets(folder, sets_file, only=tuple(_split(only)))
+    _check_writable(out_dir)
+    with ProgressReporter() as progress:
+        measured = measure_photographs(image_sets, chosen, judges, progress=progress)
+    result = PhotographsResult(environment(confirmed_by=judges), measured.rows, measured.refused)
+    result.write_all(out_dir, measured.missed, measured.unconfirmed)
+    _say_result(result, set_tables(result))
+    say(f"see {write_page(result, measured, out_dir)}")
+    return 0
+
+
+@bench_app.command()
+def boards(
+    folder: Folder,
+    sets_file: SetsFile = None,
+    names: Names = None,
+    only: Only = None,
+    out_dir: Annotated[Path, typer.Option("--out", help="Folder for results.")] = Path("runs/boards"),
+) -> int:
+    """Measure detectors on photographs of calibration boards, leaving one marker out at a time.
+
+    Sets need a table `board`, as the guide "Measure accuracy on boards" has it. It leaves boards.json,
+    boards.html, boards.md and figures.
+    """
+    from skyherd.bench.boards.measurement import measure_boards
+    from skyherd.bench.boards.page import write_outputs
+    from skyherd.bench.boards.tables import set_tables
+    from skyherd.bench.image_sets import load_image_sets
+    from skyherd.bench.result import environment
+    from skyherd.bench.set_result import SetResult
+
+    chosen, judges = _chosen_and_judges(names)
+    image_sets = load_image_sets(folder, sets_file, only=tuple(_split(only)))
+    _check_writable(out_dir)
+    with ProgressReporter() as progress:
+        measured = measure_boards(image_sets, chosen, judges, progress=progress)
+    result = SetResult(environment(confirmed_by=judges), measured.rows, measured.refused)
+    _say_result(result, set_tables(result))
+    say(f"see {write_outputs(result, measured, out_dir)}")
+    return 0
+
+
+def _chosen_and_judges(names: str | None) -> tuple[list[str], list[str]]:
+    """The detectors that are reported, and those by which markers are confirmed.
+
+    Raises:
+        InputError: a detector is named twice.
+    """
+    from skyherd.bench.entrants import default_entrants, missing_libraries
+    from skyherd.bench.photographs.measurement import JUDGES
+
+    chosen = _split(names) or [name for name in default_entrants() if name != "tracking"]
+    _check(chosen, None, None)
+    if missing := missing_libraries():
+        warn(f"{', '.join(missing)} cannot confirm any marker: pip install skyherd[peers]")
+    return chosen, [name for name in JUDGES if name not in missing]
+
+
+def _say_result(result: "SetResult", tables: "list[Table]") -> None:
+    """Print the tables of the sets, and which sets nobody can read."""
+    for table in tables:
+        say(table.title, bold=True)
+        say_table(table.header, table.rows, right_aligned=table.header[1:])
+    for name, why in result.unread().items():
+        warn(f"no detector can read {name}: {why}")
+
+
+def _split(names: str | None) -> list[str]:
+    """Names between commas."""
+    return [name.strip() for name in (names or "").split(",") if name.strip()]
 
 
 def _check_writable(folder: Path) -> None:

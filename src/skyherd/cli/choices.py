@@ -10,6 +10,7 @@ from pathlib import Path
 DETECTORS = (
     "apriltag3",
     "aruco",
+    "locus-tag",
     "opencv",
     "opencv-apriltag",
     "opencv-contour",

@@ -1,9 +1,14 @@
-"""Finds pictures and videos, and reads videos frame by frame as grey images."""
+"""Finds pictures and videos, and reads videos frame by frame as grey images.
+
+Frames are upright, as the video's tag says that the camera was held, and have the times that the stream has
+for them: cameras and phones do not keep an even rate.
+"""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import av
 import numpy as np
@@ -17,6 +22,9 @@ DEEPER = ("*/*", "*/*/*")
 
 FEW = 4
 """Such folders that a complaint names at most. *Chosen*: fits a line or two."""
+
+DISPLAY_MATRIX = "DISPLAYMATRIX"
+"""Name of the data beside a frame that say how it is to be turned. *Defined* by FFmpeg."""
 
 USUAL_RATE_HZ = Fraction(25)
 """Frames a second of a video that says nothing of its rate. *Chosen*: usual, and only times depend on it."""
@@ -33,7 +41,8 @@ class Frame:
 
     Attributes:
         index: its number, from 0.
-        time_s: its time from the video's beginning.
+        time_s: its time in the stream, at which a player shows it. Frames need not be evenly apart, nor does
+            the first have to be at 0.
         image: grey levels (height, width).
     """
 
@@ -110,17 +119,37 @@ def read_clip(clip: Clip) -> Iterator[Frame]:
         InputError: it cannot be read to its end, or has no frame.
     """
     index = 0
+    time_s = 0.0
     try:
         with av.open(str(clip.path)) as container:
             for picture in container.decode(video=0):
-                time_s = float(picture.time or index / clip.rate_hz)
+                own_s: Any = picture.time
+                if own_s is not None:
+                    time_s = float(own_s)
+                elif index:
+                    time_s += float(1 / clip.rate_hz)
                 grey = np.asarray(picture.to_ndarray(format="gray"), dtype=np.uint8)
-                yield Frame(index, time_s, np.ascontiguousarray(grey))
+                yield Frame(index, time_s, np.ascontiguousarray(_upright(grey, picture)))
                 index += 1
     except (OSError, av.FFmpegError, IndexError) as error:
         raise _unreadable(clip.path, error) from None
     if not index:
         raise _unreadable(clip.path, None)
+
+
+def _upright(image: npt.NDArray[np.uint8], picture: av.VideoFrame) -> npt.NDArray[np.uint8]:
+    """The image (height, width) as the display matrix of its frame turns and mirrors it, by quarter turns.
+
+    The matrix (a, b, ., c, d, ., ...) takes the point (u, v) to (a u + c v, b u + d v), and what is then
+    negative back into view. Of angles in between, the nearest quarter turn is taken.
+    """
+    data: Any = picture.side_data.get(DISPLAY_MATRIX)
+    if data is None:
+        return image
+    a, b, _, c, d = np.frombuffer(bytes(data), dtype=np.int32)[:5].tolist()
+    if abs(b) + abs(c) > abs(a) + abs(d):
+        image, a, d = image.T, c, b
+    return image[:: -1 if d < 0 else 1, :: -1 if a < 0 else 1]
 
 
 def _unreadable(path: Path, error: Exception | None) -> InputError:

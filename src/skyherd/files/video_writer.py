@@ -35,6 +35,10 @@ FFmpeg."""
 STUDIO_RANGE = 1
 """Levels from 16 to 235, which players assume. *Defined*: their number in FFmpeg."""
 
+TICK_S = Fraction(1, 90_000)
+"""Unit of the times of frames that have their own. *Chosen*: usual in video; even rates fit into it to a
+hundred-thousandth of a second."""
+
 MAX_DENOMINATOR = 10_000
 """Largest denominator of a rate. *Chosen*: holds 30000/1001 and the like exactly, and fits the container's
 time base."""
@@ -57,6 +61,7 @@ class VideoSink:
         path: the file to make, an MP4.
         size_px: width and height of every frame, both even.
         rate_hz: frames a second; fractions such as `Fraction(30000, 1001)` are kept exactly.
+        timed: whether each frame is written with a time of its own; the rate is then the usual one only.
 
     Raises:
         OutputError: at once, if the file cannot be made there; or later, if a frame is not as promised
@@ -64,19 +69,30 @@ class VideoSink:
     """
 
     def __init__(
-        self, path: str | os.PathLike[str], size_px: tuple[int, int], rate_hz: Fraction | float
+        self,
+        path: str | os.PathLike[str],
+        size_px: tuple[int, int],
+        rate_hz: Fraction | float,
+        *,
+        timed: bool = False,
     ) -> None:
         self.path, self.size_px = Path(path), size_px
         self.rate_hz = _checked_rate(self.path, rate_hz)
-        self.frames = 0
+        self.frames, self.timed = 0, timed
+        self._first_s, self._last_tick = 0.0, -1
         self.part = self.path.with_name(self.path.name + ".part")
         self._claim_target()
         self._container = av.open(str(self.part), "w", format="mp4", options={"movflags": "+faststart"})
         self._stream = self._add_stream()
         self._open = True
 
-    def write(self, frame: Image) -> None:
+    def write(self, frame: Image, time_s: float = 0.0) -> None:
         """Append one frame, (height, width, 3) uint8 RGB; the array may be changed afterwards.
+
+        Args:
+            frame: the picture.
+            time_s: when it was taken, where frames are timed. The first is shown at 0; one that is not later
+                than the frame before is shown right after it.
 
         Raises:
             OutputError: the sink is closed, the frame has another size or type, or the disk is full.
@@ -91,9 +107,18 @@ class VideoSink:
             )
         rgb = av.VideoFrame.from_ndarray(np.ascontiguousarray(frame), format="rgb24")
         picture = rgb.reformat(format="yuv420p", dst_colorspace=BT709, dst_color_range=STUDIO_RANGE)
-        picture.pts, picture.time_base = self.frames, 1 / self.rate_hz
+        picture.pts, picture.time_base = self._pts(time_s), TICK_S if self.timed else 1 / self.rate_hz
         self._mux(picture)
         self.frames += 1
+
+    def _pts(self, time_s: float) -> int:
+        """Number of the frame's time in units of its time base."""
+        if not self.timed:
+            return self.frames
+        if not self.frames:
+            self._first_s = time_s
+        self._last_tick = max(round((time_s - self._first_s) / TICK_S), self._last_tick + 1)
+        return self._last_tick
 
     def close(self) -> None:
         """Finish the file, check it and rename it; closing twice does nothing.
@@ -157,6 +182,8 @@ class VideoSink:
         stream.width, stream.height = self.size_px
         stream.pix_fmt = "yuv420p"
         context = stream.codec_context
+        if self.timed:
+            context.time_base = TICK_S
         context.thread_count = THREADS
         context.colorspace = context.color_primaries = context.color_trc = BT709
         context.color_range = STUDIO_RANGE

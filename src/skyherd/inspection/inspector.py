@@ -169,8 +169,10 @@ class Inspector:
                 shown = _even(annotator.draw(frame.image, found, result.rejections))
                 if sink is None:
                     size_px = (shown.shape[1], shown.shape[0])
-                    sink = stack.enter_context(VideoSink(picture, size_px, Fraction(clip.rate_hz)))
-                sink.write(shown)
+                    sink = stack.enter_context(
+                        VideoSink(picture, size_px, Fraction(clip.rate_hz), timed=True)
+                    )
+                sink.write(shown, frame.time_s)
                 done = frame.index + 1
                 self._progress.update(result.file.name, done, max(clip.count, done) if clip.count else None)
                 if frame.index == 0 and len(found) < FEW:

@@ -1,9 +1,9 @@
 """Detections and rejections as tables: CSV, or JSON lines, with one row for each marker.
 
-Columns of detections: file; frame (of videos, from 0); time_s (of videos); id; u_px; v_px; heading_deg (from
-+u to +v); side_px; the standard deviations of u, v and heading, empty where the detector does not state them;
-and the corners, the first two ahead. JSON lines have the corners and the covariance of (u px, v px, heading
-rad) as lists.
+Columns of detections: file; frame (of videos, from 0); time_s (of videos: the stream's own); id; u_px; v_px;
+heading_deg (from +u to +v); side_px; the standard deviations of u, v and heading, empty where the detector
+does not state them; and the corners, the first two ahead. JSON lines have the corners and the covariance of
+(u px, v px, heading rad) as lists.
 """
 
 import csv
@@ -53,7 +53,7 @@ class Place:
     Attributes:
         file: name of the file.
         frame: number in a video, from 0; None for pictures.
-        time_s: from the start of a video; None for pictures.
+        time_s: of videos, the time that the stream has for the frame; None for pictures.
     """
 
     file: str

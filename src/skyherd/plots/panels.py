@@ -23,14 +23,14 @@ class FigureFile:
         title: a heading of a few words.
         caption: a sentence or two on what is shown.
         png: path of the picture in pixels.
-        svg: path of the vector graphics.
+        svg: path of the vector graphics; None if there are none.
     """
 
     name: str
     title: str
     caption: str
     png: Path
-    svg: Path
+    svg: Path | None = None
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 import builtins
 
+import cv2
 import numpy as np
 import pytest
 
@@ -10,19 +11,23 @@ from skyherd.bench.frames import rendered_frames
 from skyherd.bench.scorer import match
 from skyherd.errors import InputError
 from skyherd.geometry import apply_homography, wrap_angle
-from skyherd.markers.dictionary import pose_of_corners
+from skyherd.markers.dictionary import marker_cells, pose_of_corners
 from skyherd.vision import create_detector, detector_names
 from skyherd.vision.detectors import peers
 from skyherd.vision.detectors.peers import (
     APRILTAG_FAMILIES,
+    LOCUS_FAMILIES,
     REFINEMENTS,
     PeerDetector,
     headings_in_plane,
     peer_names,
 )
 
-DICTIONARIES = [(name, "4X4_50") for name in REFINEMENTS] + [
-    ("apriltag3", family) for family in APRILTAG_FAMILIES
+LIBRARIES = {"apriltag3": "pupil_apriltags", "locus-tag": "locus"}
+DICTIONARIES = [
+    *((name, "4X4_50") for name in REFINEMENTS),
+    *(("apriltag3", family) for family in APRILTAG_FAMILIES),
+    *(("locus-tag", family) for family in LOCUS_FAMILIES),
 ]
 BIAS_PX = {
     "opencv": 0.0,
@@ -30,13 +35,14 @@ BIAS_PX = {
     "opencv-contour": 0.0,
     "opencv-apriltag": 0.46,
     "apriltag3": 0.5,
+    "locus-tag": 0.5,
 }
 
 
 def errors(name, dictionary, corrected, cell):
     """Errors (N, 4) of u, v, heading, side, and of the corners (N, 4, 2), over all frames of a cell."""
-    if name == "apriltag3":
-        pytest.importorskip("pupil_apriltags")
+    if name in LIBRARIES:
+        pytest.importorskip(LIBRARIES[name])
     detector = PeerDetector(name, dictionary, corrected=corrected)
     poses, corners = [], []
     for frame in rendered_frames(cell, dictionary, 5):
@@ -68,7 +74,7 @@ def test_corrected_peers_agree_with_the_truth_in_every_convention(name, dictiona
     assert abs(error[:, 3].mean()) < 0.5
 
 
-@pytest.mark.parametrize(("name", "dictionary"), DICTIONARIES[:5])
+@pytest.mark.parametrize(("name", "dictionary"), [*DICTIONARIES[:5], DICTIONARIES[7], DICTIONARIES[12]])
 def test_uncorrected_peers_keep_their_biases(name, dictionary):
     """Position biases as published, to 0.05 px; AprilTag's headings are half a turn off, OpenCV's are not."""
     error, _ = errors(name, dictionary, False, Cell(noise=2.0, blur_px=0.8, cameras=2, frames=3))
@@ -109,8 +115,8 @@ def test_headings_in_a_tilted_plane_are_those_of_the_forward_axes():
 
 def test_of_a_repeated_id_the_larger_counts():
     square = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
-    corners = np.stack([10 * square, 20 * square, 5 * square, 0 * square])
-    ids, kept = peers._largest_of_each(np.array([7, 7, 3, 9]), corners)
+    corners = np.stack([10 * square, 20 * square, 5 * square])
+    ids, kept = peers._largest_of_each(np.array([7, 7, 3]), corners)
     np.testing.assert_array_equal(ids, [3, 7])
     np.testing.assert_array_equal(kept, corners[[2, 1]])
 
@@ -122,17 +128,39 @@ def test_an_image_without_markers_is_no_error_and_a_colour_image_is():
         create_detector("opencv").detect(np.zeros((9, 9, 3), np.uint8))
 
 
-def test_apriltag3_says_what_it_lacks(monkeypatch):
-    with pytest.raises(InputError, match=r"does not know 4X4_50; one of APRILTAG_16h5"):
-        create_detector("apriltag3")
+@pytest.mark.parametrize(("name", "library"), LIBRARIES.items())
+def test_peers_of_other_libraries_say_what_they_lack(name, library, monkeypatch):
+    with pytest.raises(InputError, match=r"does not know 5X5_50; one of .*APRILTAG_16h5"):
+        create_detector(name, dictionary="5X5_50")
 
-    def absent(name, *args, **kwargs):
-        if name == "pupil_apriltags":
-            raise ImportError(name)
-        return builtins.__import__(name, *args, **kwargs)
+    def absent(asked, *args, **kwargs):
+        if asked == library:
+            raise ImportError(asked)
+        return builtins.__import__(asked, *args, **kwargs)
 
     monkeypatch.setattr(peers, "import_module", absent)
     peers._apriltag_library_detector.cache_clear()
     with pytest.raises(InputError, match=r"pip install skyherd\[peers\]"):
-        create_detector("apriltag3", dictionary="APRILTAG_36h11")
+        create_detector(name, dictionary="APRILTAG_36h11")
     peers._apriltag_library_detector.cache_clear()
+
+
+@pytest.mark.parametrize("name", ["opencv", "opencv-apriltag", "apriltag3", "locus-tag"])
+def test_all_places_of_a_repeated_id_are_told_where_detect_has_the_largest(name):
+    """Two markers of id 3, of 60 and 90 px, and one of id 5; every corner as `detect` has it."""
+    if name in LIBRARIES:
+        pytest.importorskip(LIBRARIES[name])
+    image = np.full((240, 420), 220, np.uint8)
+    for marker_id, side, left in ((3, 60, 30), (3, 90, 140), (5, 80, 290)):
+        cells = marker_cells("APRILTAG_36h11", marker_id)
+        drawn = cv2.resize(cells.astype(np.uint8), (side, side), interpolation=cv2.INTER_NEAREST_EXACT)
+        image[70 : 70 + side, left : left + side] = np.where(drawn, 220, 30)
+    image = cv2.GaussianBlur(image, (0, 0), 0.7)
+    detector = PeerDetector(name, "APRILTAG_36h11")
+    ids, corners = detector.find_all(image)
+    assert sorted(ids.tolist()) == [3, 3, 5]
+    seen = detector.detect(image)
+    for marker_id, center in ((3, (184.5, 114.5)), (5, (329.5, 109.5))):
+        row = int(np.flatnonzero(seen.ids == marker_id)[0])
+        np.testing.assert_allclose(seen.centers_px[row], center, atol=1.0)
+        assert min(np.abs(seen.corners_px[row] - one).max() for one in corners) < 1e-9

@@ -1,0 +1,74 @@
+"""Calibration boards: where each marker's corners lie on the board, nominally.
+
+A table `board` in a set's table (`skyherd.bench.image_sets`):
+
+    [webcam.board]
+    kind = "charuco"     # or "aprilgrid", "aruco"
+    columns = 8          # squares of a ChArUco board, markers of the others
+    rows = 8
+    marker = 0.75        # charuco: side of a marker, in sides of a square
+    legacy = false       # charuco: the pattern of OpenCV before 4.6
+    gap = 0.3            # aprilgrid and aruco: space between markers, in sides of a marker
+    first_id = 0
+    name = "monitor"     # sets with the same name show the same board; that of the set if left out
+    degree = 5           # of the polynomials that stand for the lens; chosen by the errors if left out
+
+An AprilGrid is as Kalibr prints it: ids run from the lower left, row by row upwards. The markers of an ArUco
+grid run from the upper left, row by row downwards, as OpenCV has them.
+"""
+
+from typing import Annotated, Literal
+
+import cv2
+import numpy as np
+from pydantic import Field
+
+from skyherd.datasets import Model
+from skyherd.geometry import Array
+from skyherd.markers.dictionary import load_dictionary
+
+HALF_TURN = [2, 3, 0, 1]
+"""Order of the corners of a marker turned by half a turn: AprilTag's markers stand upside down in OpenCV's
+dictionaries (`skyherd.vision.detectors.peers`), and Kalibr prints them upright."""
+
+UNIT_SQUARE = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+"""Corners of a marker, in its sides, x to the right and y down, in OpenCV's order."""
+
+
+class BoardModel(Model):
+    """A board with markers in rows and columns."""
+
+    kind: Literal["charuco", "aprilgrid", "aruco"] = Field(description="how markers are laid out")
+    columns: Annotated[int, Field(ge=1, le=1000)] = Field(description="squares of charuco, else markers")
+    rows: Annotated[int, Field(ge=1, le=1000)] = Field(description="squares of charuco, else markers")
+    marker: Annotated[float, Field(gt=0, lt=1)] = Field(0.75, description="charuco: marker's side in squares")
+    legacy: bool = Field(False, description="charuco: the pattern of OpenCV before 4.6")
+    gap: Annotated[float, Field(gt=0, le=100)] = Field(
+        0.3, description="space between markers, in their sides"
+    )
+    first_id: Annotated[int, Field(ge=0)] = Field(0, description="id of the first marker")
+    name: str = Field("", description="of the board; sets of one name share what is learned of it")
+    degree: Annotated[int, Field(ge=2, le=7)] | None = Field(None, description="of the lens's polynomials")
+
+
+def board_corners(board: BoardModel, dictionary: str) -> dict[int, Array]:
+    """Corners (4, 2) of each marker on the board by id, in marker sides, x to the right and y down.
+
+    They are in the order of `skyherd.geometry.SQUARE_CORNERS` where the board stands upright.
+    """
+    if board.kind == "charuco":
+        made = cv2.aruco.CharucoBoard(
+            (board.columns, board.rows), 1.0 / board.marker, 1.0, load_dictionary(dictionary)
+        )
+        made.setLegacyPattern(board.legacy)
+        points = [np.asarray(corners, dtype=float)[:, :2] for corners in made.getObjPoints()]
+        return {board.first_id + number: corners for number, corners in enumerate(points)}
+    step = 1.0 + board.gap
+    upwards = board.kind == "aprilgrid"
+    square = UNIT_SQUARE[HALF_TURN] if upwards else UNIT_SQUARE
+    return {
+        board.first_id + row * board.columns + column: square
+        + step * np.array([column, board.rows - 1 - row if upwards else row])
+        for row in range(board.rows)
+        for column in range(board.columns)
+    }

@@ -1,0 +1,144 @@
+"""Sets of photographs with markers: which files, and what their markers are, from a TOML file beside them.
+
+A table for each set, named as the set is:
+
+    [wall]
+    files = ["wall_*.jpg", "hall/*.png"]     # patterns, from the folder of the images
+    dictionary = "APRILTAG_36h11"
+    border_bits = 1                          # cells of the black border; 2 on some calibration boards
+    inverted = false                         # whether markers are white on black
+    ids_repeat = false                       # whether an image may show several markers of one id
+    every = 1                                # of videos, every frame, or every second, third, …
+
+A table `board` in it says where the markers of a calibration board lie (`skyherd.bench.boards.layout`).
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import Field, ValidationError, field_validator
+
+from skyherd.bench.boards.layout import BoardModel
+from skyherd.datasets import Model, first_error, parse_toml, read_text
+from skyherd.errors import InputError
+from skyherd.files.images import SUFFIXES, read_grey
+from skyherd.files.video_reader import VIDEO_SUFFIXES, is_video, open_clip, read_clip
+from skyherd.markers.dictionary import load_dictionary
+
+SETS_FILE = "photographs.toml"
+"""File name of the sets in the folder of the images."""
+
+EXAMPLE = "skyherd bench photographs --help"
+"""Command that errors refer to: it says where the format is described."""
+
+
+class ImageSetModel(Model):
+    """One set of images: files, and what is known of the markers in all of them."""
+
+    files: Annotated[tuple[str, ...], Field(min_length=1)] = Field(
+        description="patterns of file names, from the folder of the images"
+    )
+    dictionary: str = Field(description="of the markers, such as APRILTAG_36h11")
+    border_bits: Annotated[int, Field(ge=1, le=4)] = Field(1, description="cells of the black border")
+    inverted: bool = Field(False, description="whether markers are white on black")
+    ids_repeat: bool = Field(False, description="whether an image may show several markers of one id")
+    every: Annotated[int, Field(ge=1)] = Field(1, description="of videos, every how manieth frame")
+    board: BoardModel | None = Field(None, description="the calibration board that all images show")
+
+    @field_validator("dictionary")
+    @classmethod
+    def _known(cls, name: str) -> str:
+        load_dictionary(name)
+        return name
+
+
+@dataclass(frozen=True)
+class ImageSet:
+    """A set of images that are there.
+
+    Attributes:
+        name: of the set.
+        model: what its table says.
+        files: pictures and videos, in the order of their names; at least one.
+    """
+
+    name: str
+    model: ImageSetModel
+    files: tuple[Path, ...]
+
+    @property
+    def dictionary(self) -> str:
+        """Name of the dictionary that detectors are given."""
+        return self.model.dictionary
+
+    def images(self) -> Iterator[tuple[str, npt.NDArray[np.uint8]]]:
+        """Read the images one by one: name of the file, of videos with the frame's number, and grey levels.
+
+        Raises:
+            InputError: a file cannot be read.
+        """
+        for path in self.files:
+            if not is_video(path):
+                yield path.name, read_grey(path)
+                continue
+            for frame in read_clip(open_clip(path)):
+                if frame.index % self.model.every == 0:
+                    yield f"{path.name}#{frame.index}", frame.image
+
+    def marker_options(self) -> dict[str, Any]:
+        """What a detector has to be told of the markers beside their dictionary; only what is not usual."""
+        usual = {"border_bits": 1, "inverted": False}
+        told = {key: getattr(self.model, key) for key in usual}
+        return {key: value for key, value in told.items() if value != usual[key]}
+
+
+def load_image_sets(
+    folder: Path, sets_file: Path | None = None, *, only: tuple[str, ...] = ()
+) -> list[ImageSet]:
+    """Read the sets of a folder of images.
+
+    Args:
+        folder: of the images.
+        sets_file: the TOML file; `photographs.toml` in the folder if left out.
+        only: names of the sets to take; all if empty.
+
+    Returns:
+        the sets in the order of the file; those of which no file is there are left out.
+
+    Raises:
+        InputError: there is no such folder or file, a key is wrong, a set is not known, or no image is there.
+    """
+    if not folder.is_dir():
+        raise InputError(str(folder), "no such folder", f"a folder of images with a {SETS_FILE} in it")
+    path = sets_file or folder / SETS_FILE
+    tables = parse_toml(read_text(path, "file of image sets"), str(path), EXAMPLE)
+    if unknown := [name for name in only if name not in tables]:
+        raise InputError(str(path), f"no set {', '.join(unknown)}", f"one of {', '.join(tables)}")
+    sets = []
+    for name, table in tables.items():
+        model = _parse_set(table, f"{path}: [{name}]")
+        files = _find(folder, model.files)
+        if files and (not only or name in only):
+            sets.append(ImageSet(name, model, files))
+    if not sets:
+        raise InputError(str(folder), f"no image of the sets in {path}", "patterns that match files there")
+    return sets
+
+
+def _parse_set(table: Any, where: str) -> ImageSetModel:
+    if not isinstance(table, dict):
+        raise InputError(where, "no table", "[NAME] with files and dictionary below it")
+    try:
+        return ImageSetModel.model_validate(table)
+    except ValidationError as error:
+        raise first_error(error, where, "set", see=EXAMPLE) from None
+
+
+def _find(folder: Path, patterns: tuple[str, ...]) -> tuple[Path, ...]:
+    """Pictures and videos that match one of the patterns, each once, in the order of their paths."""
+    found = {path for pattern in patterns for path in folder.glob(pattern)}
+    return tuple(sorted(p for p in found if p.suffix.lower() in SUFFIXES | VIDEO_SUFFIXES))

@@ -1,0 +1,95 @@
+"""What a detector finds in one image, repeated ids too, and the detectors that can read a set's markers."""
+
+from dataclasses import dataclass
+from inspect import signature
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from skyherd.bench.entrants import EntrantError
+from skyherd.errors import InputError, SkyherdError
+from skyherd.geometry import Array, IntArray
+from skyherd.vision import Detector, create_detector
+
+
+@dataclass(frozen=True)
+class Sightings:
+    """What a detector found in one image.
+
+    Attributes:
+        ids: (K,) ids of the markers, which may repeat.
+        corners_px: (K, 4, 2) corners, in the order of `skyherd.geometry.SQUARE_CORNERS`.
+        covariances: (K, 3, 3) of (u, v, heading); all zero where the detector reports none.
+        time_ms: time that the detector took.
+    """
+
+    ids: IntArray
+    corners_px: Array
+    covariances: Array
+    time_ms: float = 0.0
+
+
+class Reader:
+    """A detector for the images of one set, each taken as the first that it ever sees.
+
+    Args:
+        name: of the detector, or `module:factory`.
+        dictionary: of the markers.
+        options: what `create_detector` has to be told of the markers besides, such as `border_bits`.
+
+    Raises:
+        InputError: the detector cannot read such markers.
+    """
+
+    def __init__(self, name: str, dictionary: str, options: dict[str, Any]) -> None:
+        if unknown := options.keys() - signature(create_detector).parameters.keys():
+            raise InputError(f"detector {name}", f"takes no {', '.join(sorted(unknown))}", "usual markers")
+        self.name = name
+        self._detector: Detector = create_detector(name, dictionary=dictionary, **options)
+        self._images = 0
+
+    def read(self, image: npt.NDArray[np.uint8]) -> Sightings:
+        """Find the markers in a grey image, all places of an id if the detector tells them.
+
+        Each image has a number of its own as `unit_id`, so that nothing learned from another affects it.
+
+        Raises:
+            EntrantError: the detector raised an exception.
+        """
+        self._images += 1
+        start = perf_counter()
+        try:
+            ids, corners, covariances = self._find(image)
+        except SkyherdError as error:
+            raise EntrantError(f"detector {self.name}: {error}") from None
+        except Exception as error:
+            raise EntrantError(f"detector {self.name}: {type(error).__name__}: {error}") from error
+        return Sightings(ids, corners, covariances, 1e3 * (perf_counter() - start))
+
+    def _find(self, image: npt.NDArray[np.uint8]) -> tuple[IntArray, Array, Array]:
+        find_all: Any = getattr(self._detector, "find_all", None)
+        if find_all is not None:
+            ids, corners = find_all(image)
+            return ids, corners, np.zeros((len(ids), 3, 3))
+        found = self._detector.detect(image, unit_id=self._images)
+        return found.ids, found.corners_px, found.covariances
+
+
+def make_readers(
+    names: list[str], dictionary: str, options: dict[str, Any]
+) -> tuple[dict[str, Reader], dict[str, str]]:
+    """Make a reader of each detector for markers of one kind.
+
+    Returns:
+        the readers by name, and why there is none of the others.
+    """
+    readers: dict[str, Reader] = {}
+    refused: dict[str, str] = {}
+    for name in names:
+        try:
+            readers[name] = Reader(name, dictionary, options)
+        except InputError as error:
+            refused[name] = error.what
+    return readers, refused

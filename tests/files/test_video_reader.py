@@ -1,0 +1,95 @@
+"""Videos come in upright and with their streams' own times, whatever the camera wrote."""
+
+from fractions import Fraction
+
+import av
+import numpy as np
+import pytest
+from video_tags import tag_display
+
+from skyherd.files.video_reader import open_clip, read_clip
+from skyherd.files.video_writer import VideoSink, read_frames
+
+UNEVEN_S = (0.0, 0.04, 0.2, 0.21, 0.9)
+"""Times of frames of no even rate, multiples of 0.01 s."""
+
+LEVELS = np.kron(np.array([[30, 90], [150, 220]], np.uint8), np.ones((32, 48), np.uint8))
+"""A picture (64, 96) whose quarters tell how it lies."""
+
+MATRICES = {
+    "upright": ((1, 0, 0, 1), lambda image: image),
+    "quarter turn clockwise": ((0, 1, -1, 0), lambda image: np.rot90(image, -1)),
+    "half turn": ((-1, 0, 0, -1), lambda image: np.rot90(image, 2)),
+    "quarter turn counter-clockwise": ((0, -1, 1, 0), lambda image: np.rot90(image)),
+    "mirrored": ((-1, 0, 0, 1), lambda image: image[:, ::-1]),
+    "upside down, mirrored": ((1, 0, 0, -1), lambda image: image[::-1]),
+    "transposed": ((0, 1, 1, 0), lambda image: image.T),
+    "transposed, half turn": ((0, -1, -1, 0), lambda image: np.rot90(image.T, 2)),
+}
+"""Display matrices (a, b, c, d) of MP4 files, and what a player then does to the picture."""
+
+
+def write(path, images, times_s=None, *, start_s=0.0):
+    """A video of grey images at given times, 25 a second if left out, and its path."""
+    times_s = np.arange(len(images)) / 25 if times_s is None else times_s
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("mpeg4", rate=25)
+        stream.height, stream.width = images[0].shape
+        stream.pix_fmt = "yuv420p"
+        stream.codec_context.time_base = Fraction(1, 100)
+        stream.bit_rate = 2_000_000
+        for image, time_s in zip(images, times_s, strict=True):
+            frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(image), format="gray")
+            frame = frame.reformat(format="yuv420p")
+            frame.pts, frame.time_base = round(100 * (time_s + start_s)), Fraction(1, 100)
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode(None))
+    return path
+
+
+@pytest.mark.parametrize("held", MATRICES)
+def test_frames_are_as_a_player_shows_them(tmp_path, held):
+    matrix, shown = MATRICES[held]
+    path = tag_display(write(tmp_path / "v.mp4", [LEVELS] * 2), matrix)
+    expected = shown(LEVELS)
+    for frame in read_clip(open_clip(path)):
+        assert frame.image.shape == expected.shape and frame.image.flags.c_contiguous
+        assert np.abs(frame.image.astype(int) - expected).mean() < 8
+
+
+@pytest.mark.parametrize("name", ["v.mp4", "v.mkv"])
+def test_times_are_the_stream_s_own_and_not_those_of_an_even_rate(tmp_path, name):
+    path = write(tmp_path / name, [LEVELS] * len(UNEVEN_S), UNEVEN_S)
+    times = [frame.time_s for frame in read_clip(open_clip(path))]
+    assert times == pytest.approx(UNEVEN_S, abs=0.002)
+    even = np.arange(len(UNEVEN_S)) / float(open_clip(path).rate_hz)
+    assert np.abs(even - UNEVEN_S).max() > 0.1
+
+
+def test_a_stream_that_begins_later_keeps_its_times(tmp_path):
+    path = write(tmp_path / "v.mkv", [LEVELS] * 3, (0.0, 0.1, 0.3), start_s=2.0)
+    assert [f.time_s for f in read_clip(open_clip(path))] == pytest.approx([2.0, 2.1, 2.3], abs=0.002)
+
+
+def test_a_stream_without_times_has_those_of_its_rate(tmp_path):
+    """A raw stream of MPEG-4 has no container, and so no times of its own beyond the rate."""
+    path = write(tmp_path / "v.m4v", [LEVELS] * 4)
+    times = [frame.time_s for frame in read_clip(open_clip(path))]
+    assert times == sorted(times) and len(set(times)) == 4
+
+
+def test_what_is_written_with_times_is_read_with_them(tmp_path):
+    """To a ten-thousandth of a second; a time that does not increase comes right after the one before."""
+    path = tmp_path / "v.mp4"
+    picture = np.repeat(LEVELS[..., None], 3, axis=2)
+    times = [5.0, 5.02, 5.3, 5.3, 6.0]
+    with VideoSink(path, (96, 64), 10, timed=True) as sink:
+        for time_s in times:
+            sink.write(picture, time_s)
+    read = [frame.time_s for frame in read_clip(open_clip(path))]
+    assert read == pytest.approx([0.0, 0.02, 0.3, 0.3, 1.0], abs=1e-4) and read[3] > read[2]
+    with VideoSink(path, (96, 64), 10) as sink:
+        for time_s in times:
+            sink.write(picture, time_s)
+    assert [f.time_s for f in read_clip(open_clip(path))] == pytest.approx(np.arange(5) / 10)
+    assert len(list(read_frames(path))) == 5

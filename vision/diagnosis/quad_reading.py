@@ -278,13 +278,16 @@ def _nearest(cells: Array, samples: Array, templates: Templates, promising: floa
     if match.likeness < promising:
         return match
     seen = np.isfinite(samples)
-    for blur in BLURS_CELLS:
-        patterns = _blurred(templates.white[best], blur, PER_CELL)[:, seen]
-        likeness = correlations(patterns, samples[seen][None])[0]
-        row = int(likeness.argmax())
-        if likeness[row] > match.likeness or blur == BLURS_CELLS[0]:
-            match = _fit(float(likeness[row]), int(best[row]), blur, patterns[row], samples[seen])
-    return match
+    patterns = _under_all_blurs(templates.white[best])[:, seen]
+    likeness = correlations(patterns, samples[seen][None])[0]
+    top = int(likeness.argmax())
+    blur, row = BLURS_CELLS[top // len(best)], int(best[top % len(best)])
+    return _fit(float(likeness[top]), row, blur, patterns[top], samples[seen])
+
+
+def _under_all_blurs(white: BoolArray) -> npt.NDArray[np.float32]:
+    """Levels (B M, S, S) of markers (M, n, n) under each of the B blurs that are tried, blur by blur."""
+    return np.concatenate([_blurred(white, blur, PER_CELL) for blur in BLURS_CELLS])
 
 
 def _fit(likeness: float, row: int, blur: float, pattern: npt.NDArray[np.float32], values: Array) -> Match:

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from skyherd.analysis.history import History
@@ -170,7 +171,9 @@ def save_figure(figure: Figure, folder: Path, name: str, title: str, caption: st
         OutputError: a file could not be written.
     """
     png, svg = folder / f"{name}.png", folder / f"{name}.svg"
-    write_whole(png, lambda part: figure.savefig(part, format="png", dpi=DPI))
-    figure.set_layout_engine("none")
+    figure.set_dpi(DPI)
+    # `savefig` would draw twice, the first time for the layout alone, which is worked out as drawing begins.
+    write_whole(png, FigureCanvasAgg(figure).print_png)
+    figure.set_layout_engine(None)
     write_whole(svg, lambda part: figure.savefig(part, format="svg", metadata={"Date": None}))
     return FigureFile(name=name, title=title, caption=caption, png=png, svg=svg)

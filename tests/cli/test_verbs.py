@@ -19,9 +19,9 @@ from skyherd.recording.writer import McapRecorder
 SHORT = ["--perception", "ideal", "--no-video", "--set", "duration_s=1.0"]
 
 
-@pytest.fixture
+@pytest.fixture(autouse=True)
 def few_figures(monkeypatch):
-    """Runs leave two figures, where a test looks at none: drawing all takes longer than the run."""
+    """Runs leave two figures: drawing all takes longer than the run. That all are drawn, those of `plots` test."""
     monkeypatch.setattr(panels, "PANELS", panels.PANELS[:2])
 
 
@@ -70,34 +70,32 @@ def test_a_run_leaves_all_it_promises(tmp_path, capsys):
     assert {entry.name for entry in out.iterdir()} == {
         "run.mcap", "video.mp4", "figures", "summary.json", "report.html",
     }  # fmt: skip
+    assert len(list((out / "figures").iterdir())) == 2 * 2
     summary = json.loads((out / "summary.json").read_text())
     assert set(SUMMARY_KEYS) <= set(summary)
     assert sorted(summary["final_positions_m"], key=int) == [str(robot) for robot in range(16)]
     assert summary["steps"] == 11
 
 
-@pytest.mark.usefixtures("few_figures")
 def test_reaching_the_shape_is_exit_code_0(tmp_path, capsys):
-    arguments = ["--perception", "ideal", "--no-video", "--set", "duration_s=70.0"]
-    code, said, _ = call(capsys, "run", "triangle", "--out", tmp_path / "run", *arguments)
+    """A goal so wide that the start is within it."""
+    wide = ["--set", "goal.shape_error=9", "--set", "goal.hold_s=0.5"]
+    code, said, _ = call(capsys, "run", "triangle", "--out", tmp_path / "run", *SHORT, *wide)
     assert code == 0
     assert "shape reached" in said
 
 
 def test_report_makes_the_same_summary_again(tmp_path, capsys):
     out = tmp_path / "run"
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(panels, "PANELS", panels.PANELS[:2])
-        call(capsys, "run", "star", "--out", out, *SHORT)
+    call(capsys, "run", "star", "--out", out, *SHORT)
     first = (out / "summary.json").read_text()
     for name in ("summary.json", "report.html"):
         (out / name).unlink()
     assert call(capsys, "report", out)[0] == 0
     assert (out / "summary.json").read_text() == first
-    assert (out / "report.html").stat().st_size > 100_000
+    assert (out / "report.html").read_text().count("<img") == 2
 
 
-@pytest.mark.usefixtures("few_figures")
 def test_report_films_again_from_recorded_images(tmp_path, capsys):
     out = tmp_path / "run"
     call(capsys, "run", "triangle", "--out", out, "--set", "duration_s=0.5", "--no-video", "--record-images")
@@ -106,7 +104,6 @@ def test_report_films_again_from_recorded_images(tmp_path, capsys):
     assert (out / "video.mp4").stat().st_size > 10_000
 
 
-@pytest.mark.usefixtures("few_figures")
 def test_an_existing_folder_is_refused_and_left_alone_without_force(tmp_path, capsys):
     out = tmp_path / "run"
     out.mkdir()
@@ -169,7 +166,6 @@ def test_bad_arguments_are_one_line(tmp_path, capsys, monkeypatch, arguments, wo
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.usefixtures("few_figures")
 def test_a_mirrored_stream_is_named_and_touches_nothing(tmp_path, capsys):
     out, mirrored = tmp_path / "run", ["--set", "units.0.camera.mirrored=true"]
     assert_refused(call(capsys, "run", "triangle", "--out", out, *mirrored), "unit 0", "mirrored", "flip")
@@ -186,7 +182,6 @@ def test_a_mirrored_stream_whose_first_frame_is_lost_is_named_at_the_next(tmp_pa
     assert_refused(call(capsys, "run", "triangle", "--out", tmp_path / "run", *flags), "mirrored")
 
 
-@pytest.mark.usefixtures("few_figures")
 def test_a_camera_that_sees_no_robot_is_warned_about_and_not_refused(tmp_path, capsys):
     code, _, err = call(
         capsys, "run", "star", "--out", tmp_path / "run", *SHORT, "--set", "units.2.position_m=[200, 0]"
@@ -195,7 +190,6 @@ def test_a_camera_that_sees_no_robot_is_warned_about_and_not_refused(tmp_path, c
     assert "warning: unit 2 sees no robot" in err
 
 
-@pytest.mark.usefixtures("few_figures")
 def test_goals_forgotten_between_two_images_are_warned_about(tmp_path, capsys):
     slow = ["--set", "units.1.frame_rate_hz=1"]
     assert (
@@ -216,9 +210,10 @@ def test_scenario_verbs(capsys):
 def test_a_killed_run_still_gives_its_figures(tmp_path, capsys):
     out = tmp_path / "run"
     command = [sys.executable, "-c", "from skyherd.cli import main; main()", "run", "star", "--out", str(out)]
+    command += ["--perception", "ideal"]
     run = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     recording, deadline = out / "run.mcap", time.monotonic() + 600
-    while time.monotonic() < deadline and not (recording.exists() and recording.stat().st_size > 300_000):
+    while time.monotonic() < deadline and not (recording.exists() and recording.stat().st_size > 100_000):
         time.sleep(0.05)
     os.kill(run.pid, signal.SIGKILL)
     run.wait()
@@ -229,7 +224,7 @@ def test_a_killed_run_still_gives_its_figures(tmp_path, capsys):
     summary = json.loads((out / "summary.json").read_text())
     assert not summary["complete"]
     assert 0 < summary["simulated_s"] < 100
-    assert len(list((out / "figures").glob("*.png"))) >= 9
+    assert len(list((out / "figures").glob("*.png"))) == 2
 
 
 def test_an_interrupt_while_the_program_loads_is_obeyed():

@@ -66,7 +66,8 @@ def test_points_do_not_collide(scenario_tree) -> None:
 
 def test_no_run_is_shorter_than_the_shortest_path(ideal_triangle) -> None:
     """Up to what its end lacks: `Σ d <= sqrt(N Σ d²)`, which is N times shape error times RMS radius."""
-    history = make_history(load_mission("triangle", ["perception=ideal"]), ideal_triangle)
+    mission = load_mission("triangle", ["perception=ideal", "duration_s=80"])
+    history = make_history(mission, ideal_triangle)
     told, end = summarize(history, 1.0), history.positions_m[-1]
     lacking_m = len(end) * told["shape_error"] * np.sqrt(((end - end.mean(axis=0)) ** 2).sum(axis=1).mean())
     assert told["converged"]

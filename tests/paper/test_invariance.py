@@ -144,7 +144,7 @@ def camera_free_goals(mission_with: Callable[..., Mission], reference_fit: Calla
 # --- Property 1 and the direction of motion ---
 
 
-@settings(max_examples=100)
+@settings(max_examples=50)
 @given(unit=cameras(TRIANGLE_START))
 def test_desired_ground_points_do_not_depend_on_the_camera(mission_with, camera_free_goals, unit) -> None:
     np.testing.assert_allclose(ground_goals(mission_with([unit])), camera_free_goals, rtol=0, atol=EXACT)
@@ -167,7 +167,7 @@ def command_of(mission: Mission, gains: PixelGains | MarkerGains) -> Any:
 three_cameras = st.tuples(*[cameras(TRIANGLE_START)] * 3)
 
 
-@settings(max_examples=50)
+@settings(max_examples=25)
 @given(one=three_cameras, other=three_cameras)
 def test_in_marker_units_the_command_does_not_depend_on_the_cameras(mission_with, one, other) -> None:
     gains = MarkerGains(0.1, 0.4, 0.0, SIDE_M)
@@ -177,7 +177,7 @@ def test_in_marker_units_the_command_does_not_depend_on_the_cameras(mission_with
     np.testing.assert_allclose(first.omega_radps, second.omega_radps, rtol=0, atol=EXACT)
 
 
-@settings(max_examples=50)
+@settings(max_examples=25)
 @given(one=three_cameras, other=three_cameras)
 def test_in_pixel_gains_the_cameras_are_a_gain_on_v_alone(mission_with, one, other) -> None:
     """Remark 1: direction and omega agree; v is in proportion to the mean scale of a robot's cameras."""
@@ -219,17 +219,23 @@ def random_units(seed: int, zoom: bool) -> list[dict[str, Any]]:
         unit["flight"]["yaw_rate_degps"] = float(rng.uniform(-20, 20))
         if zoom:
             start = unit["zoom"][0][1]
-            unit["zoom"] = [[0.0, start], [7.0, 0.5 * start], [16.0, 1.3 * start], [16.1, 0.8 * start]]
+            unit["zoom"] = [[0.0, start], [3.5, 0.5 * start], [8.0, 1.3 * start], [8.1, 0.8 * start]]
         units.append(unit)
     return units
 
 
-@pytest.mark.parametrize("zoom", [False, True], ids=["fixed zoom", "zooming"])
+@pytest.mark.parametrize(
+    "zoom", [pytest.param(False, id="fixed zoom", marks=pytest.mark.slow), pytest.param(True, id="zooming")]
+)
 def test_in_marker_units_whole_trajectories_are_the_same(mission_with, zoom) -> None:
     """1e-9 m over the run (the issue's figure); rounding of 1e-13 m a step dies out."""
     runs = [
         run_with_fixed_sets(
-            mission_with(random_units(seed, zoom), duration_s=18.0, control={"k": 0.2, "k_omega": 0.8})
+            mission_with(
+                random_units(seed, zoom),
+                duration_s=9.0,
+                control={"k": 0.4, "k_omega": 1.6, "rectify": False},
+            )
         )
         for seed in (1, 2)
     ]
@@ -258,11 +264,11 @@ def test_in_pixel_gains_the_focal_length_sets_the_final_size_yet_all_converge(mi
         mission = mission_with(
             [unit],
             duration_s=150.0,
-            control={"gains": "pixel", "k_v": k_v, "k_omega": k_omega},
+            control={"gains": "pixel", "k_v": k_v, "k_omega": k_omega, "rectify": False},
             robots={"max_speed_mps": 10.0, "max_turn_radps": 10.0},  # no limit may shape the paths here
         )
-        # At an error of 1e-4 the scale is within a few ten-thousandths of where it ends.
-        last = next(step for step in run_steps(mission) if step.metrics.shape.error < 1e-4)
+        # At an error of 1e-3 the scale is within a few thousandths of where it ends.
+        last = next(step for step in run_steps(mission) if step.metrics.shape.error < 1e-3)
         assert last.control_sets[0].tolist() == list(range(6))
         ends[ratio] = last.metrics.shape.scale
     assert ends == pytest.approx({4.0: 2.88, 3.0: 3.0, 1.0: 3.77}, abs=0.03)
@@ -276,15 +282,15 @@ def test_rendered_goals_agree_within_the_measured_noise(mission_with, camera_fre
 
     Noise of standard deviation sigma on each image axis so gives sigma sqrt(P_ii) / r. What the measured
     covariance claims is the second moment: the RMS of errors over this is 1. P has rank 2, so a view gives 4
-    degrees of freedom, 40 views 160; with the kurtosis K = 10 at most that contour-fitted corners were
-    measured to have at 19-36 px, the mean square is known to sqrt((K - 1)/160) = 0.24; at 4 of these
-    the RMS is 1.4. Single errors: Chebyshev's fourth moment leaves K/4^4 = 4 % beyond 4 sigma at most; the
-    12 sigma that none may pass have a chance of 480 K/12^4 < 0.24 at most, and are 5 mm.
+    degrees of freedom, 20 views 80; with the kurtosis K = 10 at most that contour-fitted corners were
+    measured to have at 19-36 px, the mean square is known to sqrt((K - 1)/80) = 0.34; at 4 of these
+    the RMS is 1.54. Single errors: Chebyshev's fourth moment leaves K/4^4 = 4 % beyond 4 sigma at most; the
+    12 sigma that none may pass have a chance of 240 K/12^4 < 0.12 at most, and are 5 mm.
     """
     rng = np.random.default_rng(7)
     normalised = []
     rendered = None
-    for _ in range(40):
+    for _ in range(20):
         unit = camera_of(TRIANGLE_START, [*rng.random(8), 0.9 + 0.1 * rng.random(), rng.random()], (900, 800))
         mission = mission_with([unit])
         rendered = rendered or RenderedPerception(
@@ -300,7 +306,7 @@ def test_rendered_goals_agree_within_the_measured_noise(mission_with, camera_fre
         assert sigma_m.max() < 0.002, "a bound worth having: well under a hundredth of a marker's side"
         error = measured - camera_free_goals
         normalised.append(np.stack([error.real, error.imag]) / sigma_m)
-    assert 0.7 < np.sqrt(np.mean(np.square(normalised))) < 1.4
+    assert 1 / 1.54 < np.sqrt(np.mean(np.square(normalised))) < 1.54
     assert np.mean(np.abs(normalised) > 4.0) < 0.04
     assert np.abs(normalised).max() < 12.0
 
@@ -414,7 +420,7 @@ class Replay:
 
 def test_with_the_images_held_fixed_scrambling_the_truth_changes_no_command(scenario_tree) -> None:
     """The whole loop runs again on recorded images in a world where robots and cameras are elsewhere."""
-    tree = scenario_tree("star") | {"duration_s": 0.5}
+    tree = scenario_tree("star") | {"duration_s": 0.2}
     mission = make_mission(tree)
     perception = make_perception(mission, np.random.default_rng(3))
     recorded = list(run_steps(mission, perception))
@@ -425,7 +431,7 @@ def test_with_the_images_held_fixed_scrambling_the_truth_changes_no_command(scen
     }
 
     rng = np.random.default_rng(11)
-    scrambled = scenario_tree("star") | {"duration_s": 0.5}
+    scrambled = scenario_tree("star") | {"duration_s": 0.2}
     scrambled["robots"]["positions_m"] = rng.uniform(-50, 50, (16, 2)).tolist()
     scrambled["robots"]["headings_deg"] = rng.uniform(-180, 180, 16).tolist()
     for unit in scrambled["units"]:
@@ -440,7 +446,7 @@ def test_with_the_images_held_fixed_scrambling_the_truth_changes_no_command(scen
         run_steps(make_mission(scrambled), Replay(make_perception(mission, rng).detector, images))
     )
 
-    assert len(recorded) == len(replayed) == 6
+    assert len(recorded) == len(replayed) == 3
     assert all(np.abs(step.command.v_mps).min() > 0 for step in recorded), "every robot is commanded"
     for one, other in zip(recorded, replayed, strict=True):
         assert np.abs(one.positions_m - other.positions_m).max() > 1.0, "the truth is another"

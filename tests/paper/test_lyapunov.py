@@ -98,10 +98,10 @@ def step(
 
 @pytest.mark.parametrize("units", [1, 2, 3, 4, 5])
 def test_cost_never_rises_under_tc1_to_tc5(units: int) -> None:
-    """40 random starts for each number of units, 200 in all, over three time constants 1/k."""
+    """12 random starts for each number of units, 60 in all, over three time constants 1/k."""
     rng = np.random.default_rng([2019, units])
-    dt, steps = 0.02, 150
-    for _ in range(40):
+    dt, steps = 0.03, 100
+    for _ in range(12):
         team = random_team(rng, tree_sets(rng, units))
         assert check_conditions(team.matrix()).in_p
         positions, headings = team.positions, team.headings

@@ -28,7 +28,16 @@ def test_a_mission_forms_its_shape_from_pixels_alone(name):
     assert summary["detection_recall"] > 0.98
 
 
-@pytest.mark.parametrize(("name", "seconds"), {"triangle": 70, "star": 40, "grid": 40, "circle": 30}.items())
+@pytest.mark.parametrize(
+    ("name", "seconds"),
+    [
+        ("circle", 30),
+        *(
+            pytest.param(*each, marks=pytest.mark.slow)
+            for each in (("triangle", 70), ("star", 40), ("grid", 40))
+        ),
+    ],
+)
 def test_noisy_perception_forms_the_same_shape_and_leaves_no_robot_alone(name, seconds):
     """Points with the detector's measured noise, until the shape has been held for long enough."""
     mission = load_mission(name, ["perception=noisy", f"duration_s={seconds}"])
@@ -59,6 +68,7 @@ def test_a_tree_of_units_forms_its_shape_from_pixels_alone(name):
     check_tree_mission(name, "rendered")
 
 
+@pytest.mark.slow
 def test_a_unit_dies_and_returns_and_the_shape_is_formed():
     """The unit returns at 65 s, and is to be in the tree at the end."""
     check_tree_mission("failure", "noisy", "duration_s=80")

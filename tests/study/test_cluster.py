@@ -70,6 +70,7 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     return (out / "out" / TABLE).read_bytes()
 
 
+@pytest.mark.slow
 def test_worker_and_client_killed_in_mid_study_and_resumed_give_the_undisturbed_table(
     write_study: Any, tmp_path: Path, undisturbed: bytes
 ) -> None:

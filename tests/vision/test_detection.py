@@ -46,9 +46,9 @@ def recall(place_markers, draw_markers, side_px, cameras, frames):
 
 @pytest.mark.parametrize(("side_px", "least"), [(14, 0.97), (18, 0.999), (30, 0.999)])
 def test_small_markers_are_found_at_any_blur(place_markers, draw_markers, side_px, least):
-    """The figures aimed at, less 4 binomial deviations of 768 markers."""
-    found = recall(place_markers, draw_markers, side_px, cameras=16, frames=3)
-    assert found >= least - 4 * np.sqrt(least * (1 - least) / 768)
+    """The figures aimed at, less 4 binomial deviations of 320 markers."""
+    found = recall(place_markers, draw_markers, side_px, cameras=10, frames=2)
+    assert found >= least - 4 * np.sqrt(least * (1 - least) / 320)
 
 
 @pytest.mark.slow
@@ -111,7 +111,7 @@ def false_positives(count, seed, **kind):
 
 
 def test_dark_quadrilaterals_are_no_markers():
-    assert not false_positives(30, 2)
+    assert not false_positives(12, 2)
 
 
 @pytest.mark.slow
@@ -173,7 +173,7 @@ def ghosts(count, seed, grounds=6):
 
 
 def test_dark_ground_between_cards_is_no_marker():
-    false, recall = ghosts(40, 1)
+    false, recall = ghosts(16, 1, grounds=2)
     assert not false, false
     assert recall > 0.99
 
@@ -192,7 +192,7 @@ def test_a_marker_cut_by_the_border_is_itself_or_nothing(place_markers, draw_mar
     """Pushed out over any side by any share, at any heading: never another id, and its true centre within a
     tenth of a side, though an eighth of its cells may be out of sight."""
     rng, found = np.random.default_rng(3), 0
-    for _ in range(150):
+    for _ in range(70):
         side, turn = rng.uniform(18, 50), rng.integers(4)
         # Turned about the image's middle, the border that cuts is each in turn.
         center = 74.5 + 74.5j + 1j**turn * (75 - side * rng.uniform(-0.4, 0.8) + 1j * rng.uniform(-20, 20))
@@ -206,7 +206,7 @@ def test_a_marker_cut_by_the_border_is_itself_or_nothing(place_markers, draw_mar
             assert seen.ids.tolist() in ([], [marker_id])
             found += len(seen.ids)
             assert (np.abs(seen.centers_px @ [1, 1j] - center) < side / 10).all()
-    assert found > 60
+    assert found > 28
 
 
 def test_markers_that_drive_out_and_in_again_are_followed(place_markers, draw_markers):

@@ -26,7 +26,7 @@ import numpy as np
 import pytest
 from hypothesis.internal.conjecture import providers
 
-from skyherd.datasets import load_mission, scenario_text
+from skyherd.datasets import Mission, load_mission, scenario_text
 from skyherd.loop import Step, run_steps
 from skyherd.markers.dictionary import QUIET_ZONE_CELLS, cells_per_side, corners_of_pose, marker_cells
 from skyherd.messages import Detections, MotionGoals, UnitReport
@@ -107,6 +107,13 @@ def ideal_triangle() -> list[Step]:
     """
     settings = ["perception=ideal", "duration_s=80", "control.rectify=false"]
     return list(run_steps(load_mission("triangle", settings)))
+
+
+@pytest.fixture(scope="session")
+def ideal_failure() -> tuple[Mission, list[Step]]:
+    """The mission `failure` until a while after unit 0's death, on exact points; nobody may change it."""
+    mission = load_mission("failure", ["perception=ideal", "duration_s=32.0", "control.rectify=false"])
+    return mission, list(run_steps(mission))
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ from skyherd.datasets.generated.random_missions import star_mission
 from skyherd.geometry import to_complex
 from skyherd.sim.truth_metrics import fit_shape
 
-SEED, STEP_S = 3, 0.01
+SEED, STEP_S = 3, 0.02
 
 
 @pytest.fixture(scope="module")
@@ -19,7 +19,7 @@ def start():
 
 
 def test_the_time_is_what_small_steps_of_the_law_take(load_benchmark, start) -> None:
-    """Euler's steps of 0.01 s: off by `k λ dt / 2` of the time, 0.25 % at λ = 1, and by the last step."""
+    """Euler's steps of 0.02 s: off by `k λ dt / 2` of the time, 0.5 % at λ = 1, and by the last step."""
     _, points, positions = start
     pairs = load_benchmark("pairs")
     owners = np.argmin(np.abs(positions[:, None] - np.array([-5.0, 0.0, 5.0])), axis=1)
@@ -29,7 +29,7 @@ def test_the_time_is_what_small_steps_of_the_law_take(load_benchmark, start) -> 
     while fit_shape(points, moved).error > pairs.GOAL:
         steps, moved = steps + 1, step @ moved
     assert pairs.time_to_goal_s(points, positions, sets) == pytest.approx(
-        steps * STEP_S, rel=0.003, abs=STEP_S
+        steps * STEP_S, rel=0.006, abs=STEP_S
     )
 
 

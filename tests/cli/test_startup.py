@@ -2,7 +2,6 @@
 
 import ast
 import importlib.util
-import os
 import subprocess
 import sys
 from pathlib import Path
@@ -11,6 +10,7 @@ import pytest
 from command_line import call
 
 import skyherd
+from skyherd.__main__ import main
 from skyherd.cli import choices
 from skyherd.inspection.table import FORMATS
 from skyherd.markers.sheet_layout import PAPERS_MM
@@ -48,30 +48,37 @@ VERBS = [
 ]
 
 
-def loaded_by(code: str) -> set[str]:
-    """Top-level names of the modules that a fresh interpreter has loaded after some code."""
-    code = f"import sys\ntry:\n    {code}\nexcept SystemExit: pass\nprint(*sys.modules, file=sys.stderr)"
-    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    return {name.split(".")[0] for name in ended.stderr.split()}
+def loaded_by(*codes: str) -> list[set[str]]:
+    """Top-level names of the modules that a fresh interpreter has loaded after each piece of code."""
+    script = "import sys"
+    for code in codes:
+        script += f"\ntry:\n    {code}\nexcept SystemExit: pass\nprint(*sys.modules, file=sys.stderr)"
+    ended = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    lines = ended.stderr.splitlines()
+    assert len(lines) == len(codes), ended.stderr
+    return [{name.split(".")[0] for name in line.split()} for line in lines]
 
 
 def test_importing_the_package_loads_nothing_heavy():
-    loaded = loaded_by("import skyherd; assert skyherd.__version__; dir(skyherd)")
+    (loaded,) = loaded_by("import skyherd; assert skyherd.__version__; dir(skyherd)")
     assert "skyherd" in loaded
     assert loaded.isdisjoint({*HEAVY, "typer"})
 
 
-@pytest.mark.parametrize("verb", VERBS, ids=" ".join)
-def test_asking_for_help_loads_nothing_heavy(verb):
-    loaded = loaded_by(f"from skyherd.__main__ import main; sys.argv[1:] = {[*verb, '--help']}; main()")
-    by_typer = {"pydantic"} if verb else set()  # recent versions of typer check a verb's parameters by it
-    assert "typer" in loaded
-    assert loaded.isdisjoint(set(HEAVY) - by_typer)
+def test_asking_for_help_loads_nothing_heavy():
+    """Of one verb after the other in one process: what is loaded stays so, the first to load it is told."""
+    helps = [
+        f"from skyherd.__main__ import main; sys.argv[1:] = {[*verb, '--help']}; main()" for verb in VERBS
+    ]
+    for verb, loaded in zip(VERBS, loaded_by(*helps), strict=True):
+        by_typer = {"pydantic"} if verb else set()  # recent versions of typer check a verb's parameters by it
+        assert "typer" in loaded
+        assert loaded.isdisjoint(set(HEAVY) - by_typer), verb
 
 
 def test_what_the_check_of_loaded_modules_sees():
     """A negative control: a name of the entrance does load NumPy when it is used."""
-    assert {"numpy", "scipy"} <= loaded_by("import skyherd; skyherd.Template")
+    assert {"numpy", "scipy"} <= loaded_by("import skyherd; skyherd.Template")[0]
 
 
 def top_imports(path: Path) -> set[str]:
@@ -141,18 +148,23 @@ def test_the_help_names_what_an_option_takes(capsys):
     assert all(name in said for name in PAPERS_MM)
 
 
-def completions(folder: Path, *words: str) -> list[str]:
-    """What bash offers for the last of some words, asked for as its script asks."""
-    code = "import sys; sys.argv = ['skyherd']; from skyherd.__main__ import main; main()"
-    asking = {
-        "_SKYHERD_COMPLETE": "complete_bash",
-        "COMP_WORDS": " ".join(["skyherd", *words]),
-        "COMP_CWORD": str(len(words)),
-    }
-    command = [sys.executable, "-c", code]
-    ended = subprocess.run(command, env={**os.environ, **asking}, cwd=folder, capture_output=True, text=True)
-    assert ended.stderr == ""
-    return ended.stdout.split()
+@pytest.fixture
+def completions(tmp_path, monkeypatch, capsys):
+    """What bash offers in a folder for the last of some words, asked for as its script asks."""
+
+    def ask(*words: str) -> list[str]:
+        monkeypatch.chdir(tmp_path)
+        monkeypatch.setattr(sys, "argv", ["skyherd"])
+        monkeypatch.setenv("_SKYHERD_COMPLETE", "complete_bash")
+        monkeypatch.setenv("COMP_WORDS", " ".join(["skyherd", *words]))
+        monkeypatch.setenv("COMP_CWORD", str(len(words)))
+        with pytest.raises(SystemExit):
+            main()
+        said = capsys.readouterr()
+        assert said.err == ""
+        return said.out.split()
+
+    return ask
 
 
 @pytest.mark.parametrize(
@@ -174,11 +186,11 @@ def completions(folder: Path, *words: str) -> list[str]:
     ],
     ids=lambda value: " ".join(value),
 )
-def test_the_shell_completes_verbs_options_and_their_values(tmp_path, words, offered):
+def test_the_shell_completes_verbs_options_and_their_values(tmp_path, completions, words, offered):
     (tmp_path / "folder").mkdir()
     for name in ("mine.toml", "folder/other.toml", "folder/notes.txt"):
         (tmp_path / name).write_text("")
-    assert completions(tmp_path, *words) == offered
+    assert completions(*words) == offered
 
 
 def test_the_completion_script_is_printed_and_calls_the_program(capsys, monkeypatch):

@@ -7,8 +7,6 @@ import pytest
 from PIL import Image
 
 from skyherd.cli import main
-from skyherd.datasets import load_mission
-from skyherd.loop import run_steps
 from skyherd.recording.writer import McapRecorder
 
 
@@ -19,12 +17,12 @@ def call(capsys, *arguments) -> tuple[int, str, str]:
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory) -> Path:
+def run(tmp_path_factory, ideal_failure) -> Path:
     """The mission `failure` until a while after unit 0's death, on exact points."""
     folder = tmp_path_factory.mktemp("run")
-    mission = load_mission("failure", ["perception=ideal", "duration_s=32.0"])
+    mission, steps = ideal_failure
     with McapRecorder(folder / "run.mcap", mission, images=False) as recorder:
-        for step in run_steps(mission):
+        for step in steps:
             recorder.write(step)
         recorder.finish(32.0, 1.0)
     return folder
@@ -35,13 +33,14 @@ def is_picture(path: Path) -> bool:
         return min(image.size) > 300 and bool(np.ptp(np.asarray(image.convert("L"))) > 100)
 
 
-def test_a_scenario_is_shown_after_deployment(tmp_path, capsys, monkeypatch) -> None:
+def test_a_scenario_is_shown_after_deployment(tmp_path, capsys, monkeypatch, ideal_failure) -> None:
     monkeypatch.chdir(tmp_path)
     code, said, _ = call(capsys, "topology", "failure")
     assert code == 0
     assert "VIOLATED" not in said
-    steps = run_steps(load_mission("failure", ["perception=ideal"]))
-    ready_s = next(s.time_s for s in steps if any(f.decision.report.tree.ready for f in s.frames.values()))
+    ready_s = next(
+        s.time_s for s in ideal_failure[1] if any(f.decision.report.tree.ready for f in s.frames.values())
+    )
     for words in (f"failure at {ready_s:.1f} s", "slowest mode", "predicted"):
         assert words in said
     assert "measured" not in said

@@ -21,7 +21,7 @@ SHORT = ["--perception", "ideal", "--no-video", "--set", "duration_s=1.0"]
 
 @pytest.fixture(autouse=True)
 def few_figures(monkeypatch):
-    """Runs leave two figures: drawing all takes longer than the run. That all are drawn, those of `plots` test."""
+    """Runs leave two figures: drawing all takes longer than the run. That all are drawn, `plots` tests."""
     monkeypatch.setattr(panels, "PANELS", panels.PANELS[:2])
 
 

@@ -1,5 +1,7 @@
 """Self-rectification in the loop: bad cameras with it and without, recordings, pictures."""
 
+import json
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -48,10 +50,16 @@ def flight(
     tree["robots"] = {"scatter": {"scale_m": 1.7, "jitter_m": 0.3, "spacing_m": 0.8}}
     tree["selection"] = {"radius": 1.5}
     tree["control"] |= {"k": 0.6, "k_omega": 2.4, "b_th": 0.0, "rectify": rectify}
-    return list(run_steps(make_mission(tree)))
+    return flown(json.dumps(tree))
 
 
-@pytest.mark.parametrize("seed", [3, 5, 8])
+@cache
+def flown(tree: str) -> list[Step]:
+    """All steps of a mission, given as JSON: several tests read the same flights."""
+    return list(run_steps(make_mission(json.loads(tree))))
+
+
+@pytest.mark.parametrize("seed", [3, 5, pytest.param(8, marks=pytest.mark.slow)])
 def test_a_bad_camera_forms_the_shape_with_it_and_the_predicted_error_without(scenario_tree, seed):
     """Without: the robots form the template in the *image*, to what ten time constants leave, and the error
     on the ground is that of the template seen through the camera, from geometry. With: a hundredth of it."""
@@ -109,7 +117,7 @@ def test_speed_in_marker_units_knows_the_local_scale(scenario_tree):
 
 def test_an_ideal_cameras_flight_is_the_same_to_the_bit(scenario_tree):
     """With measured noise, and three units that hand robots over: nothing is learned that is not there."""
-    tree = scenario_tree("star") | {"duration_s": 8.0, "perception": "noisy"}
+    tree = scenario_tree("star") | {"duration_s": 5.0, "perception": "noisy"}
     runs = []
     for rectify in (False, True):
         tree["control"]["rectify"] = rectify
@@ -151,5 +159,5 @@ def test_maps_are_recorded_and_read_back(scenario_tree, tmp_path):
 
 def test_points_asked_for_are_drawn_where_the_camera_sees_them(scenario_tree):
     """Once the shape is formed they lie on the robots, in the raw image."""
-    frame = flight(scenario_tree, bad_camera(8), rectify=True)[-1].frames[0]
+    frame = flight(scenario_tree, bad_camera(5), rectify=True)[-1].frames[0]
     np.testing.assert_allclose(desired_points_px(frame), frame.sight.detections.centers_px, atol=0.5)

@@ -42,7 +42,7 @@ def similarities(draw: st.DrawFn) -> tuple[complex, complex]:
     return complex(scale * np.exp(1j * draw(st.floats(-np.pi, np.pi)))), draw(point)
 
 
-suite = settings(max_examples=200)
+suite = settings(max_examples=100)
 
 
 @suite

@@ -132,7 +132,7 @@ def test_the_reference_has_converged():
 # --- markers ---
 
 HEADINGS = np.array([0.0, 0.2, np.pi / 4, 1.3, 2.9, -2.2])
-SIDES = (10.0, 14.0, 20.0, 30.0, 60.0)
+SIDES = (10.0, 20.0, 60.0)
 
 
 def check_exact(side: float, psf: float, tilt: float) -> None:
@@ -146,7 +146,7 @@ def check_exact(side: float, psf: float, tilt: float) -> None:
     assert rms < RMS
 
 
-@pytest.mark.parametrize("tilt", [0.0, 10.0, 20.0])
+@pytest.mark.parametrize("tilt", [0.0, 20.0])
 @pytest.mark.parametrize("psf", [0.5, 0.8, 1.5])
 @pytest.mark.parametrize("side", SIDES)
 def test_light_is_right(side, psf, tilt):
@@ -156,7 +156,7 @@ def test_light_is_right(side, psf, tilt):
 @pytest.mark.slow
 @pytest.mark.parametrize("tilt", [0.0, 5.0, 10.0, 15.0, 20.0])
 @pytest.mark.parametrize("psf", [0.5, 0.65, 0.8, 1.0, 1.25, 1.5])
-@pytest.mark.parametrize("side", [10.0, 11.0, 12.0, 16.0, 24.0, 40.0, 80.0, 120.0])
+@pytest.mark.parametrize("side", [10.0, 11.0, 12.0, 14.0, 16.0, 20.0, 24.0, 30.0, 40.0, 60.0, 80.0, 120.0])
 def test_light_is_right_at_every_size_blur_and_tilt(side, psf, tilt):
     check_exact(side, psf, tilt)
 
@@ -178,7 +178,13 @@ MOVES[2, 1, 0], MOVES[2, 0, 1], MOVES[3, 0, 0], MOVES[3, 1, 1] = 1.0, -1.0, 1.0,
 
 
 @pytest.mark.parametrize(
-    ("side", "psf", "tilt"), [(10, 0.5, 0), (15, 0.8, 20), (33, 1.5, 0), (33, 0.5, 20), (60, 0.8, 15)]
+    ("side", "psf", "tilt"),
+    [
+        (10, 0.5, 0),
+        (15, 0.8, 20),
+        (33, 1.5, 0),
+        *(pytest.param(*each, marks=pytest.mark.slow) for each in ((33, 0.5, 20), (60, 0.8, 15))),
+    ],
 )
 def test_a_perfect_fit_has_no_bias(side, psf, tilt):
     """One Gauss-Newton step of the exact image from the true pose: u, v, heading, scale, as a fit would end.

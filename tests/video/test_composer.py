@@ -167,8 +167,10 @@ def similarity_by_least_squares(template: np.ndarray, current: np.ndarray) -> np
     return np.stack(np.split(moved, 2), axis=1)
 
 
-@pytest.mark.parametrize("perception", ["ideal", "rendered"])
-@pytest.mark.parametrize("name", ["triangle", "star", "grid"])
+@pytest.mark.parametrize(
+    ("name", "perception"),
+    [("triangle", "rendered"), ("triangle", "ideal"), ("star", "ideal"), ("grid", "ideal")],
+)
 def test_arrows_point_where_the_similarity_puts_the_robots(name: str, perception: str) -> None:
     mission, steps = steps_of(name, perception, 4)
     for unit, frame in steps[-1].frames.items():
@@ -191,7 +193,7 @@ def test_arrows_are_drawn_to_the_desired_points() -> None:
 
 @pytest.mark.parametrize(
     ("name", "perception"),
-    [("triangle", "rendered"), ("star", "ideal"), ("grid", "ideal"), ("grid", "rendered")],
+    [("triangle", "rendered"), ("star", "ideal"), ("grid", "ideal")],
 )
 def test_composing_is_deterministic_and_moves(name: str, perception: str) -> None:
     mission, steps = steps_of(name, perception, 4)

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from skyherd.analysis.tree_snapshot import TreeHistory, tree_snapshot
-from skyherd.datasets import load_mission
 from skyherd.drawing.palette import unit_rgb
-from skyherd.loop import dead_units, run_steps
+from skyherd.loop import dead_units
 from skyherd.messages import NO_ID
 from skyherd.messages.tree_status import TreeStatus
 from skyherd.video.composer import Composer, make_layout
@@ -50,15 +49,9 @@ def test_an_edge_that_one_unit_names_is_not_mutual_and_has_no_pair_yet() -> None
     assert state.asks == {1: 0}
 
 
-@pytest.fixture(scope="module")
-def failure():
-    mission = load_mission("failure", ["perception=ideal", "duration_s=30.0"])
-    return mission, list(run_steps(mission))
-
-
-def test_the_snapshot_has_the_pairs_that_are_in_fact_shared(failure) -> None:
+def test_the_snapshot_has_the_pairs_that_are_in_fact_shared(ideal_failure) -> None:
     """At every step: the pair of each mutual edge is what the two sets have in common."""
-    mission, steps = failure
+    mission, steps = ideal_failure
     watch, edges = TreeHistory(), 0
     for step in steps:
         tree = watch.add(step, dead_units(mission.scenario, step.time_s))
@@ -83,8 +76,8 @@ def test_an_exchanged_pair_flashes_and_stops() -> None:
     assert min(seen[1][1:]) > 100
 
 
-def test_a_dead_unit_has_no_picture_until_it_returns(failure) -> None:
-    mission, steps = failure
+def test_a_dead_unit_has_no_picture_until_it_returns(ideal_failure) -> None:
+    mission, steps = ideal_failure
     composer = Composer(mission)
     box = make_layout((1600, 1000), [(800, 800)] * 5, tree=True).cameras[0]
     colored = {}

@@ -129,7 +129,7 @@ ROBOTS_AS_THEY_ARE = {
 
 @pytest.mark.parametrize("kind", ROBOTS_AS_THEY_ARE)
 @pytest.mark.parametrize(("latency", "loss"), [(0, 0.0), (2, 0.0), (0, 0.5), (1, 0.9)])
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))])
 def test_bodies_never_touch(make_detections, kind, latency, loss, seed) -> None:
     """From any start without overlap, with any wishes: docs/bodies.md proves it, the gap only ever shrinks
     by a factor. Rounding is 1e-9 m. Robots that break the rule touch within 60 ticks, see below."""
@@ -160,11 +160,11 @@ def test_robots_that_do_not_know_their_wheels_touch(make_detections, kind, forgo
         blind = AvoidanceRule(
             SIDE_M, WHEELS, nominal_age_s=0.0, superseded_age_s=0.2, step_s=0.001, lifetime_s=60.0
         )
-    gaps = [
+    gaps = (
         least_gap_m(Crowd(np.random.default_rng([seed, 7]), blind, make_detections, drive), 60)
         for seed in range(8)
-    ]
-    assert min(gaps) < 0
+    )
+    assert any(gap < 0 for gap in gaps)
 
 
 def test_what_a_unit_reports_is_true(make_detections) -> None:

@@ -46,7 +46,7 @@ def test_the_closed_form_of_two_units_is_the_eigenvalue() -> None:
     """
     rng = np.random.default_rng(1)
     compared = 0
-    for _ in range(300):
+    for _ in range(100):
         common, ours, theirs = (int(rng.integers(low, 7)) for low in (2, 1, 1))
         count = common + ours + theirs
         points = rng.uniform(0.1, 100) * cloud(rng, count) + 50 * cloud(rng, 1)
@@ -62,7 +62,7 @@ def test_the_closed_form_of_two_units_is_the_eigenvalue() -> None:
                 compared += 1
                 assert rate == pytest.approx(expected[2], abs=1e-12)
             assert rate == pytest.approx(slowest_rate(points, [fixed, np.r_[moving, pair]]), abs=1e-7)
-    assert compared > 1000
+    assert compared > 300
 
 
 def test_a_lone_pair_leaves_the_neighbours_rate_to_itself() -> None:

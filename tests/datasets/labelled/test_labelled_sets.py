@@ -49,7 +49,7 @@ def test_another_seed_is_another_set(made):
     assert not np.array_equal(first.render(Path()), other.render(Path()))
 
 
-@pytest.mark.parametrize("jobs", [1, 2])
+@pytest.mark.parametrize("jobs", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_resumed_equals_uninterrupted(made, tmp_path, jobs):
     class Interrupt:
         def update(self, *args):
@@ -100,8 +100,8 @@ def test_read_back_is_what_was_drawn(made):
 def test_truth_and_bound_agree_with_what_is_detected():
     """Errors over the bound's standard deviations: mean square 1 for a detector at the bound.
 
-    With n errors the mean square of unit normal deviates spreads by sqrt(2/n), here 0.06; detectors are
-    allowed 1.5 times the bound, so that 2.25 (1 + 3 * 0.06) < 2.7 is asked. Labels that are half a pixel
+    With n errors the mean square of unit normal deviates spreads by sqrt(2/n), here 0.1; detectors are
+    allowed 1.5 times the bound, so that 2.25 (1 + 3 * 0.1) < 3 is asked. Labels that are half a pixel
     off, as a wrong convention would make them, give hundreds. Without a lens's distortion, which the
     detector does not know, and with markers enough to find the tilted plane.
     """
@@ -111,15 +111,15 @@ def test_truth_and_bound_agree_with_what_is_detected():
         camera={"psf_px": (0.6, 1.1), "tilt_deg": (0, 15)},
     )
     detector, ratios, off = create_detector("photometric"), [], []
-    for index in range(25):
+    for index in range(10):
         scene = make_scene(file.spec, index)
         labels, found = make_labels(scene), detector.detect(scene.render(Path()), unit_id=index)
         _, here, there = np.intersect1d(labels.ids, found.ids, return_indices=True)
         away = found.centers_px[there] - labels.centers_px[here]
         ratios.append((away / labels.crb_stds[here, :2]).ravel())
         off.append(((away + 0.5) / labels.crb_stds[here, :2]).ravel())
-    assert np.concatenate(ratios).size > 500
-    assert (np.concatenate(ratios) ** 2).mean() < 2.7
+    assert np.concatenate(ratios).size > 200
+    assert (np.concatenate(ratios) ** 2).mean() < 3
     assert (np.concatenate(off) ** 2).mean() > 100
 
 
@@ -279,8 +279,8 @@ def test_pictures_as_ground(tmp_path):
 def test_built_in_specs_draw(name):
     file = load_spec(name)
     assert file.spec.description
-    sides = [side for index in range(30) for side in make_labels(make_scene(file.spec, index)).sides_px]
-    assert len(sides) > 60
+    sides = [side for index in range(10) for side in make_labels(make_scene(file.spec, index)).sides_px]
+    assert len(sides) > 20
     # Tilt makes the nearest markers larger, the farthest smaller than those in the middle.
     assert 0.5 * file.spec.markers.side_px[0] < min(sides) < max(sides) < 2 * file.spec.markers.side_px[1]
 

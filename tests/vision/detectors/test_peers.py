@@ -1,6 +1,7 @@
 """Detectors of others behind our interface: corner order, heading, biases, and what is refused."""
 
 import builtins
+from functools import cache
 
 import cv2
 import numpy as np
@@ -39,13 +40,22 @@ BIAS_PX = {
 }
 
 
-def errors(name, dictionary, corrected, cell):
-    """Errors (N, 4) of u, v, heading, side, and of the corners (N, 4, 2), over all frames of a cell."""
+CELL = Cell(noise=2.0, blur_px=0.8, cameras=2, frames=2)
+
+
+@cache
+def frames(dictionary):
+    """What all detectors of a dictionary are shown."""
+    return list(rendered_frames(CELL, dictionary, 5))
+
+
+def errors(name, dictionary, *, corrected):
+    """Errors (N, 4) of u, v, heading, side, and of the corners (N, 4, 2), over all frames of the cell."""
     if name in LIBRARIES:
         pytest.importorskip(LIBRARIES[name])
     detector = PeerDetector(name, dictionary, corrected=corrected)
     poses, corners = [], []
-    for frame in rendered_frames(cell, dictionary, 5):
+    for frame in frames(dictionary):
         seen = detector.detect(frame.image)
         answers, rows = match(frame, seen)
         shift = seen.centers_px[answers] - frame.centers_px[rows]
@@ -63,22 +73,22 @@ def errors(name, dictionary, corrected, cell):
 def test_corrected_peers_agree_with_the_truth_in_every_convention(name, dictionary):
     """Corners within a pixel of ours, in our order: a wrong order would be off by a side, 30 px.
 
-    Position without bias to 0.05 px: the worst scatter, 0.18 px, over 96 markers is 0.02 px; heading to 2
+    Position without bias to 0.08 px: three times the worst scatter, 0.18 px, over 64 markers; heading to 2
     deg, the side to half a pixel, since its bias depends on the side by that much.
     """
-    error, corners = errors(name, dictionary, True, Cell(noise=2.0, blur_px=0.8, cameras=2, frames=3))
-    assert len(error) > 85
+    error, corners = errors(name, dictionary, corrected=True)
+    assert len(error) > 56
     assert np.median(corners) < 1.0 and np.percentile(corners, 95) < 2.0
-    assert np.abs(error[:, :2].mean(axis=0)).max() < 0.05
+    assert np.abs(error[:, :2].mean(axis=0)).max() < 0.08
     assert np.degrees(np.abs(error[:, 2])).mean() < 2.0
     assert abs(error[:, 3].mean()) < 0.5
 
 
 @pytest.mark.parametrize(("name", "dictionary"), [*DICTIONARIES[:5], DICTIONARIES[7], DICTIONARIES[12]])
 def test_uncorrected_peers_keep_their_biases(name, dictionary):
-    """Position biases as published, to 0.05 px; AprilTag's headings are half a turn off, OpenCV's are not."""
-    error, _ = errors(name, dictionary, False, Cell(noise=2.0, blur_px=0.8, cameras=2, frames=3))
-    np.testing.assert_allclose(error[:, :2].mean(axis=0), BIAS_PX[name], atol=0.05)
+    """Position biases as published, to 0.08 px; AprilTag's headings are half a turn off, OpenCV's are not."""
+    error, _ = errors(name, dictionary, corrected=False)
+    np.testing.assert_allclose(error[:, :2].mean(axis=0), BIAS_PX[name], atol=0.08)
     half_turn = np.cos(error[:, 2]).mean()
     assert half_turn == pytest.approx(-1.0 if name == "apriltag3" else 1.0, abs=0.01)
     assert error[:, 3].mean() < 0.02

@@ -5,7 +5,7 @@ import re
 from collections.abc import Iterator
 
 import pytest
-from source_files import SOURCE_FILES
+from source_files import SOURCE_FILES, syntax_tree
 
 MOST_NUMBERS = 3
 """Chosen: x, y and z, or a place and a size, are still read at a glance."""
@@ -26,8 +26,8 @@ def is_number(node: ast.expr) -> bool:
     return UNITS.search(name) is not None
 
 
-def too_many_numbers(source: str) -> Iterator[str]:
-    for node in ast.walk(ast.parse(source)):
+def too_many_numbers(tree: ast.Module) -> Iterator[str]:
+    for node in ast.walk(tree):
         if not isinstance(node, ast.Call):
             continue
         called = node.func
@@ -54,9 +54,9 @@ def too_many_numbers(source: str) -> Iterator[str]:
     ],
 )
 def test_the_check_counts_numbers_by_position(source, found) -> None:
-    assert list(too_many_numbers(source)) == found
+    assert list(too_many_numbers(ast.parse(source))) == found
 
 
 def test_constructors_get_numbers_by_name() -> None:
-    found = {str(path): list(too_many_numbers(path.read_text("utf-8"))) for path in SOURCE_FILES.values()}
+    found = {str(path): list(too_many_numbers(syntax_tree(path))) for path in SOURCE_FILES.values()}
     assert {path: lines for path, lines in found.items() if lines} == {}

@@ -9,7 +9,7 @@ import tomllib
 from graphlib import CycleError, TopologicalSorter
 
 import pytest
-from source_files import ROOT, SOURCE_FILES
+from source_files import ROOT, SOURCE_FILES, syntax_tree
 
 FACADES = ("control", "render", "vision")
 """Packages whose names are to be imported from the package itself: `from skyherd.control import Template`."""
@@ -21,10 +21,10 @@ MOST_LAYERS = 18
 """Layers of the exhaustive import contract. Chosen."""
 
 
-def imports(source: str, modules: set[str]) -> set[str]:
-    """Modules of the package that a source text imports anywhere; a name that is a module counts as that."""
+def imports(tree: ast.Module, modules: set[str]) -> set[str]:
+    """Modules of the package that a file imports anywhere; a name that is a module counts as that."""
     found = set()
-    for node in ast.walk(ast.parse(source)):
+    for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.module:
@@ -34,7 +34,11 @@ def imports(source: str, modules: set[str]) -> set[str]:
     return {name for name in found if name == "skyherd" or name.startswith("skyherd.")}
 
 
-GRAPH = {module: imports(path.read_text(), set(SOURCE_FILES)) for module, path in SOURCE_FILES.items()}
+@pytest.fixture(scope="module")
+def graph() -> dict[str, set[str]]:
+    """Which modules of the package each of them imports."""
+    modules = set(SOURCE_FILES)
+    return {module: imports(syntax_tree(path), modules) for module, path in SOURCE_FILES.items()}
 
 
 def belongs_to(module: str, package: str) -> bool:
@@ -53,8 +57,8 @@ def ways_past_facades(graph: dict[str, set[str]]) -> set[tuple[str, str]]:
     }
 
 
-def test_nobody_reaches_past_a_facade() -> None:
-    past = ways_past_facades(GRAPH)
+def test_nobody_reaches_past_a_facade(graph) -> None:
+    past = ways_past_facades(graph)
     assert past == set(), "import these names from the package itself, or export them there"
 
 
@@ -71,12 +75,11 @@ def test_nobody_reaches_past_a_facade() -> None:
     ],
 )
 def test_a_way_past_a_facade_is_seen(statement, past) -> None:
-    graph = {"skyherd.report.pages": imports(statement, set(SOURCE_FILES))}
-    assert bool(ways_past_facades(graph)) is past
-    inside = {
-        "skyherd.control.goals": imports(statement.replace("vision.grey", "control.goals"), set(SOURCE_FILES))
-    }
-    assert not ways_past_facades(inside)
+    modules = set(SOURCE_FILES)
+    outside = {"skyherd.report.pages": imports(ast.parse(statement), modules)}
+    assert bool(ways_past_facades(outside)) is past
+    statement = statement.replace("vision.grey", "control.goals")
+    assert not ways_past_facades({"skyherd.control.goals": imports(ast.parse(statement), modules)})
 
 
 def child_of(module: str) -> str | None:
@@ -119,16 +122,16 @@ def upward(graph: dict[str, set[str]], layers: dict[str, int]) -> set[tuple[str,
     return {(child, to) for child, targets in graph.items() for to in targets if layers[to] >= layers[child]}
 
 
-def test_nothing_is_imported_upwards_and_there_is_no_cycle_of_rooms() -> None:
-    graph = child_graph(GRAPH)
-    assert upward(graph, layer_of()) == set()
-    TopologicalSorter(graph).prepare()
-    graph["geometry"].add("loop")
-    assert ("geometry", "loop") in upward(graph, layer_of())
+def test_nothing_is_imported_upwards_and_there_is_no_cycle_of_rooms(graph) -> None:
+    rooms = child_graph(graph)
+    assert upward(rooms, layer_of()) == set()
+    TopologicalSorter(rooms).prepare()
+    rooms["geometry"].add("loop")
+    assert ("geometry", "loop") in upward(rooms, layer_of())
     with pytest.raises(CycleError):
-        TopologicalSorter(graph).prepare()
+        TopologicalSorter(rooms).prepare()
 
 
-def test_there_is_no_cycle_of_modules() -> None:
+def test_there_is_no_cycle_of_modules(graph) -> None:
     """A package is the module of its `__init__`; an import from the package is one of that module."""
-    TopologicalSorter({module: targets - {module, "skyherd"} for module, targets in GRAPH.items()}).prepare()
+    TopologicalSorter({module: targets - {module, "skyherd"} for module, targets in graph.items()}).prepare()

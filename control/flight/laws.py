@@ -14,7 +14,7 @@ from scipy.spatial import ConvexHull, QhullError
 from skyherd.control.policy import NO_ROBOTS, FlightLaw, FlightTask
 from skyherd.control.selection.safety_radius import centre_distances
 from skyherd.geometry import Array, IntArray
-from skyherd.messages import Detections, FlightCommand, UnitReport, centred, shared_ids
+from skyherd.messages import Detections, FlightCommand, UnitReport, among, centred
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class Follow(FlightLaw):
                     self._responsible_for, _nearer_there(shared, self._start, seen.unit_id, report)
                 )
         robots = np.union1d(self._robots_to_keep(seen, controlled, reports), task.sought_ids)
-        keep = np.isin(seen.ids, robots)
+        keep = among(seen.ids, robots)
         if not keep.any():
             return FlightCommand.hold(seen.unit_id)
         points = centred(seen.centers_px, seen.image_size_px)[keep]
@@ -88,17 +88,17 @@ class Follow(FlightLaw):
         self, seen: Detections, controlled: IntArray, reports: Sequence[UnitReport]
     ) -> IntArray:
         """Robots that are this unit's responsibility, and two in common with each neighbour."""
-        alone = np.setdiff1d(controlled, shared_ids(controlled, reports))
-        keep = [self._responsible_for, alone]
-        distances = centre_distances(seen)
-        for report in reports:
+        ours = set(controlled.tolist())
+        theirs = [report.controlled for report in reports]
+        keep = set(self._responsible_for.tolist()) | ours.difference(*theirs)
+        nearest_first = seen.ids[np.argsort(centre_distances(seen))].tolist()
+        for report, members in zip(reports, theirs, strict=True):
             if self._neighbors.get(report.unit_id, False):
-                common = np.intersect1d(controlled, report.controlled_ids)
-                if common.size < 2:
-                    common = report.ids
-                rows = np.flatnonzero(np.isin(seen.ids, common))
-                keep.append(seen.ids[rows[np.argsort(distances[rows])[:2]]])
-        return np.unique(np.concatenate(keep))
+                common = ours & members
+                if len(common) < 2:
+                    common = set(report.ids.tolist())
+                keep.update([robot for robot in nearest_first if robot in common][:2])
+        return np.array(sorted(keep), dtype=np.int64)
 
 
 def _distances(seen: Detections | UnitReport) -> dict[int, float]:

@@ -1,13 +1,14 @@
 """What is loaded by `import skyherd` and by asking for help; the entrance's names; shell completion."""
 
 import ast
-import importlib.util
+import importlib
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 from command_line import call
+from source_files import SOURCE_FILES, syntax_tree
 
 import skyherd
 from skyherd.__main__ import main
@@ -117,20 +118,11 @@ def test_type_checkers_see_the_same_names_from_the_same_modules():
 
 def test_no_module_of_the_package_imports_the_entrance():
     """It would load what it needs through a detour, and close a circle."""
-    for folder in (
-        PACKAGE,
-        *(Path(p) for name in ("control", "vision", "render", "datasets") for p in places(name)),
-    ):
-        for path in folder.rglob("*.py"):
-            for node in ast.walk(ast.parse(path.read_text())):
-                names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
-                assert "skyherd" not in names, path
-                assert not (isinstance(node, ast.ImportFrom) and node.module == "skyherd"), path
-
-
-def places(name: str) -> list[str]:
-    spec = importlib.util.find_spec(f"skyherd.{name}")
-    return list(spec.submodule_search_locations)
+    for path in SOURCE_FILES.values():
+        for node in ast.walk(syntax_tree(path)):
+            names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            assert "skyherd" not in names, path
+            assert not (isinstance(node, ast.ImportFrom) and node.module == "skyherd"), path
 
 
 def test_the_lists_for_help_and_completion_are_those_of_the_code():

@@ -1,5 +1,7 @@
-"""The source files of the package, by the full names of their modules."""
+"""The source files of the package, by the full names of their modules, and what is in them."""
 
+import ast
+from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
@@ -18,3 +20,9 @@ def source_files() -> dict[str, Path]:
 
 
 SOURCE_FILES = source_files()
+
+
+@cache
+def syntax_tree(path: Path) -> ast.Module:
+    """The syntax tree of a file, parsed once for all tests; nobody may change it."""
+    return ast.parse(path.read_text("utf-8"))

@@ -75,7 +75,7 @@ def test_bearings_alone_keep_centroid_and_size_and_give_turn() -> None:
     """Zhao and Zelazo, Theorem 9: almost any start ends in the shape, as large as it was."""
     rng = np.random.default_rng(5)
     shape, start = cloud(rng, 10), 3.0 * cloud(rng, 10)
-    end = flow(bearing_only_law(shape, GAIN), start, 600.0)
+    end = flow(bearing_only_law(shape, GAIN), start, 600.0, step_s=0.05)
     found = fit_shape(shape, end)
     assert found.error < 1e-3
     assert found.rotation_rad == pytest.approx(0.0, abs=1e-3)

@@ -102,7 +102,13 @@ def test_a_team_keeps_above_the_floor_or_takes_the_size_that_is_wanted(
     scenario_tree, size, spacing_sides
 ) -> None:
     """Triangle with its roles turned about shrinks to 3.5 sides where nothing holds it; side 0.5 m."""
-    tree = scenario_tree("triangle") | {"perception": "ideal", "duration_s": 40.0, "size": size}
+    tree = scenario_tree("triangle") | {
+        "perception": "ideal",
+        "duration_s": 40.0,
+        "step_s": 0.2,
+        "size": size,
+    }
+    tree["units"][0]["frame_rate_hz"] = 5.0
     tree["robots"]["positions_m"] = [tree["robots"]["positions_m"][i] for i in (3, 1, 5, 0, 4, 2)]
     tree["control"] |= {"b_th": 0.0, "k": 0.3, "k_omega": 1.2, "rectify": False}
     *_, last = run_steps(make_mission(tree))

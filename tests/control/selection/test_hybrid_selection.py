@@ -78,6 +78,7 @@ def test_a_mission_that_free_overlaps_lose_is_saved_by_the_tree() -> None:
     for kind in ("radius", "radius-then-tree"):
         tree = random_mission(3) | {"perception": "ideal", "duration_s": 60.0}
         tree["selection"] = {"kind": kind, "radius": 0.8}
+        tree.setdefault("control", {})["rectify"] = False
         for unit in tree["units"]:
             unit["flight"] = {"kind": "hover"}
         for step in run_steps(make_mission(tree)):

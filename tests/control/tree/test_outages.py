@@ -110,7 +110,7 @@ def test_the_scripted_zoom_multiplies_the_units_own(tree_of) -> None:
 
 def test_robots_that_a_unit_cannot_keep_in_view_are_taken_over() -> None:
     """Below a ceiling: the founder sees all of its robots only while they stand close together."""
-    mission = load_mission("scramble", ["perception=ideal"])
+    mission = load_mission("scramble", ["perception=ideal", "control.rectify=false"])
     covered = []
     for step in run_steps(mission):
         seen = [

@@ -172,7 +172,8 @@ DAMAGES = {
 @pytest.mark.parametrize("damage", DAMAGES, ids=lambda damage: damage.__name__.strip("_"))
 def test_each_damage_is_found(copy, damage, capsys):
     damage(copy)
-    code, _, said = call(capsys, "dataset", "check", copy, "--sample", 2)
+    sample = 4 if damage is _short_truth else 1  # it is the last image that has lost a line
+    code, _, said = call(capsys, "dataset", "check", copy, "--sample", sample)
     assert code == 1
     file, words = DAMAGES[damage]
     lines = said.splitlines()

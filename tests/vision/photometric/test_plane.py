@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy.stats import binom, chi2
+from scipy.special import bdtrik, chdtrc
 
 from skyherd.geometry import SQUARE_CORNERS
 from skyherd.vision.photometric.local_homography import LocalHomographies
@@ -107,7 +107,7 @@ def noise(rng, sigma, count=POINTS.size):
 def chance(unknowns):
     """That noise alone earns further unknowns their place: two at a time, each pair by chi-squared of 2
     degrees, or of 4 for both at once; a bound, as these have chances in common."""
-    return (2 if unknowns < 2 else 1) * chi2.sf(SIGNIFICANT, 2) + chi2.sf(SIGNIFICANT, 4)
+    return (2 if unknowns < 2 else 1) * chdtrc(2, SIGNIFICANT) + chdtrc(4, SIGNIFICANT)
 
 
 def test_noise_alone_is_rarely_taken_for_a_plane():
@@ -115,7 +115,7 @@ def test_noise_alone_is_rarely_taken_for_a_plane():
     rng, sigma = np.random.default_rng(3), 1e-3
     found = [fit_plane(POINTS, noise(rng, sigma), np.full(POINTS.size, sigma**2)) for _ in range(1000)]
     alarms = sum(plane != Plane() for plane in found)
-    assert alarms <= binom.ppf(1 - 1e-6, 1000, chance(0)), alarms
+    assert alarms <= np.ceil(bdtrik(1 - 1e-6, 1000, chance(0))), alarms
     assert all(plane.shared for plane in found)
 
 
@@ -126,7 +126,7 @@ def test_the_simplest_plane_that_explains_is_taken(horizon, unknowns):
     variances = np.full(POINTS.size, sigma**2)
     found = [fit_plane(POINTS, plane.squeezes(POINTS) + noise(rng, sigma), variances) for _ in range(300)]
     as_simple = [f for f in found if f.shared and bool(f.horizon) == bool(horizon)]
-    assert len(found) - len(as_simple) <= binom.ppf(1 - 1e-6, 300, chance(unknowns))
+    assert len(found) - len(as_simple) <= np.ceil(bdtrik(1 - 1e-6, 300, chance(unknowns)))
     # Sixteen squeezes tell α to sigma / 4, a little less well beside λ: six deviations of each component.
     assert max(abs(f.squeeze - plane.squeeze) for f in as_simple) < 6 * sigma / 4 * 1.5
 

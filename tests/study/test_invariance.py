@@ -41,7 +41,7 @@ def small_text() -> str:
     """The built-in study with three sweeps, exact projection and few images."""
     text = study_text("invariance")
     head = text[: text.index("[[sweeps]]")].replace('["ideal", "rendered"]', '["ideal"]')
-    head = head.replace("duration_s = 12.0", "duration_s = 4.0").replace("seed = [1, 2, 3]", "seed = [1]")
+    head = head.replace("duration_s = 12.0", "duration_s = 3.0").replace("seed = [1, 2, 3]", "seed = [1]")
     return head + SWEEPS + "\n[quick]\nset = { duration_s = 1.0 }\n"
 
 

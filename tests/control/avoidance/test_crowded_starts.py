@@ -45,7 +45,7 @@ def test_fixed_roles_are_slower_and_still_nobody_touches(benchmark) -> None:
     assert fixed["path_m"] > 2 * free["path_m"]
 
 
-@pytest.mark.parametrize("seed", [0, 4])
+@pytest.mark.parametrize("seed", [0, pytest.param(4, marks=pytest.mark.slow)])
 def test_points_with_fixed_roles_drive_into_one_another(benchmark, seed) -> None:
     """Negative control: what the parts are for."""
     row = benchmark.run_mission(seed, options(without=["roles", "size", "avoidance"]))

@@ -92,8 +92,8 @@ def test_low_contrast(draw) -> None:
 @pytest.mark.parametrize("psf_px", [5.5, pytest.param(4.5, marks=pytest.mark.slow)])
 def test_too_blurred(draw, psf_px) -> None:
     """Cells of 6.7 px under 4.5 px and more; blurs are tried in steps of 0.1 to 0.15 of a cell."""
-    rejected = blindly(draw(psf_px=psf_px))
-    assert len(rejected) >= 2
+    rejected = blindly(draw(psf_px=psf_px, ids=IDS[:2]))
+    assert len(rejected) >= 1
     for r in rejected:
         assert r.reason is Reason.BLURRED, r.words
         assert r.reading.blur_cells == pytest.approx(psf_px / (40 / 6), abs=0.15)
@@ -178,8 +178,8 @@ def test_a_corner_that_is_covered(draw) -> None:
 
 
 def test_mirrored(draw) -> None:
-    rejected = likely(np.ascontiguousarray(draw()[:, ::-1]))
-    assert {(r.reason, r.reading.nearest_id) for r in rejected} == {(Reason.MIRRORED, k) for k in IDS}
+    rejected = likely(np.ascontiguousarray(draw(ids=IDS[:2])[:, ::-1]))
+    assert {(r.reason, r.reading.nearest_id) for r in rejected} == {(Reason.MIRRORED, k) for k in IDS[:2]}
 
 
 def test_an_id_that_is_there_twice(draw) -> None:

@@ -16,7 +16,7 @@ SETTINGS = {name: [*FEWER_IMAGES, f"duration_s={seconds}"] for name, seconds in 
 SETTINGS["triangle"] += ["control.k=0.3", "control.k_omega=1.2"]
 
 TREE_SETTINGS = {
-    "chain": ["units.*.frame_rate_hz=2.5", "duration_s=90", "goal.shape_error=0.02"],
+    "chain": ["units.*.frame_rate_hz=2.5", "duration_s=45", "goal.shape_error=0.03"],
     "tree": ["units.*.frame_rate_hz=2.5", "duration_s=56"],
     "failure": ["units.*.frame_rate_hz=2.5", "duration_s=76"],
 }

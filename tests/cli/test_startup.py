@@ -164,7 +164,7 @@ def completions(tmp_path, monkeypatch, capsys):
     [
         (["sce"], ["scenario"]),
         (["scenario", "ch"], ["check"]),
-        (["run", "sta"], ["star"]),
+        (["run", "sta"], ["star", "star-consumer"]),
         (["run", "mi"], ["mine.toml"]),
         (["run", "fol"], ["folder/"]),
         (["run", "folder/"], ["folder/other.toml"]),

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from skyherd.control import Template
+from skyherd.control import GroundMap, Template
 from skyherd.datasets import Mission, Scenario
 from skyherd.geometry import ComplexArray, to_complex
 from skyherd.loop import Step, UnitFrame
@@ -19,6 +19,13 @@ from skyherd.sim.truth_metrics import ShapeFit
 LARGEST = 1e9
 """Largest magnitude that a recording may hold, in any unit. Chosen: far beyond what scenario files allow, and
 small enough that no square of it overflows."""
+
+
+UNKNOWNS = GroundMap().unknowns.size
+"""How many numbers a map to the ground has."""
+
+LARGEST_UNKNOWN = 1e3
+"""Largest magnitude of an unknown of a map to the ground. Chosen: those of real lenses stay below 10."""
 
 
 def read_mission(record: dict[str, Any]) -> Mission:
@@ -78,6 +85,18 @@ def check_step(step: Step, mission: Mission) -> None:
     for unit, frame in step.frames.items():
         _require(0 <= unit < units, f"no unit {unit}")
         _check_frame(unit, frame, mission)
+
+
+def check_map(ground_map: GroundMap) -> None:
+    """Check a unit's map to the ground, by which its detections are rectified.
+
+    Raises:
+        ValueError: a number is missing or not finite, or pixels are squeezed to nothing.
+    """
+    _require_floats(ground_map.unknowns, (UNKNOWNS,), "map: unknowns")
+    _require_floats(ground_map.covariance, (UNKNOWNS, UNKNOWNS), "map: covariance")
+    within = np.abs(ground_map.unknowns).max() < LARGEST_UNKNOWN
+    _require(within and np.hypot(*ground_map.unknowns[:2]) < 1, "map: unknowns beyond any camera's")
 
 
 def _check_metrics(step: Step, units: int) -> None:

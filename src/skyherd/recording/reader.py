@@ -21,7 +21,7 @@ from skyherd.messages import Detections, FlightCommand, MotionGoals, Proximity, 
 from skyherd.messages.role_map import RoleMap
 from skyherd.messages.tree_status import TreeStatus
 from skyherd.recording.json_codec import from_plain
-from skyherd.recording.plausible import check_step, read_mission
+from skyherd.recording.plausible import check_map, check_step, read_mission
 from skyherd.recording.survey import (
     MAGIC,
     MALFORMED,
@@ -305,6 +305,7 @@ def _read_frame(topic: str, records: dict[str, Any]) -> UnitFrame:
     )
     recorded_map = records.get(f"{topic}/map")
     ground_map = GroundMap() if recorded_map is None else from_plain(GroundMap, recorded_map)
+    check_map(ground_map)
     decision = Decision(
         detections=rectified(sight.detections, ground_map),
         goals=None if goals is None else from_plain(MotionGoals, goals),

@@ -151,16 +151,13 @@ def survey(stream: BinaryIO) -> Survey:
     crc, marks = _search(stream, data_end)
     sound: list[SoundChunk] = []
     flaws: list[Flaw] = []
-    read_to = 0
     for start in (mark - _BEFORE_MARK for mark in marks if mark >= _BEFORE_MARK):
-        after = start + _length(stream, start)
-        if start < read_to or (footer is None and after > size):
-            continue  # inside of what a sound chunk packs, or where the file breaks off
         try:
             sound.append(_sound_chunk(start, read_chunk(stream, start)))
-            read_to = after
         except MALFORMED:
-            flaws.append(Flaw("damaged", f"the chunk at byte {start}"))
+            breaks_off = footer is None and start + _length(stream, start) > size
+            if not breaks_off:
+                flaws.append(Flaw("damaged", f"the chunk at byte {start}"))
     chunks, misfits = _in_order(sound, footer.messages if footer else None)
     flaws += misfits
     if footer is None:

@@ -111,13 +111,16 @@ def recorded_topics(units: int) -> dict[str, Schema]:
 
     All are registered at the start, so that no chunk is needed to understand another one.
     """
-    return {
+    of_team: dict[str, Schema] = {
         "/mission": ("skyherd.Mission", OBJECT),
         "/end": ("skyherd.End", OBJECT),
         "/robots/command": ("skyherd.VelocityCommand", VelocityCommand),
         "/world": ("skyherd.World", OBJECT),
         "/metrics": ("skyherd.TruthMetrics", TruthMetrics),
-    } | {f"/unit/{unit}/{name}": schema for unit in range(units) for name, schema in UNIT_TOPICS.items()}
+    }
+    return of_team | {
+        f"/unit/{unit}/{name}": schema for unit in range(units) for name, schema in UNIT_TOPICS.items()
+    }
 
 
 class Recorder(Protocol):

@@ -222,6 +222,8 @@ def test_what_is_missing_damaged_or_cut_short_is_told_apart(closed, killed, tmp_
     opcode = bytearray(data)
     opcode[start] ^= 1
     assert flaws_of(bytes(opcode), path) == (["damaged"], 21)
+    (begin, last), ending = closed.spans[-1], len(closed.rows[-1])
+    assert flaws_of(data[:begin] + data[last:], path) == (["missing"], 21 - ending)
     assert flaws_of(killed.data, path) == (["cut short"], 21 - len(closed.rows[-1]))
     assert flaws_of(data[:-1], path) == (["cut short"], 21)
     assert flaws_of(data + b"\0", path) == (["cut short"], 21)

@@ -191,6 +191,6 @@ def test_an_mcap_file_of_others_is_refused_in_one_line(tmp_path):
             for _ in range(3):
                 writer.add_message(channel, log_time=0, publish_time=0, data=b"{}")
             writer.finish()
-        with pytest.raises(InputError) as refusal:
+        with pytest.raises(InputError, match="nothing of it can be read") as refusal:
             read_recording(path)
         assert "\n" not in str(refusal.value)

@@ -157,6 +157,9 @@ def _opened(path: Path) -> Iterator[tuple[BinaryIO, Survey]]:
             stream.seek(0)
             if stream.read(len(MAGIC)) not in (b"", MAGIC):
                 raise InputError(str(path), "not a recording of skyherd", "a run.mcap of `skyherd run`")
+            if any(flaw.kind != "cut short" for flaw in found.flaws):
+                what = f"nothing of it can be read ({describe_flaws(found.flaws)})"
+                raise InputError(str(path), what, "a recording of this version of skyherd")
             raise InputError(str(path), f"{NOTHING_YET}{_told(found)}", "a run that took its first step")
         yield stream, found
 

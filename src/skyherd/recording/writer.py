@@ -65,8 +65,8 @@ CHUNK_BYTES = 1 << 16
 compress worse, larger ones lose more where one is damaged."""
 
 FLUSH_S = 0.5
-"""Simulated time, s, of which a run that is killed loses less than this and one step. Chosen: a tenth of the
-time in which a formation visibly moves; half of it makes files a fifth larger."""
+"""Simulated time, s, of which a run that is killed loses less than this and one step. Chosen: a
+formation hardly moves in it; shorter chunks compress worse."""
 
 JPEG_QUALITY = 90
 """Quality of recorded images, in per cent. Chosen: a video made of them looks like one of the originals; they

@@ -560,7 +560,7 @@ def test_a_headings_variance_is_mapped_as_a_direction_is():
 
 @pytest.mark.parametrize("unknown", [0, 1, 2, 8, 9])
 def test_what_is_not_known_of_the_map_counts_but_for_a_rotation_of_all(unknown):
-    """Headings err as the map turns at their markers, less the rotation of the best similarity of all centres."""
+    """Headings err as the map turns at their markers, less the turn of the best similarity of all centres."""
     rng = np.random.default_rng(5)
     seen = IDEAL.see(*robots_in_view(IDEAL, 8, 5), rng)
     seen = replace(seen, covariances=np.zeros((len(seen), 3, 3)))

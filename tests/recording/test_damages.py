@@ -225,6 +225,7 @@ def test_what_is_missing_damaged_or_cut_short_is_told_apart(closed, killed, tmp_
     (begin, last), ending = closed.spans[-1], len(closed.rows[-1])
     assert flaws_of(data[:begin] + data[last:], path) == (["missing"], 21 - ending)
     assert flaws_of(killed.data, path) == (["cut short"], 21 - len(closed.rows[-1]))
+    assert flaws_of(data[: (start + end) // 2], path)[0] == ["cut short"]
     assert flaws_of(data[:-1], path) == (["cut short"], 21)
     assert flaws_of(data + b"\0", path) == (["cut short"], 21)
     footer = bytearray(data)
@@ -282,3 +283,12 @@ def test_steps_with_images_are_read_around_damage_too(closed, tmp_path):
     path, (start, end) = tmp_path / "run.mcap", closed.spans[6]
     path.write_bytes(closed.data[:start] + closed.data[end:])
     assert [s.time_s for s in read_steps(path)] == [s.time_s for s in read_recording(path).steps]
+
+
+def test_chunks_are_found_wherever_the_blocks_end_that_are_searched(closed, monkeypatch):
+    """A block may end within the mark of a chunk, or right before it."""
+    begun = [start for start, _ in closed.spans[:4]]
+    head = closed.data[: closed.spans[3][1]]
+    for size in (7, 40, *range(begun[1] + 20, begun[1] + 60)):
+        monkeypatch.setattr("skyherd.recording.survey.BLOCK", size)
+        assert [chunk.start for chunk in survey(io.BytesIO(head)).chunks] == begun

@@ -328,3 +328,10 @@ def test_what_a_robot_may_still_turn_while_its_wheels_lag_counts() -> None:
     assert slower == pytest.approx(0.1 / np.cos(np.pi / 3 - WHEELS.max_turn_radps * 0.2))
     unlagged, _ = slowed(v, np.zeros(1), bounds=bounds, rule=rule())
     assert unlagged == pytest.approx(0.1 / np.cos(np.pi / 3))
+
+
+def test_a_body_that_no_message_named_was_beyond_the_horizon() -> None:
+    """Both may come nearer since: each may use up half of the horizon."""
+    (unseen_mps,) = closing_bounds(remembered(0.1), rule(), 0.0).unseen_mps
+    gamma_ps = rule().gamma_ps
+    assert unseen_mps == pytest.approx(gamma_ps * 20.0 * SIDE_M / 2 * np.exp(-gamma_ps * (0.1 + STEP_S)))

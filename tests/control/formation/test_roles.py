@@ -170,3 +170,10 @@ def test_a_unit_exchanges_in_its_own_slot_and_on_the_map_of_all(make_report) -> 
     assert allowed(4.0, own) and allowed(4.0, None)
     assert not allowed(5.0, own), "the slot of unit 1"
     assert not allowed(4.0, newer), "unit 1 follows another map"
+
+
+@pytest.mark.parametrize("known", [0, 1])
+def test_with_fewer_than_two_known_places_nothing_is_exchanged(known) -> None:
+    mine = Roles(RULE, TEMPLATE)
+    assert not mine.exchange(0, Registration(RING[::-1], np.arange(N) < known))
+    assert mine.map.version == 0

@@ -142,3 +142,15 @@ def test_a_unit_does_not_take_its_own_robots_into_a_pair():
     for own, pair in ((robots(3), robots(1, 4)), (robots(), robots(3, 4))):
         state = NodeState(own=own, edges={1: edge}, tree_id=0)
         assert use_turns(state, situation(0, [peer], sees=sees))["edges"][1].pair == pair
+
+
+def test_a_unit_with_nothing_to_change_hands_its_turn_over_at_once():
+    """Between two slots, the pair it shares being the best there is; another one in reach makes it wait."""
+    for reach, turn in ((robots(), 5), (robots(3, 4), 4)):
+        sees = {1: 0.1, 2: 0.2, 3: 0.01, 4: 0.05}
+        peer = report(1, 10.0, controls=[1, 2, *reach], sees=sees, edges=[(0, 4, [1, 2])])
+        edge = Edge(0, 1, 0.0, turn=4, pair=robots(1, 2), reach=reach)
+        plain = TreeRule(share="nearest", gain=1.0)
+        now = replace(situation(0, [peer], sees=sees), at_slot=False, rule=plain)
+        changed = use_turns(NodeState(edges={1: edge}, tree_id=0), now)["edges"][1]
+        assert (changed.turn, changed.pair, changed.wants) == (turn, robots(1, 2), turn == 4)

@@ -65,7 +65,7 @@ class LensBlurModel(Model):
 
     disc_px: BlurLength = Field(0.0, description="px; radius of the disc that each point is seen as")
     coma_px: BlurLength = Field(0.0, description="px; length C of the coma, whose tail is 3 C long")
-    coma_deg: FiniteFloat = Field(
+    coma_deg: Angle = Field(
         0.0, description="deg; direction of the coma's tail in the image, from right (0) towards down (90)"
     )
     aperture_m: Aperture = Field(

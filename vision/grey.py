@@ -16,6 +16,8 @@ def check_grey(image: Image) -> Image:
     Raises:
         InputError: the image is not a two-dimensional array (height, width) of uint8, or it is empty.
     """
+    if not isinstance(image, np.ndarray):
+        raise InputError("image", f"a {type(image).__name__}", "grey, (height, width), uint8")
     if image.ndim != 2 or image.dtype != np.uint8 or min(image.shape) < 1:
         raise InputError("image", f"shape {image.shape}, {image.dtype}", "grey, (height, width), uint8")
     return np.ascontiguousarray(image)

@@ -10,6 +10,7 @@ import numpy as np
 
 from skyherd.geometry import IntArray, to_complex, wrap_angle
 from skyherd.messages import Detections, Proximity
+from skyherd.messages.checks import check_numbers
 
 
 @dataclass(frozen=True)
@@ -27,6 +28,9 @@ class BodyRule:
     margin_sides: float = 0.2
     horizon_sides: float = 8.0
     obstacles: dict[int, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        check_numbers(self, not_negative=("radius_sides", "margin_sides"), positive=("horizon_sides",))
 
 
 def proximity(detections: Detections, team_ids: IntArray, rule: BodyRule) -> Proximity:

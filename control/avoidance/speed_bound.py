@@ -23,6 +23,7 @@ from skyherd.control.avoidance.neighbor_memory import NeighborMemory
 from skyherd.control.robots.unicycle import RobotLaw, Wheels, wheel_law
 from skyherd.geometry import Array, ComplexArray, IntArray, wrap_angle
 from skyherd.messages import TIME_TOLERANCE_S
+from skyherd.messages.checks import check_numbers
 
 LEAST_DISTANCE_M = 1e-9
 """Distances are divided by at least this, m. Chosen: bodies have radii far above it; it only avoids 0 / 0."""
@@ -60,6 +61,20 @@ class AvoidanceRule:
     turn_error_radps: float = 0.0
     lifetime_s: float = 2.0
     detour: Detour = "around"
+
+    def __post_init__(self) -> None:
+        check_numbers(
+            self,
+            positive=("side_m", "step_s", "lifetime_s"),
+            not_negative=(
+                "nominal_age_s",
+                "superseded_age_s",
+                "lag_s",
+                "overshoot",
+                "creep_mps",
+                "turn_error_radps",
+            ),
+        )
 
     @property
     def gamma_ps(self) -> float:

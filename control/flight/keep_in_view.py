@@ -10,6 +10,7 @@ from skyherd.control.formation.template import Template
 from skyherd.control.policy import FlightLaw, FlightTask
 from skyherd.geometry import Array, to_points
 from skyherd.messages import Detections, FlightCommand, UnitReport, centred
+from skyherd.messages.checks import check_numbers
 
 LEAST_DISTANCE = 1e-6
 """Distances between image centres, in half images, are held above this where they divide: two units may hang
@@ -58,6 +59,9 @@ class KeepInView(FlightLaw):
     _side_px: float = field(default=np.inf, init=False)
 
     def __post_init__(self) -> None:
+        gains = ("lateral_gain_mps", "climb_gain_mps", "zoom_gain_ps", "dead_band")
+        lengths = ("separation_sides", "least_side_px")
+        check_numbers(self, positive=("desired_radius",), not_negative=(*gains, *lengths))
         self.memory = ImageMemory(self.template)
 
     def command(self, seen: Detections, task: FlightTask, reports: Sequence[UnitReport]) -> FlightCommand:

@@ -15,6 +15,7 @@ from skyherd.control.policy import NO_ROBOTS, FlightLaw, FlightTask
 from skyherd.control.selection.safety_radius import centre_distances
 from skyherd.geometry import Array, IntArray
 from skyherd.messages import Detections, FlightCommand, UnitReport, among, centred
+from skyherd.messages.checks import check_numbers
 
 
 @dataclass(frozen=True)
@@ -22,6 +23,9 @@ class Hover(FlightLaw):
     """Stay, turning at a constant rate if asked."""
 
     yaw_rate_radps: float = 0.0
+
+    def __post_init__(self) -> None:
+        check_numbers(self, finite=("yaw_rate_radps",))
 
     def command(self, seen: Detections, task: FlightTask, reports: Sequence[UnitReport]) -> FlightCommand:
         """No translation."""
@@ -57,6 +61,10 @@ class Follow(FlightLaw):
     _neighbors: dict[int, bool] = field(default_factory=dict, init=False)
     _responsible_for: IntArray = field(default_factory=lambda: NO_ROBOTS, init=False)
     _start: dict[int, float] | None = field(default=None, init=False)
+
+    def __post_init__(self) -> None:
+        gains = ("lateral_gain_mps", "climb_gain_mps", "dead_band")
+        check_numbers(self, positive=("desired_radius",), not_negative=gains)
 
     def command(self, seen: Detections, task: FlightTask, reports: Sequence[UnitReport]) -> FlightCommand:
         """Velocity towards the centroid of the robots to be kept, and climb to the height that keeps them."""
@@ -139,6 +147,11 @@ class Perimeter(FlightLaw):
     lateral_gain_mps: float = 1.0
     climb_gain_mps: float = 1.0
     yaw_rate_radps: float = 0.0
+
+    def __post_init__(self) -> None:
+        gains = ("lateral_gain_mps", "climb_gain_mps")
+        rates = ("speed_mps", "yaw_rate_radps")
+        check_numbers(self, positive=("desired_radius",), not_negative=gains, finite=rates)
 
     def command(self, seen: Detections, task: FlightTask, reports: Sequence[UnitReport]) -> FlightCommand:
         """Velocity along the hull of the controlled robots."""

@@ -30,6 +30,7 @@ from skyherd.control.formation.template import Template
 from skyherd.control.topology.slots import slot_at
 from skyherd.geometry import ComplexArray, IntArray
 from skyherd.messages import NO_ID, RoleMap, UnitReport
+from skyherd.messages.checks import check_numbers
 
 
 @dataclass(frozen=True)
@@ -48,6 +49,9 @@ class RoleRule:
     gain: float = 0.05
     starts: int = 24
     classes: tuple[int, ...] | None = None
+
+    def __post_init__(self) -> None:
+        check_numbers(self, positive=("period_s", "starts"), not_negative=("gain",))
 
 
 @dataclass

@@ -17,6 +17,7 @@ import numpy as np
 from skyherd.control.formation.template import Template
 from skyherd.geometry import to_complex
 from skyherd.messages import Detections, UnitReport
+from skyherd.messages.checks import check_numbers
 
 LEAK = 0.05
 """Weight of a unit's own measurement in each step of the average. Chosen: without it nothing holds the common
@@ -35,6 +36,9 @@ class SizeRule:
 
     least_sides: float = 0.0
     most_sides: float = np.inf
+
+    def __post_init__(self) -> None:
+        check_numbers(self, not_negative=("least_sides", "most_sides"), endless=("most_sides",))
 
     @property
     def is_free(self) -> bool:

@@ -11,6 +11,11 @@ from skyherd.control.formation.similarity import COINCIDENT
 from skyherd.errors import DegenerateSetError, InputError
 from skyherd.geometry import ComplexArray, IntArray, to_complex, to_points
 from skyherd.messages import rows_of
+from skyherd.messages.checks import check_ids, shown
+
+LARGEST_PX = 1e9
+"""Largest coordinate of a template's point. Chosen: beyond any picture and any map in metres; no square of it
+overflows."""
 
 
 @dataclass(frozen=True)
@@ -26,7 +31,8 @@ class Template:
         points_px: (N,) their points in the template image as `u + iv`, in the order of `ids`.
 
     Raises:
-        InputError: the numbers of ids and points differ, there are fewer than two, or an id is repeated.
+        InputError: the numbers of ids and points differ, there are fewer than two, an id is repeated,
+            negative or no whole number, or a point is not finite.
         DegenerateSetError: all points coincide.
     """
 
@@ -34,7 +40,7 @@ class Template:
     points_px: ComplexArray
 
     def __post_init__(self) -> None:
-        ids = np.array(self.ids, dtype=np.int64)
+        ids = check_ids(self.ids, "template")
         points = np.array(self.points_px, dtype=np.complex128)
         if ids.shape != points.shape or ids.ndim != 1:
             raise InputError(
@@ -43,7 +49,9 @@ class Template:
         if ids.size < 2:
             raise InputError("template", f"{ids.size} robots", "at least two, since fewer make no shape")
         if np.unique(ids).size != ids.size:
-            raise InputError("template", f"repeated ids in {ids.tolist()}", "each robot once")
+            raise InputError("template", f"repeated ids in {shown(ids.tolist())}", "each robot once")
+        if not (np.abs(points) <= LARGEST_PX).all():
+            raise InputError("template", "a point that is not finite", f"coordinates up to {LARGEST_PX:g}")
         if np.abs(points - points.mean()).max() <= COINCIDENT * np.abs(points).max():
             raise DegenerateSetError(
                 "template: all points coincide; a shape needs at least two distinct points"
@@ -58,12 +66,12 @@ class Template:
     @classmethod
     def from_image_points(cls, ids: npt.ArrayLike, points_px: npt.ArrayLike) -> "Template":
         """A template of the points (N, 2) of an image: u right, v down."""
-        return cls(np.asarray(ids), to_complex(points_px))
+        return cls(check_ids(ids, "template"), _complex_points(points_px))
 
     @classmethod
     def from_ground_points(cls, ids: npt.ArrayLike, points: npt.ArrayLike) -> "Template":
         """A template of the points (N, 2) of a map: x right, y up. The sense of y is reversed."""
-        return cls(np.asarray(ids), to_complex(points).conj())
+        return cls(check_ids(ids, "template"), _complex_points(points).conj())
 
     @cached_property
     def spacing_px(self) -> float:
@@ -82,3 +90,18 @@ class Template:
             MessageError: a robot is not in the template.
         """
         return self.points_px[rows_of(self.ids, ids)]
+
+
+def _complex_points(points: npt.ArrayLike) -> ComplexArray:
+    """Points (N, 2) as complex numbers (N,).
+
+    Raises:
+        InputError: they are no list of pairs of numbers.
+    """
+    try:
+        pairs = np.asarray(points, dtype=float)
+    except (TypeError, ValueError, OverflowError):
+        pairs = np.zeros(0)
+    if pairs.ndim != 2 or pairs.shape[1] != 2:
+        raise InputError("template", f"points {shown(points)}", "a pair of numbers for each robot")
+    return to_complex(pairs)

@@ -13,6 +13,7 @@ import numpy as np
 from skyherd.errors import MessageError
 from skyherd.geometry import Array, BoolArray, ComplexArray, IntArray
 from skyherd.messages import TIME_TOLERANCE_S, MotionGoals, rows_of
+from skyherd.messages.checks import check_ids, check_numbers
 
 
 class GoalInboxes:
@@ -39,15 +40,18 @@ class GoalInboxes:
 
     Raises:
         MessageError: `ids` or `unit_ids` do not ascend.
+        InputError: they are no whole numbers from 0 up, or `lifetime_s` is not above 0.
     """
 
     def __init__(
         self, ids: IntArray, unit_ids: IntArray, lifetime_s: float, *, distances: bool = True
     ) -> None:
+        ids, unit_ids = check_ids(ids, "GoalInboxes.ids"), check_ids(unit_ids, "GoalInboxes.unit_ids")
         if (np.diff(ids) <= 0).any() or (np.diff(unit_ids) <= 0).any():
             raise MessageError("GoalInboxes: ids and unit_ids must ascend, each once")
         units, robots = unit_ids.size, ids.size
         self.ids, self.unit_ids, self.lifetime_s = ids, unit_ids, lifetime_s
+        check_numbers(self, positive=("lifetime_s",))
         self.rho_px: ComplexArray = np.zeros((units, robots), dtype=np.complex128)
         self.sides_px: Array = np.ones((units, robots))
         self.squares_px2: Array = np.zeros((units, robots, robots) if distances else (0, 0, 0))

@@ -13,6 +13,7 @@ import numpy as np
 from skyherd.control.robots.goal_fusion import GoalInboxes, fuse_marker_sides, fuse_pixels
 from skyherd.geometry import Array, ComplexArray, wrap_angle
 from skyherd.messages import VelocityCommand
+from skyherd.messages.checks import check_numbers
 
 
 class RobotLaw(Protocol):
@@ -75,6 +76,9 @@ class PixelGains:
     b_th: float
     needs_distances: ClassVar[bool] = True
 
+    def __post_init__(self) -> None:
+        check_numbers(self, positive=("k_v", "k_omega"), not_negative=("b_th",))
+
     def follow(self, inboxes: GoalInboxes, time_s: float) -> ComplexArray:
         """The vectors ρ_i^g (N,), px (eq. 4); 0 below the threshold."""
         return _above(fuse_pixels(inboxes, time_s), self.b_th)
@@ -104,6 +108,9 @@ class MarkerGains:
     side_m: float
     needs_distances: ClassVar[bool] = False
 
+    def __post_init__(self) -> None:
+        check_numbers(self, positive=("k", "k_omega", "side_m"), not_negative=("b_th",))
+
     def follow(self, inboxes: GoalInboxes, time_s: float) -> ComplexArray:
         """The vectors Σ_j ρ_j / side_j (N,), marker sides; 0 below the threshold."""
         return _above(fuse_marker_sides(inboxes, time_s), self.b_th)
@@ -126,6 +133,14 @@ class Wheels:
     max_speed_mps: float
     max_turn_radps: float
     axis_offset_m: float = 0.0
+
+    def __post_init__(self) -> None:
+        check_numbers(
+            self,
+            positive=("max_speed_mps", "max_turn_radps"),
+            finite=("axis_offset_m",),
+            endless=("max_speed_mps", "max_turn_radps"),
+        )
 
 
 UNLIMITED = Wheels(np.inf, np.inf)

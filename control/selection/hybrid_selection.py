@@ -13,6 +13,7 @@ from skyherd.control.topology.conditions import check_conditions, control_matrix
 from skyherd.control.tree.node_state import TreeRule
 from skyherd.control.tree.protocol import TreeProtocol
 from skyherd.messages import Detections, UnitReport
+from skyherd.messages.checks import check_numbers
 
 
 @dataclass
@@ -43,6 +44,9 @@ class HybridSelection(SelectionPolicy):
     tree: TreeProtocol | None = field(default=None, init=False)
     _costs: deque[tuple[float, float]] = field(default_factory=deque, init=False)
     _in_q_s: float | None = field(default=None, init=False)
+
+    def __post_init__(self) -> None:
+        check_numbers(self, positive=("stall_s",), not_negative=("progress", "floor_sides"))
 
     def choose(
         self, seen: Detections, reports: Sequence[UnitReport], shape: Template, last: UnitReport | None

@@ -10,6 +10,7 @@ from skyherd.control.policy import NO_ROBOTS, Selection, SelectionPolicy
 from skyherd.control.topology.slots import slot_at
 from skyherd.geometry import Array, IntArray
 from skyherd.messages import Detections, UnitReport, centred
+from skyherd.messages.checks import check_numbers
 
 
 def centre_distances(seen: Detections | UnitReport) -> Array:
@@ -42,6 +43,9 @@ class SafetyRadius(SelectionPolicy):
     _ids: IntArray = field(default_factory=lambda: NO_ROBOTS, init=False)
     _slot: int | None = field(default=None, init=False)
     _last_seen: dict[int, tuple[float, float]] = field(default_factory=dict, init=False)
+
+    def __post_init__(self) -> None:
+        check_numbers(self, positive=("radius", "dwell_s"), not_negative=("hysteresis",))
 
     def choose(
         self, seen: Detections, reports: Sequence[UnitReport], shape: Template, last: UnitReport | None

@@ -12,6 +12,7 @@ from skyherd.control.formation.template import Template
 from skyherd.control.tree.edge import NO_ROBOTS, NO_TURN, Edge, Robots
 from skyherd.control.tree.peer_reports import PeerReport, PeerReports
 from skyherd.messages import NO_ID
+from skyherd.messages.checks import check_numbers
 
 Share = Literal["leverage", "nearest"]
 """How two neighbours choose the pair that they share."""
@@ -46,6 +47,14 @@ class TreeRule:
     firm: float = 0.2
     silence_s: float = 3.0
     patience_s: float = 60.0
+
+    def __post_init__(self) -> None:
+        check_numbers(
+            self,
+            positive=("radius", "dwell_s", "gain", "silence_s"),
+            not_negative=("hysteresis", "firm", "patience_s"),
+            endless=("patience_s",),
+        )
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from typing import Annotated, Self
 from pydantic import Field, model_validator
 
 from skyherd.control import Detour
-from skyherd.datasets.configuration.fields import Model, NotNegative, Positive
+from skyherd.datasets.configuration.fields import MOST_ROBOTS, Model, NotNegative, Positive
 
 
 class RolesModel(Model):
@@ -21,8 +21,9 @@ class RolesModel(Model):
     gain: Annotated[float, Field(ge=0, lt=1)] = Field(
         0.05, description="least share of V, the cost of the fit, by which an exchange has to lower it"
     )
-    classes: list[int] | None = Field(
+    classes: list[Annotated[int, Field(ge=0, lt=2**31)]] | None = Field(
         None,
+        max_length=MOST_ROBOTS,
         description="a class number for each robot, by ascending id; robots exchange places only "
         "within a class",
     )

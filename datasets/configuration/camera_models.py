@@ -6,7 +6,7 @@ import numpy as np
 from pydantic import Field, FiniteFloat, model_validator
 
 from skyherd.datasets.configuration.cameras import CAMERAS
-from skyherd.datasets.configuration.fields import Model, Point, Positive
+from skyherd.datasets.configuration.fields import Model, Point
 from skyherd.errors import InputError
 from skyherd.render import Camera, Distortion, Equidistant
 
@@ -35,17 +35,19 @@ class CameraModel(Model):
     size_px: tuple[Annotated[int, Field(ge=32, le=8192)], Annotated[int, Field(ge=32, le=8192)]] = Field(
         (800, 800), description="px; width and height of the image"
     )
-    focal_px: Positive | None = Field(
+    focal_px: Annotated[FiniteFloat, Field(ge=1, le=1_000_000)] | None = Field(
         None, description="px; focal length along u; give this or half_angle_deg"
     )
-    half_angle_deg: Annotated[FiniteFloat, Field(gt=0, lt=85)] | None = Field(
+    half_angle_deg: Annotated[FiniteFloat, Field(ge=0.01, lt=85)] | None = Field(
         None, description="deg; half the field of view across the image's shorter side"
     )
     principal_point_px: Point | None = Field(
         None, description="px; where the optical axis meets the image; the image's centre if left out"
     )
-    aspect: Positive = Field(1.0, description="focal length along v over that along u; 1 for square pixels")
-    skew: FiniteFloat = Field(
+    aspect: Annotated[FiniteFloat, Field(ge=0.05, le=20)] = Field(
+        1.0, description="focal length along v over that along u; 1 for square pixels"
+    )
+    skew: Annotated[FiniteFloat, Field(ge=-2, le=2)] = Field(
         0.0,
         description="change of u with v along the sensor, as a share of the focal length; 0 for right angles",
     )

@@ -2,17 +2,53 @@
 
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, FiniteFloat
 
 LARGEST = 1e6
 """Largest magnitude of a quantity in any unit. *Chosen*: beyond any real scene (1000 km, 11 days), so that a
 slip of the decimal point is refused, and no square of it overflows."""
 
-Positive = Annotated[FiniteFloat, Field(gt=0, le=LARGEST)]
+LEAST = 1e-9
+"""Least magnitude of a quantity that is not 0, in any unit. *Chosen*: a nanometre and a nanosecond; what is
+divided by it stays finite, and a slip of the decimal point is refused."""
+
+MOST_ROBOTS = 10_000
+"""Greatest number of robots, and of points and other things that there are for each. *Chosen*: ten times what
+`benchmarks/scale.py` runs."""
+
+
+def _zero_or_more(value: float) -> float:
+    if 0 < abs(value) < LEAST:
+        raise ValueError(f"0, or at least {LEAST:g}")
+    return value
+
+
+Positive = Annotated[FiniteFloat, Field(ge=LEAST, le=LARGEST)]
 """A quantity above 0."""
 
-NotNegative = Annotated[FiniteFloat, Field(ge=0, le=LARGEST)]
+NotNegative = Annotated[FiniteFloat, Field(ge=0, le=LARGEST), AfterValidator(_zero_or_more)]
 """A quantity of 0 or more."""
+
+Offset = Annotated[FiniteFloat, Field(ge=-LARGEST, le=LARGEST), AfterValidator(_zero_or_more)]
+"""A quantity of either sign, or 0."""
+
+Angle = Annotated[FiniteFloat, Field(ge=-3600, le=3600)]
+"""An angle, deg. The range is *chosen*: ten turns; beyond it, it is hardly an angle."""
+
+TurnRate = Annotated[FiniteFloat, Field(ge=-3600, le=3600)]
+"""A turn rate, deg/s. The range is *chosen*: ten turns a second, faster than anything that flies a camera."""
+
+Height = Annotated[FiniteFloat, Field(ge=0.01, le=100_000)]
+"""A height above the ground, m. The range is *chosen*: from a centimetre to beyond any aircraft."""
+
+FrameRate = Annotated[FiniteFloat, Field(ge=0.001, le=10_000)]
+"""Images a second, Hz. The range is *chosen*: from one in a quarter of an hour to high-speed cameras."""
+
+Zoom = Annotated[FiniteFloat, Field(ge=0.01, le=100)]
+"""A factor on the focal length. The range is *chosen*: beyond any lens."""
+
+Seed = Annotated[int, Field(ge=0, lt=2**63)]
+"""A seed of random draws: a whole number of at most 63 bits, which TOML and JSON hold."""
 
 Fraction = Annotated[FiniteFloat, Field(ge=0, lt=1)]
 """A share that is never the whole: 0 up to, but not, 1."""

@@ -8,7 +8,16 @@ from pydantic import Field, FiniteFloat, model_validator
 
 from skyherd.bodies import Bodies
 from skyherd.datasets.configuration.body_models import AvoidanceModel, RolesModel, SizeModel
-from skyherd.datasets.configuration.fields import Fraction, Model, NotNegative, Point, Positive
+from skyherd.datasets.configuration.fields import (
+    MOST_ROBOTS,
+    Fraction,
+    Height,
+    Model,
+    NotNegative,
+    Point,
+    Positive,
+    Seed,
+)
 from skyherd.datasets.configuration.robot_models import MarkerModel, ObstacleModel, RobotsModel
 from skyherd.datasets.configuration.scene_models import GroundModel, OccluderModel, SensorModel
 from skyherd.datasets.configuration.unit_models import UnitModel
@@ -22,7 +31,7 @@ class ShapeModel(Model):
     """A shape to form: exactly one of `points`, `shape` and `image`."""
 
     points: list[Point] | None = Field(
-        None, description="a point (x right, y up) for each robot, in any unit"
+        None, max_length=MOST_ROBOTS, description="a point (x right, y up) for each robot, in any unit"
     )
     shape: str | None = Field(
         None, description="name of a shape (circle, grid, line, star, triangle), or a word such as word:SKY"
@@ -72,7 +81,7 @@ class ControlModel(Model):
     rectify: bool = Field(
         True, description="whether units learn tilt and lens of their cameras from the markers, and undo them"
     )
-    neighbors: Annotated[int, Field(ge=1)] = Field(
+    neighbors: Annotated[int, Field(ge=1, le=MOST_ROBOTS)] = Field(
         3, description="to how many nearest robots a unit sends each robot the distances"
     )
 
@@ -96,7 +105,7 @@ class SelectionModel(Model):
         description="tree: while two units agree more slowly than this times k, they fly to see a "
         "better pair",
     )
-    radius: Annotated[FiniteFloat, Field(gt=0, le=1.5)] = Field(
+    radius: Annotated[FiniteFloat, Field(ge=0.01, le=1.5)] = Field(
         0.85, description="safety radius about the image's middle, in halves of its shorter side"
     )
     hysteresis: NotNegative = Field(
@@ -111,8 +120,8 @@ class SelectionModel(Model):
 class AutopilotModel(Model):
     """Limits that the units' autopilots keep."""
 
-    min_height_m: Positive = Field(3.0, description="m; least height")
-    max_height_m: Positive = Field(100.0, description="m; greatest height")
+    min_height_m: Height = Field(3.0, description="m; least height")
+    max_height_m: Height = Field(100.0, description="m; greatest height")
     max_speed_mps: Positive = Field(2.0, description="m/s; limit on the horizontal speed")
     max_climb_mps: Positive = Field(1.0, description="m/s; limit on climbing and sinking")
     max_yaw_rate_degps: Positive = Field(30.0, description="deg/s; limit on turning about the vertical")
@@ -158,9 +167,11 @@ class Scenario(Model):
 
     name: str = Field(pattern=r"^\w[\w .-]*$", description="name of the scenario, and of its output folder")
     description: str = Field("", description="what it shows, for people")
-    seed: Annotated[int, Field(ge=0)] = Field(1, description="seed of all random draws; same seed, same run")
-    duration_s: Annotated[FiniteFloat, Field(gt=0, le=86400)] = Field(description="s; simulated time")
-    step_s: Annotated[FiniteFloat, Field(gt=0, le=1)] = Field(0.1, description="s; time step of the world")
+    seed: Seed = Field(1, description="seed of all random draws; same seed, same run")
+    duration_s: Annotated[FiniteFloat, Field(ge=0.0001, le=86400)] = Field(description="s; simulated time")
+    step_s: Annotated[FiniteFloat, Field(ge=0.0001, le=1)] = Field(
+        0.1, description="s; time step of the world"
+    )
     perception: Literal["rendered", "ideal", "noisy"] = Field(
         "rendered",
         description="how units detect markers: in rendered images, exactly, or with the detector's "

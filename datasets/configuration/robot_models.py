@@ -4,7 +4,16 @@ from typing import Annotated
 
 from pydantic import Field, FiniteFloat
 
-from skyherd.datasets.configuration.fields import Coordinate, Fraction, Model, NotNegative, Point, Positive
+from skyherd.datasets.configuration.fields import (
+    MOST_ROBOTS,
+    Angle,
+    Fraction,
+    Model,
+    NotNegative,
+    Offset,
+    Point,
+    Positive,
+)
 
 MarkerId = Annotated[int, Field(ge=0, lt=2**31)]
 """Number of a marker in its dictionary, whose size is checked when the scenario is complete."""
@@ -15,7 +24,7 @@ class ScatterModel(Model):
 
     scale_m: Positive = Field(description="m; length on the ground of one unit of the template")
     jitter_m: NotNegative = Field(description="m; largest random displacement along x and along y")
-    rotation_deg: FiniteFloat = Field(0.0, description="deg; turn of the shape, counter-clockwise")
+    rotation_deg: Angle = Field(0.0, description="deg; turn of the shape, counter-clockwise")
     spacing_m: NotNegative = Field(0.0, description="m; least distance between two robots")
     center_m: Point = Field(
         (0.0, 0.0), description="m; point on the ground where the shape's centroid is put"
@@ -38,7 +47,7 @@ class DriveModel(Model):
     gain_error: Fraction = Field(
         0.0, description="largest share by which a wheel is faster or slower, drawn once for each wheel"
     )
-    track_m: Positive = Field(
+    track_m: Annotated[FiniteFloat, Field(ge=0.001, le=100)] = Field(
         0.2, description="m; distance between the wheels, for the three keys about wheels"
     )
     slip: Fraction = Field(
@@ -47,7 +56,7 @@ class DriveModel(Model):
     delay_s: Annotated[FiniteFloat, Field(ge=0, le=60)] = Field(
         0.0, description="s; time from a command to its effect, rounded up to whole time steps"
     )
-    axis_offset_m: Coordinate = Field(
+    axis_offset_m: Offset = Field(
         0.0, description="m; how far ahead of the wheel axis the body's middle and the marker lie"
     )
 
@@ -61,16 +70,22 @@ class RobotsModel(Model):
     """The ground robots: where they start, and what they can do."""
 
     positions_m: list[Point] | None = Field(
-        None, description="m; start positions (x, y) on the ground, one for each robot"
+        None,
+        max_length=MOST_ROBOTS,
+        description="m; start positions (x, y) on the ground, one for each robot",
     )
-    headings_deg: list[FiniteFloat] | None = Field(
-        None, description="deg; start headings, counter-clockwise from +x; random if left out"
+    headings_deg: list[Angle] | None = Field(
+        None,
+        max_length=MOST_ROBOTS,
+        description="deg; start headings, counter-clockwise from +x; random if left out",
     )
     scatter: ScatterModel | None = Field(None, description="a random start, in place of positions_m")
-    count: Annotated[int, Field(ge=2, le=10_000)] | None = Field(
+    count: Annotated[int, Field(ge=2, le=MOST_ROBOTS)] | None = Field(
         None, description="number of robots, where it does not follow from positions, ids or points"
     )
-    ids: list[MarkerId] | None = Field(None, description="marker of each robot; 0, 1, … if left out")
+    ids: list[MarkerId] | None = Field(
+        None, max_length=MOST_ROBOTS, description="marker of each robot; 0, 1, … if left out"
+    )
     max_speed_mps: Positive = Field(1.0, description="m/s; limit on the speed |v|")
     max_turn_radps: Positive = Field(3.0, description="rad/s; limit on the turn rate |omega|")
     timeout_s: Positive = Field(
@@ -87,7 +102,9 @@ class MarkerModel(Model):
     """The markers on robots and obstacles."""
 
     dictionary: str = Field("4X4_50", description="marker dictionary, named as in `skyherd markers --help`")
-    side_m: Positive = Field(description="m; side of the black square")
+    side_m: Annotated[FiniteFloat, Field(ge=0.001, le=1000)] = Field(
+        description="m; side of the black square"
+    )
 
 
 class ObstacleModel(Model):
@@ -95,5 +112,5 @@ class ObstacleModel(Model):
 
     id: MarkerId = Field(description="its marker, which no robot has")
     position_m: Point = Field(description="m; its place (x, y) on the ground")
-    heading_deg: FiniteFloat = Field(0.0, description="deg; heading of its marker, counter-clockwise from +x")
+    heading_deg: Angle = Field(0.0, description="deg; heading of its marker, counter-clockwise from +x")
     radius_sides: Positive = Field(1.0, description="marker sides; radius of its body")

@@ -6,7 +6,15 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field, FiniteFloat, model_validator
 
-from skyherd.datasets.configuration.fields import Coordinate, Model, NotNegative, Point, Positive, Share
+from skyherd.datasets.configuration.fields import (
+    Angle,
+    Coordinate,
+    Model,
+    NotNegative,
+    Point,
+    Positive,
+    Share,
+)
 from skyherd.errors import InputError
 from skyherd.markers.blur_model import total_sigma_px
 from skyherd.render import (
@@ -57,7 +65,7 @@ class LensBlurModel(Model):
 
     disc_px: BlurLength = Field(0.0, description="px; radius of the disc that each point is seen as")
     coma_px: BlurLength = Field(0.0, description="px; length C of the coma, whose tail is 3 C long")
-    coma_deg: FiniteFloat = Field(
+    coma_deg: Angle = Field(
         0.0, description="deg; direction of the coma's tail in the image, from right (0) towards down (90)"
     )
     aperture_m: Aperture = Field(
@@ -110,13 +118,15 @@ class ProcessingModel(Model):
 class SensorModel(Model):
     """What the sensor does to images; each part is off at 0, gain at 1, jpeg_quality if left out."""
 
-    noise: NotNegative = Field(
+    noise: Grey = Field(
         2.0, description="grey levels; standard deviation of the noise that does not depend on light"
     )
     shot: Share = Field(
         0.0, description="grey levels; variance of the shot noise for each grey level of signal"
     )
-    gain: Positive = Field(1.0, description="grey levels out for each grey level of light")
+    gain: Annotated[FiniteFloat, Field(ge=0.001, le=1000)] = Field(
+        1.0, description="grey levels out for each grey level of light"
+    )
     psf_px: Annotated[FiniteFloat, Field(ge=0, le=10)] = Field(
         0.8, description="px; standard deviation of the lens's blur"
     )
@@ -128,16 +138,16 @@ class SensorModel(Model):
     )
     vignetting: Share = Field(0.0, description="share of the light that the image's corners lack")
     gradient: Share = Field(0.0, description="share by which the light grows from one border to the other")
-    gradient_deg: FiniteFloat = Field(
+    gradient_deg: Angle = Field(
         0.0,
         description="deg; direction in the image in which the light grows, from right (0) towards down (90)",
     )
     shadow: Share = Field(0.0, description="share of the light that a cast shadow takes away")
-    shadow_offset: FiniteFloat = Field(
+    shadow_offset: Annotated[FiniteFloat, Field(ge=-100, le=100)] = Field(
         0.0,
         description="distance of the shadow's edge from the image's middle, in halves of the shorter side",
     )
-    shadow_deg: FiniteFloat = Field(
+    shadow_deg: Angle = Field(
         0.0, description="deg; direction from the edge into the shadow, from right (0) towards down (90)"
     )
     shadow_edge: NotNegative = Field(
@@ -189,9 +199,7 @@ class GroundModel(Model):
         description="one grey level, noise with a 1/f spectrum, square tiles, or a picture repeated",
     )
     mean: Grey = Field(128.0, description="mean grey level; pictures have their own")
-    contrast: NotNegative = Field(
-        12.0, description="grey levels; standard deviation; for tiles, between them"
-    )
+    contrast: Grey = Field(12.0, description="grey levels; standard deviation; for tiles, between them")
     tile_m: Positive | None = Field(
         None, description="m; period of concrete (40), side of a tile (0.5), or width of a picture (10)"
     )

@@ -6,7 +6,18 @@ import numpy as np
 from pydantic import Field, FiniteFloat, model_validator
 
 from skyherd.datasets.configuration.camera_models import CameraModel
-from skyherd.datasets.configuration.fields import Model, NotNegative, Point, Positive
+from skyherd.datasets.configuration.fields import (
+    MOST_ROBOTS,
+    Angle,
+    FrameRate,
+    Height,
+    Model,
+    NotNegative,
+    Point,
+    Positive,
+    TurnRate,
+    Zoom,
+)
 
 LENS_CHECKS = 5
 """Zooms at which a lens is checked, from the least to the greatest. *Chosen*: what a lens does changes
@@ -21,7 +32,7 @@ class FlightModel(Model):
         description="law of flight: keep the robots that only this unit sees, follow a perimeter, stay, "
         "or keep its whole set in view",
     )
-    desired_radius: Annotated[FiniteFloat, Field(gt=0, le=1.5)] = Field(
+    desired_radius: Annotated[FiniteFloat, Field(ge=0.01, le=1.5)] = Field(
         0.7,
         description="wanted image distance of the farthest robot that is to be kept from the image's middle",
     )
@@ -42,7 +53,7 @@ class FlightModel(Model):
         12.0, description="px; keep-in-view: neither climb nor zoom out once markers have only this side"
     )
     speed_mps: NotNegative = Field(0.1, description="m/s; perimeter: speed along it")
-    yaw_rate_degps: FiniteFloat = Field(
+    yaw_rate_degps: TurnRate = Field(
         0.0, description="deg/s; perimeter, hover: turn rate, counter-clockwise from above"
     )
 
@@ -50,7 +61,7 @@ class FlightModel(Model):
 class SwayModel(Model):
     """How a unit sways: its tilt is filtered noise around the unit's `tilt_deg`, from the scenario's seed."""
 
-    tilt_deg: Annotated[FiniteFloat, Field(gt=0, le=15)] = Field(
+    tilt_deg: Annotated[FiniteFloat, Field(ge=0.001, le=15)] = Field(
         description="deg; root mean square of the tilt, both axes together"
     )
     period_s: Positive = Field(
@@ -63,8 +74,8 @@ class UnitModel(Model):
     """One aerial unit: where it starts, its camera, its flight, and when it fails."""
 
     position_m: Point = Field(description="m; ground point (x, y) below it at the start")
-    height_m: Positive = Field(description="m; height above the ground at the start")
-    yaw_deg: FiniteFloat = Field(
+    height_m: Height = Field(description="m; height above the ground at the start")
+    yaw_deg: Angle = Field(
         0.0, description="deg; direction of the image's right on the ground, counter-clockwise from +x"
     )
     tilt_deg: tuple[
@@ -72,20 +83,22 @@ class UnitModel(Model):
     ] = Field((0.0, 0.0), description="deg; constant tilt about the camera's u and v axes")
     sway: SwayModel | None = Field(None, description="how it sways; it hangs still if left out")
     camera: CameraModel = Field(description="its camera, of which the controller gets the image size alone")
-    zoom: list[tuple[NotNegative, Positive]] = Field(
+    zoom: list[tuple[NotNegative, Zoom]] = Field(
         default=[(0.0, 1.0)],
         min_length=1,
+        max_length=MOST_ROBOTS,
         description="points [time in s, factor on the focal length], linear between them",
     )
-    zoom_range: tuple[Positive, Positive] = Field(
+    zoom_range: tuple[Zoom, Zoom] = Field(
         (1.0, 1.0), description="least and greatest factor by which the unit itself may zoom"
     )
     outages: list[tuple[NotNegative, Positive]] = Field(
         [],
+        max_length=1000,
         description="spans [from, to] in s in which it is dead: no images, no messages, and no memory after",
     )
     flight: FlightModel = Field(FlightModel(), description="how it flies")
-    frame_rate_hz: Positive = Field(10.0, description="Hz; images a second; at most one a time step")
+    frame_rate_hz: FrameRate = Field(10.0, description="Hz; images a second; at most one a time step")
     latency_s: NotNegative = Field(
         0.0,
         description="s; from an image to the arrival of its goals and report; flight commands take no time",

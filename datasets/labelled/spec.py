@@ -14,7 +14,8 @@ import numpy as np
 from pydantic import Field, FiniteFloat, ValidationError, model_validator
 
 from skyherd.datasets.configuration.camera_models import CameraModel, Coefficient, DistortionModel
-from skyherd.datasets.configuration.fields import Fraction, Model, NotNegative, Positive, Share
+from skyherd.datasets.configuration.fields import MOST_ROBOTS, Fraction, Model, Positive, Seed, Share
+from skyherd.datasets.configuration.robot_models import MarkerId
 from skyherd.datasets.configuration.scene_models import (
     BalanceGain,
     BlurLength,
@@ -60,8 +61,11 @@ class MarkersSpec(Model):
     """The markers of an image; all have one size on the ground, and no two cards touch."""
 
     dictionary: str = Field("4X4_50", description="marker dictionary, named as in `skyherd markers --help`")
-    ids: list[Annotated[int, Field(ge=0)]] | None = Field(
-        None, min_length=1, description="markers that may appear; all of the dictionary if left out"
+    ids: list[MarkerId] | None = Field(
+        None,
+        min_length=1,
+        max_length=MOST_ROBOTS,
+        description="markers that may appear; all of the dictionary if left out",
     )
     count: Span[Annotated[int, Field(ge=0, le=1000)]] = Field(
         (4, 12), description="markers in an image; fewer where no more have room"
@@ -146,9 +150,11 @@ class ProcessingSpec(Model):
 class SensorSpec(Model):
     """What the sensor does to images; each part is off at 0, gain at 1, jpeg_quality if left out."""
 
-    noise: Span[NotNegative] = Field((2.0, 2.0), description="grey levels; standard deviation")
+    noise: Span[Grey] = Field((2.0, 2.0), description="grey levels; standard deviation")
     shot: Span[Share] = Field((0.0, 0.0), description="variance of shot noise for each grey level")
-    gain: Span[Positive] = Field((1.0, 1.0), description="grey levels out for each of light")
+    gain: Span[Annotated[FiniteFloat, Field(ge=0.001, le=1000)]] = Field(
+        (1.0, 1.0), description="grey levels out for each of light"
+    )
     motion_px: Span[Annotated[FiniteFloat, Field(ge=0, le=40)]] = Field(
         (0.0, 0.0), description="px; length of the streak that a moving camera makes of a point"
     )
@@ -170,7 +176,7 @@ class GroundSpec(Model):
     )
     images: list[str] = Field([], max_length=100, description="picture files, relative to the spec's folder")
     mean: Span[Grey] = Field((128.0, 128.0), description="mean grey level; pictures have their own")
-    contrast: Span[NotNegative] = Field((12.0, 12.0), description="grey levels; standard deviation")
+    contrast: Span[Grey] = Field((12.0, 12.0), description="grey levels; standard deviation")
     tile_sides: Span[Positive] = Field((3.0, 8.0), description="marker sides; side of a tile")
     image_sides: Span[Positive] = Field((20.0, 20.0), description="marker sides; width of a picture")
     clutter: Span[Annotated[int, Field(ge=0, le=500)]] = Field(
@@ -198,7 +204,7 @@ class DatasetSpec(Model):
     """The spec of a set: with the seed, all that each image follows from."""
 
     description: str = Field("", description="what the set is for, for people")
-    seed: Annotated[int, Field(ge=0, lt=2**63)] = Field(1, description="seed of all random draws")
+    seed: Seed = Field(1, description="seed of all random draws")
     images: Annotated[int, Field(ge=1, le=1_000_000)] = Field(description="number of images")
     size_px: tuple[Size, Size] = Field((640, 480), description="px; width and height of every image")
     validation: Fraction = Field(0.2, description="share of the images that are kept for validation")

@@ -4,7 +4,7 @@ Left in the output folder: `run.mcap`, `video.mp4`, `figures/`, `summary.json`, 
 
 The recording comes first: messages are written to MCAP while the run goes on, and figures, summary and page
 are always made from the file read back. `skyherd report` therefore is the same code as the end of `skyherd
-run`, and a run that was killed still has its report, up to the last whole chunk of its file.
+run`, and a run that was killed still has its report, up to half a second before that.
 """
 
 import json
@@ -26,6 +26,7 @@ from skyherd.messages import TIME_TOLERANCE_S
 from skyherd.plots.panels import PANELS, write_figures
 from skyherd.progress import NO_PROGRESS, Progress
 from skyherd.recording.reader import read_recording, read_steps
+from skyherd.recording.survey import describe_flaws
 from skyherd.recording.writer import McapRecorder, Recorder
 from skyherd.report.run_page import PAGE, VIDEO, write_page
 from skyherd.video.recorder import VideoRecorder
@@ -128,6 +129,8 @@ def _report_step(progress: Progress, mission: Mission, step: Step) -> None:
 def make_report(folder: Path, *, film: bool = True) -> dict[str, Any]:
     """Make figures, summary and page from the recording in a folder, and return the summary.
 
+    Its key `recording` says what the recording lacks, if it is not whole.
+
     Args:
         folder: a run's folder.
         film: make the video anew as well, if the recording has the cameras' images.
@@ -143,6 +146,8 @@ def make_report(folder: Path, *, film: bool = True) -> dict[str, Any]:
                 recorder.write(step)
     history = make_history(recording.mission, recording.steps)
     summary = summarize(history, recording.wall_s)
+    if recording.flaws:
+        summary["recording"] = describe_flaws(recording.flaws)
     (folder / FIGURES).mkdir(exist_ok=True)
     figures = write_figures(history, folder / FIGURES)
     write_text(folder / SUMMARY, json.dumps(summary, indent=2) + "\n")

@@ -89,16 +89,14 @@ def test_a_torn_file_reads_up_to_its_last_whole_chunk(tmp_path, mission, steps, 
     np.testing.assert_array_equal(
         recording.steps[-1].positions_m, steps[len(recording.steps) - 1].positions_m
     )
-    # No more than one chunk of messages is lost: chunks hold 64 KiB before compression.
-    assert len(recording.steps) >= int(len(steps) * fraction) - 12
+    # No more than one chunk is lost, which holds half a second.
+    assert len(recording.steps) >= int(len(steps) * fraction) - 5
 
 
-def test_a_run_of_one_chunk_is_read_back_whole(tmp_path, mission, steps):
-    """The wall time, metadata, then stands before the mission."""
+def test_a_run_of_one_step_is_read_back_whole(tmp_path, mission, steps):
     path = record(tmp_path / "run.mcap", mission, steps[:1])
     recording = read_recording(path)
     assert (len(recording.steps), recording.wall_s) == (1, 1.5)
-    assert next(read_messages(path))[0] == "#wall"
 
 
 def test_a_whole_file_is_whole_for_an_indexed_reader(tmp_path, mission, steps):
@@ -106,17 +104,7 @@ def test_a_whole_file_is_whole_for_an_indexed_reader(tmp_path, mission, steps):
         summary = make_reader(stream).get_summary()
     topics = {channel.topic for channel in summary.channels.values()}
     assert {"/mission", "/unit/0/detections", "/unit/2/goals", "/robots/command", "/world", "/end"} <= topics
-    messages = [topic for topic, _, _ in read_messages(tmp_path / "run.mcap") if topic != "#wall"]
-    assert summary.statistics.message_count == len(messages)
-
-
-def test_a_damaged_file_is_refused(tmp_path, mission, steps):
-    path = record(tmp_path / "run.mcap", mission, steps)
-    data = bytearray(path.read_bytes())
-    data[len(data) // 3] ^= 0xFF
-    path.write_bytes(data)
-    with pytest.raises(InputError, match="damaged"):
-        read_recording(path)
+    assert summary.statistics.message_count == len(list(read_messages(tmp_path / "run.mcap")))
 
 
 def test_what_is_no_recording_is_refused(tmp_path):
@@ -169,7 +157,13 @@ def test_the_same_seed_gives_the_same_messages_byte_for_byte(tmp_path, mission, 
     other = messages_of(record(tmp_path / "other.mcap", other_mission, list(run_steps(other_mission))))
     assert len(first) > 20 * 10
     assert first == again
-    assert first[1 : len(other) - 1] != other[1:-1], "all but the mission itself and the end"
+    assert first[2 : len(other) - 1] != other[2:-1], "all but the mission itself and the end"
+
+
+def test_the_same_run_in_the_same_time_gives_the_same_file(tmp_path, mission, steps):
+    """The wall time is all that may differ."""
+    first = record(tmp_path / "first.mcap", mission, steps).read_bytes()
+    assert record(tmp_path / "again.mcap", mission, list(run_steps(mission))).read_bytes() == first
 
 
 @pytest.mark.parametrize(

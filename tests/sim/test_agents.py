@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from skyherd.datasets import load_mission
-from skyherd.sim.agents import UnitAgents, make_controller
+from skyherd.loop import run_steps
+from skyherd.sim.agents import UnitAgents, make_avoidance, make_controller
 
 
 @pytest.fixture
@@ -40,3 +41,40 @@ def test_a_unit_that_dies_again_is_made_anew_again(agents, made, make_detections
         agents.decide(make_detections([0, 1], [100 + 100j, 300 + 100j], unit_id=1), [])
         agents.lose(1)
     assert made == [0, 1, 2, 1, 1]
+
+
+def test_robots_count_on_the_slowest_units_messages() -> None:
+    """Latency and time between two images of the unit with the greatest sum, and the least latency of all."""
+    settings = ["units.0.latency_s=0.3", "units.1.frame_rate_hz=2.0", "units.2.latency_s=0.1"]
+    rule = make_avoidance(load_mission("star", settings).scenario)
+    assert rule.nominal_age_s == pytest.approx(max(0.3 + 0.1, 0.0 + 0.5, 0.1 + 0.1))
+    assert rule.superseded_age_s == pytest.approx(0.0 + 0.1)
+
+
+def test_the_radio_of_a_dead_unit_forgets() -> None:
+    """Units 0 and 1 die; unit 0 comes back, and knows nothing of what unit 1 said before.
+
+    Only the loop has the radio forget: the unit's controller is a new one anyhow.
+    """
+    received: dict[float, list[tuple[int, float]]] = {}
+
+    def controller(mission, unit):
+        made = make_controller(mission, unit)
+        if unit == 0:
+            step = made.step
+
+            def noted(detections, reports):
+                received[detections.time_s] = [(report.unit_id, report.time_s) for report in reports]
+                return step(detections, reports)
+
+            made.step = noted
+        return made
+
+    settings = ["duration_s=1.2", "units.0.outages=[[0.6, 1.0]]", "units.1.outages=[[0.4, 5.0]]"]
+    mission = load_mission("star", ["perception=ideal", *settings])
+    for _ in run_steps(mission, controller_for=controller):
+        pass
+    times_s = sorted(received)
+    before, after = received[times_s[5]], received[next(t for t in times_s if t > 0.95)]
+    assert {unit for unit, _ in before} == {1, 2}
+    assert {unit for unit, _ in after} == {2}

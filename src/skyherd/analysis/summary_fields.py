@@ -51,7 +51,7 @@ GROUPS: Mapping[str, tuple[Field, ...]] = {
             "s",
             "From then on the shape error stayed below its goal; from the start of the run.",
         ),
-        Field("complete", "Complete", "", "The run went to its planned end and was not cut short."),
+        Field("complete", "Complete", "", "The run went to its planned end, and its recording is whole."),
         Field(
             "shape_error",
             "Shape error",

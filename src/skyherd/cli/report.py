@@ -22,7 +22,7 @@ def report(
     if not (folder / RECORDING).is_file():
         raise InputError(str(folder), f"no {RECORDING} in it", "the output folder of `skyherd run`")
     summary = make_report(folder)
-    if not summary["complete"]:
-        warn(f"the run was cut short at {summary['simulated_s']:g} s of simulated time")
+    if "recording" in summary:
+        warn(f"{folder / RECORDING}: {summary['recording']}; the report is of what can be read")
     say(f"see {folder / PAGE}")
     return 0

@@ -69,6 +69,7 @@ def _open(source: str) -> tuple["History", Path, bool]:
     from skyherd.analysis.history import make_history
     from skyherd.datasets import load_mission
     from skyherd.recording.reader import read_recording
+    from skyherd.recording.survey import describe_flaws
     from skyherd.runner import RECORDING
 
     path = Path(source)
@@ -79,6 +80,8 @@ def _open(source: str) -> tuple["History", Path, bool]:
         path = path / RECORDING
     if path.suffix == ".mcap":
         recording = read_recording(path)
+        if recording.flaws:
+            warn(f"{path}: {describe_flaws(recording.flaws)}")
         return make_history(recording.mission, recording.steps), path.with_name("topology.png"), True
     mission = load_mission(source, ["perception=ideal"])
     return _deploy(mission), Path(f"{mission.scenario.name}-topology.png"), False

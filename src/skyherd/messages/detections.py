@@ -8,6 +8,7 @@ import numpy.typing as npt
 
 from skyherd.errors import MessageError
 from skyherd.geometry import Array, IntArray
+from skyherd.messages.checks import check_time
 from skyherd.messages.frozen_arrays import freeze, freeze_ids
 from skyherd.messages.ids import among
 
@@ -47,6 +48,7 @@ class Detections:
     covariances: Array
 
     def __post_init__(self) -> None:
+        check_time(self)
         n = freeze_ids(self, "ids")
         freeze(self, "image_size_px", (2,))
         freeze(self, "centers_px", (n, 2))

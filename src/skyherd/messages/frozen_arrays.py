@@ -7,6 +7,7 @@ still be changed. Messages call `freeze` for each of their arrays in `__post_ini
 import numpy as np
 
 from skyherd.errors import MessageError
+from skyherd.messages.checks import shown
 
 
 def freeze(owner: object, name: str, shape: tuple[int | None, ...], *, integer: bool = False) -> None:
@@ -20,9 +21,9 @@ def freeze(owner: object, name: str, shape: tuple[int | None, ...], *, integer: 
         integer: whether the copy is of 64-bit integers instead of 64-bit floats.
 
     Raises:
-        MessageError: the shape is another one, or a float is infinite or not a number.
+        MessageError: the shape is another one, a float is infinite or not a number, or an integer is none.
     """
-    array = np.array(getattr(owner, name), dtype=np.int64 if integer else np.float64)
+    array = _array(owner, name, integer=integer)
     if array.shape != shape and array.size == 0 and 0 in shape:
         array = array.reshape([length or 0 for length in shape])
     if array.shape != shape and not _fits(array.shape, shape):
@@ -31,6 +32,19 @@ def freeze(owner: object, name: str, shape: tuple[int | None, ...], *, integer: 
         raise MessageError(f"{type(owner).__name__}.{name}: every value must be finite")
     array.setflags(write=False)
     object.__setattr__(owner, name, array)
+
+
+def _array(owner: object, name: str, *, integer: bool) -> np.ndarray:
+    """A copy of a field as an array of 64-bit integers or floats; whole floats count as integers."""
+    given = getattr(owner, name)
+    try:
+        given = np.asarray(given)
+        if integer and given.dtype.kind not in "iu" and not (given == np.floor(given)).all():
+            raise ValueError
+        return np.array(given, dtype=np.int64 if integer else np.float64)
+    except (TypeError, ValueError, OverflowError):
+        kind = "whole numbers" if integer else "numbers"
+        raise MessageError(f"{type(owner).__name__}.{name}: {shown(given)}, expected {kind}") from None
 
 
 def _fits(actual: tuple[int, ...], expected: tuple[int | None, ...]) -> bool:
@@ -44,10 +58,12 @@ def freeze_ids(owner: object, name: str) -> int:
     """Freeze a field of ids, as `freeze` does, and return how many there are.
 
     Raises:
-        MessageError: an id occurs twice, or the field is no list of integers.
+        MessageError: an id occurs twice or is negative, or the field is no list of integers.
     """
     freeze(owner, name, (np.size(getattr(owner, name)),), integer=True)
     ids = getattr(owner, name)
     if len(set(ids.tolist())) != ids.size:
-        raise MessageError(f"{type(owner).__name__}.{name}: repeated id in {ids.tolist()}")
+        raise MessageError(f"{type(owner).__name__}.{name}: repeated id in {shown(ids.tolist())}")
+    if (ids < 0).any():
+        raise MessageError(f"{type(owner).__name__}.{name}: negative id in {shown(ids.tolist())}")
     return int(ids.size)

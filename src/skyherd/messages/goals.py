@@ -6,6 +6,7 @@ import numpy as np
 
 from skyherd.errors import MessageError
 from skyherd.geometry import Array, IntArray
+from skyherd.messages.checks import check_time
 from skyherd.messages.frozen_arrays import freeze, freeze_ids
 
 
@@ -67,6 +68,7 @@ class MotionGoals:
     neighbor_distances_px: Array
 
     def __post_init__(self) -> None:
+        check_time(self)
         n = freeze_ids(self, "ids")
         freeze(self, "rho_px", (n,))
         freeze(self, "bearings_rad", (n,))

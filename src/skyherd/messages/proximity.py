@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 from skyherd.errors import MessageError
 from skyherd.geometry import Array, IntArray
+from skyherd.messages.checks import check_time
 from skyherd.messages.frozen_arrays import freeze, freeze_ids
 
 
@@ -44,6 +45,7 @@ class Proximity:
     shares: Array
 
     def __post_init__(self) -> None:
+        check_time(self)
         freeze_ids(self, "ids")
         freeze(self, "robot_ids", (None,), integer=True)
         pairs = self.robot_ids.size

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from skyherd.geometry import Array, IntArray
+from skyherd.messages.checks import check_time
 from skyherd.messages.detections import centred
 from skyherd.messages.frozen_arrays import freeze, freeze_ids
 from skyherd.messages.role_map import RoleMap
@@ -49,6 +50,7 @@ class UnitReport:
     roles: RoleMap | None = None
 
     def __post_init__(self) -> None:
+        check_time(self)
         n = freeze_ids(self, "ids")
         freeze(self, "image_size_px", (2,))
         freeze(self, "points_px", (n, 2))

@@ -1,45 +1,63 @@
-"""Recordings read back: a run's mission and steps, up to where its file ends or breaks off."""
+"""Recordings read back: a run's mission and steps, as far as its file can be read."""
 
 import base64
-import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import cv2
 import numpy as np
 import orjson
-from mcap.exceptions import McapError
-from mcap.records import Channel, Message, Metadata
-from mcap.stream_reader import CRCValidationError, StreamReader
+from mcap.reader import make_reader
 from pydantic import ValidationError
-from zstandard import ZstdError
 
-from skyherd.control import Conditions, Decision, GroundMap, Template, rectified
-from skyherd.datasets import Mission, Scenario
+from skyherd.control import Conditions, Decision, GroundMap, rectified
+from skyherd.datasets import Mission
 from skyherd.errors import InputError
 from skyherd.loop import Step, UnitFrame
 from skyherd.messages import Detections, FlightCommand, MotionGoals, Proximity, UnitReport, VelocityCommand
 from skyherd.messages.role_map import RoleMap
 from skyherd.messages.tree_status import TreeStatus
 from skyherd.recording.json_codec import from_plain
+from skyherd.recording.plausible import check_map, check_step, read_mission
+from skyherd.recording.survey import (
+    MAGIC,
+    MALFORMED,
+    MISSION_CHANNEL,
+    Flaw,
+    Survey,
+    describe_flaws,
+    read_chunk,
+    survey,
+)
 from skyherd.sim.perception import Sight
 from skyherd.sim.truth_metrics import ShapeFit, TruthMetrics
 from skyherd.sim.world import Fleet
 
+NOTHING_YET = "nothing was recorded yet"
+"""What is said of a file that was begun, in which there is no step."""
+
+SHOWN_REASON = 160
+"""Characters of the reason why a record is refused that are shown. Chosen: two lines of a terminal."""
+
+MALFORMED_RECORDS = (*MALFORMED, TypeError, AttributeError, IndexError, cv2.error)
+"""What reading a record raises that is not of the form that this version writes."""
+
 
 @dataclass(frozen=True)
 class Recording:
-    """A run read back.
+    """A run read back, as far as its file can be read.
 
     Attributes:
         mission: what was run.
         versions: versions of skyherd and of the libraries that ran it, by name.
-        steps: all steps that are whole in the file, without camera images.
-        wall_s: wall time of the run, None if it was cut short.
+        steps: all steps that can be read, in the order of time, without camera images.
+        wall_s: wall time of the run; None if it was cut short, or the file is not as it was written.
         has_images: whether camera images were recorded; `read_steps` has them.
+        ended: whether the run came to its end.
+        flaws: what the file lacks; none if it is whole.
     """
 
     mission: Mission
@@ -47,103 +65,182 @@ class Recording:
     steps: list[Step]
     wall_s: float | None
     has_images: bool
+    ended: bool
+    flaws: tuple[Flaw, ...]
+
+    @property
+    def whole(self) -> bool:
+        """Whether the run came to its end, and every byte is as it was written."""
+        return self.ended and not self.flaws
 
 
 def read_messages(path: Path) -> Iterator[tuple[str, float, Any]]:
-    """Iterate over the topic, the time (s) and the content of each message, up to where the file breaks off.
+    """Iterate over the topic, the time (s) and the content of each message that can be read, each once.
 
-    A record of metadata has the topic `#name` and time 0. The topics are listed in
-    `skyherd.recording.writer`.
+    The topics are listed in `skyherd.recording.writer`. Messages that are damaged or missing are left out.
 
     Raises:
-        InputError: there is no such file, or it is damaged within.
+        InputError: there is no such file, or it is no recording of skyherd.
     """
-    channels: dict[int, str] = {}
-    try:
-        with path.open("rb") as stream:
-            records = StreamReader(stream, validate_crcs=True).records
-            while (record := _next_whole(records)) is not None:
-                if isinstance(record, Channel):
-                    channels[record.id] = record.topic
-                elif isinstance(record, Message):
-                    yield channels[record.channel_id], record.log_time / 1e9, orjson.loads(record.data)
-                elif isinstance(record, Metadata):
-                    yield f"#{record.name}", 0.0, record.metadata
-    except (CRCValidationError, ZstdError, ValueError, KeyError) as error:
-        raise InputError(str(path), f"damaged: {error}", "a recording as it was written") from None
-    except OSError as error:
-        raise InputError(str(path), error.strerror or str(error), "a recording, run.mcap") from None
-
-
-def _next_whole(records: Iterator[Any]) -> Any:
-    """The next record, or None at the end or where the file breaks off in the middle of one."""
-    try:
-        return next(records, None)
-    except CRCValidationError:
-        raise
-    except (McapError, struct.error):
-        return None
+    with _opened(path) as (stream, found):
+        for messages in _chunks(path, stream, found):
+            yield from messages
 
 
 def read_recording(path: Path) -> Recording:
-    """Read a run back, whole or cut short, without its images, which `read_steps` has one step at a time.
+    """Read a run back, whole or not, without its images, which `read_steps` has one step at a time.
 
     Raises:
-        InputError: the file holds no mission, or not one whole step, or is of another version of skyherd.
+        InputError: the file holds no mission, or not one step, or is of another version of skyherd.
     """
-    mission: Mission | None = None
-    wall_s: float | None = None
-    versions: dict[str, str] = {}
-    steps: list[Step] = []
-    pending: dict[str, Any] = {}
-    has_images = ended = False
-    for topic, time_s, record in read_messages(path):
-        # Metadata of the wall time may precede the last chunk: /end alone says that the run is whole.
-        ended |= topic == "/end"
-        has_images |= topic.endswith("/image")
-        if topic == "#wall":
-            wall_s = float(record["wall_s"])
-        elif mission is None:
-            if topic != "/mission":
-                break
-            versions = {name: str(record.get(name, "?")) for name in ("version", "opencv", "numpy")}
-            with _version_checked(path):
-                mission = _read_mission(record)
-        elif topic == "/metrics":
-            with _version_checked(path):
-                steps.append(_read_step(time_s, pending | {topic: record}))
-            pending = {}
-        elif not topic.endswith("/image"):
-            pending[topic] = record
-    if mission is None:
-        raise InputError(
-            str(path),
-            "not a recording of skyherd, or cut off at its very start",
-            "a run.mcap of `skyherd run`",
+    with _opened(path) as (stream, found):
+        mission: Mission | None = None
+        versions: dict[str, str] = {}
+        steps: list[Step] = []
+        has_images, told_steps = False, None
+        for messages in _chunks(path, stream, found):
+            for topic, _, record in messages:
+                if topic == "/mission" and mission is None:
+                    with _version_checked(path):
+                        mission = read_mission(record)
+                        versions = {name: str(record[name]) for name in ("version", "opencv", "numpy")}
+                elif topic == "/end":
+                    with _version_checked(path):
+                        told_steps = int(record["steps"])
+                has_images |= topic.endswith("/image")
+            steps += _steps_of(path, _need(path, mission, found), messages, images=False)
+        mission = _need(path, mission, found)
+        if not steps:
+            raise InputError(str(path), f"{NOTHING_YET}{_told(found)}", "a run that took its first step")
+        ended = found.ended or told_steps is not None
+        flaws = found.flaws
+        if not flaws and not ended:
+            flaws = (Flaw("cut short", f"after {steps[-1].time_s:.6g} s"),)
+        if not flaws and told_steps != len(steps):
+            flaws = (Flaw("missing", f"steps: {len(steps)} of {told_steps} are there"),)
+        return Recording(
+            mission=mission,
+            versions=versions,
+            steps=steps,
+            wall_s=None if flaws else _read_wall_s(stream),
+            has_images=has_images,
+            ended=ended,
+            flaws=flaws,
         )
-    if not steps:
-        raise InputError(str(path), "no whole step in it", "a run that went on for at least one chunk")
-    return Recording(
-        mission=mission,
-        versions=versions,
-        steps=steps,
-        wall_s=wall_s if ended else None,
-        has_images=has_images,
-    )
 
 
 def read_steps(path: Path) -> Iterator[Step]:
     """Iterate over the steps of a recording with their camera images, which are too large to keep all.
 
     Raises:
-        InputError: there is no such file, or it is damaged within.
+        InputError: there is no such file, or it is no recording of skyherd.
     """
-    pending: dict[str, Any] = {}
-    for topic, time_s, record in read_messages(path):
-        pending[topic] = record
+    with _opened(path) as (stream, found):
+        mission: Mission | None = None
+        for messages in _chunks(path, stream, found):
+            topic, _, record = messages[0]
+            if topic == "/mission" and mission is None:
+                with _version_checked(path):
+                    mission = read_mission(record)
+            yield from _steps_of(path, _need(path, mission, found), messages, images=True)
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[tuple[BinaryIO, Survey]]:
+    """Open a recording and survey it; OSError becomes an InputError."""
+    with _open(path) as stream:
+        try:
+            found = survey(stream)
+        except OSError as error:
+            raise InputError(str(path), error.strerror or str(error), "a recording, run.mcap") from None
+        if not found.chunks:
+            stream.seek(0)
+            if stream.read(len(MAGIC)) not in (b"", MAGIC):
+                raise InputError(str(path), "not a recording of skyherd", "a run.mcap of `skyherd run`")
+            if any(flaw.kind != "cut short" for flaw in found.flaws):
+                what = f"nothing of it can be read ({describe_flaws(found.flaws)})"
+                raise InputError(str(path), what, "a recording of this version of skyherd")
+            raise InputError(str(path), f"{NOTHING_YET}{_told(found)}", "a run that took its first step")
+        yield stream, found
+
+
+def _open(path: Path) -> BinaryIO:
+    """Open a regular file: a pipe would wait for whoever writes into it."""
+    try:
+        if path.exists() and not path.is_file():
+            raise InputError(str(path), "not a regular file", "a recording, run.mcap")
+        return path.open("rb")
+    except OSError as error:
+        raise InputError(str(path), error.strerror or str(error), "a recording, run.mcap") from None
+
+
+def _told(found: Survey) -> str:
+    """The flaws of a file behind what else is said of it."""
+    return f" ({describe_flaws(found.flaws)})" if found.flaws else ""
+
+
+def _need(path: Path, mission: Mission | None, found: Survey) -> Mission:
+    if mission is None:
+        what = f"its mission is not there, without which nothing can be read{_told(found)}"
+        raise InputError(str(path), what, "a recording whose first or second chunk is whole")
+    return mission
+
+
+def _chunks(path: Path, stream: BinaryIO, found: Survey) -> Iterator[list[tuple[str, float, Any]]]:
+    """Topic, time and content of the messages of each chunk; the first that can be read names the topics."""
+    topics: list[str] = []
+    for chunk in found.chunks:
+        with _version_checked(path):
+            messages = read_chunk(stream, chunk.start)
+            contents = [orjson.loads(message.data) for message in messages]
+            if not topics and messages[0].channel_id == MISSION_CHANNEL:
+                topics = ["", *_topics(contents[0])]
+            if not topics:
+                _need(path, None, found)
+            numbers = [message.channel_id for message in messages]
+            if max(numbers) >= len(topics) or min(numbers) < 1:
+                raise ValueError(f"no topic {max(numbers)}")
+        yield [
+            (topics[message.channel_id], message.log_time / 1e9, content)
+            for message, content in zip(messages, contents, strict=True)
+        ]
+
+
+def _topics(mission: dict[str, Any]) -> list[str]:
+    """The topics that the record of a mission names, in the order of their channels' numbers."""
+    topics = mission["topics"]
+    if not isinstance(topics, list) or not all(isinstance(topic, str) for topic in topics):
+        raise TypeError("topics: a list of names")
+    return topics
+
+
+def _steps_of(
+    path: Path, mission: Mission, messages: list[tuple[str, float, Any]], *, images: bool
+) -> Iterator[Step]:
+    """The steps of a chunk's messages, each of which ends with its metrics."""
+    records: dict[str, Any] = {}
+    for topic, time_s, record in messages:
+        if images or not topic.endswith("/image"):
+            records[topic] = record
         if topic == "/metrics":
-            yield _read_step(time_s, pending)
-            pending = {}
+            with _version_checked(path):
+                step = _read_step(time_s, records)
+                check_step(step, mission)
+            yield step
+            records = {}
+
+
+def _read_wall_s(stream: BinaryIO) -> float | None:
+    """Wall time of a run, from the metadata of a file that is whole; None if they do not have it."""
+    stream.seek(0)
+    try:
+        for metadata in make_reader(stream).iter_metadata():
+            wall_s = float(metadata.metadata["wall_s"]) if metadata.name == "wall" else np.nan
+            if 0 <= wall_s < np.inf:
+                return wall_s
+    except MALFORMED:
+        pass
+    return None
 
 
 @contextmanager
@@ -151,27 +248,23 @@ def _version_checked(path: Path) -> Iterator[None]:
     """Turn the errors of records that another version wrote into an InputError of one line."""
     try:
         yield
-    except (KeyError, TypeError, ValueError) as error:  # pydantic's and our messages' errors too
+    except InputError as error:
+        if error.where == str(path):
+            raise
+        raise _of_another_version(path, str(error)) from None
+    except MALFORMED_RECORDS as error:  # pydantic's and our messages' errors too
         first = error.errors()[0] if isinstance(error, ValidationError) else None
         at = ".".join(str(part) for part in first["loc"]) + f": {first['msg']}" if first else str(error)
-        raise InputError(
-            str(path),
-            f"recorded by another version of skyherd ({at})",
-            "`skyherd run` again, or the version that made it",
-        ) from None
+        raise _of_another_version(path, at) from None
 
 
-def _read_mission(record: dict[str, Any]) -> Mission:
-    return Mission(
-        scenario=Scenario.model_validate(record["scenario"]),
-        template=Template.from_image_points(record["template_ids"], record["template_px"]),
-        ids=np.array(record["ids"], dtype=np.int64),
-        positions_m=np.array(record["positions_m"], dtype=float),
-        headings_rad=np.array(record["headings_rad"], dtype=float),
-        later=tuple(
-            (later["at_s"], Template.from_image_points(record["template_ids"], later["template_px"]))
-            for later in record["later"]
-        ),
+def _of_another_version(path: Path, why: str) -> InputError:
+    why = " ".join(why.split())
+    shown = why if len(why) <= SHOWN_REASON else f"{why[:SHOWN_REASON]}…"
+    return InputError(
+        str(path),
+        f"recorded by another version of skyherd ({shown})",
+        "`skyherd run` again, or the version that made it",
     )
 
 
@@ -180,8 +273,8 @@ def _read_step(time_s: float, records: dict[str, Any]) -> Step:
     observer, world = records["/metrics"], records["/world"]
     return Step(
         time_s=time_s,
-        positions_m=np.array(world["positions_m"]),
-        headings_rad=np.array(world["headings_rad"]),
+        positions_m=np.array(world["positions_m"], dtype=float),
+        headings_rad=np.array(world["headings_rad"], dtype=float),
         fleet=from_plain(Fleet, world["fleet"]),
         frames={unit: _read_frame(f"/unit/{unit}", records) for unit in units},
         command=from_plain(VelocityCommand, records["/robots/command"]),
@@ -215,6 +308,7 @@ def _read_frame(topic: str, records: dict[str, Any]) -> UnitFrame:
     )
     recorded_map = records.get(f"{topic}/map")
     ground_map = GroundMap() if recorded_map is None else from_plain(GroundMap, recorded_map)
+    check_map(ground_map)
     decision = Decision(
         detections=rectified(sight.detections, ground_map),
         goals=None if goals is None else from_plain(MotionGoals, goals),

@@ -1,13 +1,20 @@
 """What records a run while it goes on: the interface of recorders, and the one that writes MCAP files.
 
 An MCAP file holds every message of a run as it passed. There is a topic for each vehicle and kind of message,
-as JSON with a schema, so that any MCAP viewer opens it. The file is written in chunks as the run goes: a run
-that is killed leaves a file that can be read up to its last whole chunk. Everything else (figures, summary,
-page) is made from this file, never from the run itself.
+as JSON with a schema, so that any MCAP viewer opens it. Everything else (figures, summary, page) is made from
+this file, never from the run itself.
+
+The file is written in chunks of whole steps as the run goes, at the latest every `FLUSH_S` of simulated time:
+a run that is killed loses no more. The mission is written twice before the first step, in a chunk of its own
+each time, so that damage to one of them costs nothing. Messages are numbered through, chunks, data and footer
+have checksums, and the footer says how many messages there are; `skyherd.recording.survey` tells by them
+whether a file is whole.
 
 Topics, J being the number of a unit:
 
-    /mission            first: the scenario, the template, the robots' start, and the versions that ran it
+    /mission            first, and once more: the scenario, the template, the robots' start, the versions that
+                        ran it, and the topics in the order of their channels' numbers
+    /end                of a run that came to its end: how many steps there are
     /unit/J/detections  what the unit's detector found in an image
     /unit/J/goals       to the robots that it controls; missing while it has none
     /unit/J/proximity   where robots keep apart: what else is near them; missing without bodies
@@ -19,13 +26,15 @@ Topics, J being the number of a unit:
     /robots/command     the velocities that the wheels were given
     /world              where robots and units truly are
     /metrics            judged from the truth, and last of a step
-    /end                of a run that came to its end
 
 The same scenario and seed give the same messages, to the byte. The wall time, which differs, therefore is
 metadata of the file and no message.
 """
 
 import base64
+import math
+import sys
+from collections.abc import Mapping
 from dataclasses import fields
 from pathlib import Path
 from types import TracebackType
@@ -35,22 +44,38 @@ import cv2
 import numpy as np
 from mcap.writer import CompressionType, Writer
 
-from skyherd.control import Template
+from skyherd.control import GroundMap, Template
 from skyherd.datasets import Mission
 from skyherd.loop import Step, UnitFrame
+from skyherd.messages import (
+    TIME_TOLERANCE_S,
+    Detections,
+    FlightCommand,
+    MotionGoals,
+    Proximity,
+    UnitReport,
+    VelocityCommand,
+)
 from skyherd.recording.json_codec import json_schema, to_json
 from skyherd.sim.truth_metrics import TruthMetrics
 from skyherd.version import __version__
 
 CHUNK_BYTES = 1 << 16
-"""Size at which a chunk of messages is compressed and written. Chosen: a run that is killed loses less than
-one chunk; smaller chunks compress worse."""
+"""Size at which a chunk of messages is compressed and written before its time is over. Chosen: smaller chunks
+compress worse, larger ones lose more where one is damaged."""
+
+FLUSH_S = 0.5
+"""Simulated time, s, of which a run that is killed loses less than this and one step. Chosen: a
+formation hardly moves in it; shorter chunks compress worse."""
 
 JPEG_QUALITY = 90
 """Quality of recorded images, in per cent. Chosen: a video made of them looks like one of the originals; they
 are not for measuring, since JPEG moves edges."""
 
-OBJECT = {"type": "object"}
+Schema = tuple[str, type | dict[str, Any]]
+"""Name of a schema, and the dataclass or the JSON schema that it is of."""
+
+OBJECT: dict[str, Any] = {"type": "object"}
 """JSON schema of messages that are no dataclass."""
 
 IMAGE_SCHEMA = {
@@ -66,6 +91,36 @@ IMAGE_SCHEMA = {
         "format": {"type": "string"},
     },
 }
+
+
+UNIT_TOPICS: Mapping[str, Schema] = {
+    "detections": ("skyherd.Detections", Detections),
+    "goals": ("skyherd.MotionGoals", MotionGoals),
+    "proximity": ("skyherd.Proximity", Proximity),
+    "report": ("skyherd.UnitReport", UnitReport),
+    "flight": ("skyherd.FlightCommand", FlightCommand),
+    "map": ("skyherd.GroundMap", GroundMap),
+    "truth": ("skyherd.SightTruth", OBJECT),
+    "image": ("foxglove.CompressedImage", IMAGE_SCHEMA),
+}
+"""Topics of each unit, and their schemas."""
+
+
+def recorded_topics(units: int) -> dict[str, Schema]:
+    """The topics of a run of so many units, in the order of their channels' numbers, and their schemas.
+
+    All are registered at the start, so that no chunk is needed to understand another one.
+    """
+    of_team: dict[str, Schema] = {
+        "/mission": ("skyherd.Mission", OBJECT),
+        "/end": ("skyherd.End", OBJECT),
+        "/robots/command": ("skyherd.VelocityCommand", VelocityCommand),
+        "/world": ("skyherd.World", OBJECT),
+        "/metrics": ("skyherd.TruthMetrics", TruthMetrics),
+    }
+    return of_team | {
+        f"/unit/{unit}/{name}": schema for unit in range(units) for name, schema in UNIT_TOPICS.items()
+    }
 
 
 class Recorder(Protocol):
@@ -112,31 +167,44 @@ class McapRecorder:
 
     def __init__(self, path: Path, mission: Mission, *, images: bool = False) -> None:
         self.images = images
+        self._step_s = mission.scenario.step_s
         self._file = path.open("wb")
-        self._writer = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
+        # A chunk ends where this class says so, never within a step.
+        self._writer = Writer(
+            self._file, chunk_size=sys.maxsize, compression=CompressionType.ZSTD, enable_data_crcs=True
+        )
         self._writer.start(library=f"skyherd {__version__}")
-        self._channels: dict[str, int] = {}
-        self._schemas: dict[str, int] = {}
-        self._put("/mission", 0.0, _mission_record(mission), "skyherd.Mission")
+        topics = recorded_topics(len(mission.scenario.units))
+        self._channels = self._register(topics)
+        self._sequence = self._steps = self._bytes = 0
+        self._flushed_s = -math.inf
+        record = _mission_record(mission) | {"topics": list(topics)}
+        for _ in range(2):
+            self._put("/mission", 0.0, record)
+            self._flush(0.0)
+        self._flushed_s = -math.inf
 
     def write(self, step: Step) -> None:
-        """Append all messages of one step, and flush what is a whole chunk by then."""
+        """Append all messages of one step, and flush what would be too much to lose."""
         for unit, frame in step.frames.items():
             self._write_frame(f"/unit/{unit}", step.time_s, frame)
-        self._put_value("/robots/command", step.time_s, step.command)
+        self._put("/robots/command", step.time_s, step.command)
         world = {
             "positions_m": step.positions_m,
             "headings_rad": step.headings_rad,
             "fleet": step.fleet,
         }
-        self._put("/world", step.time_s, world, "skyherd.World")
+        self._put("/world", step.time_s, world)
         record = {field.name: getattr(step.metrics, field.name) for field in fields(TruthMetrics)} | {
             "control_sets": step.control_sets,
             "commanded_ids": step.commanded_ids,
             "roles": step.roles,
         }
-        self._put("/metrics", step.time_s, record, "skyherd.TruthMetrics", TruthMetrics)
-        self._file.flush()  # a killed run keeps all chunks that were whole by then
+        self._put("/metrics", step.time_s, record)
+        self._steps += 1
+        next_s = step.time_s + self._step_s
+        if self._bytes >= CHUNK_BYTES or next_s - self._flushed_s > FLUSH_S + TIME_TOLERANCE_S:
+            self._flush(step.time_s)
 
     def finish(self, time_s: float, wall_s: float) -> None:
         """Mark the run as complete.
@@ -145,26 +213,27 @@ class McapRecorder:
             time_s: simulated time of the last step.
             wall_s: wall time that the run took.
         """
-        self._put("/end", time_s, {}, "skyherd.End")
+        self._put("/end", time_s, {"steps": self._steps})
+        self._flush(time_s)
         self._writer.add_metadata("wall", {"wall_s": repr(wall_s)})
 
     def _write_frame(self, topic: str, time_s: float, frame: UnitFrame) -> None:
         sight, decision = frame.sight, frame.decision
-        self._put_value(f"{topic}/detections", time_s, sight.detections)
+        self._put(f"{topic}/detections", time_s, sight.detections)
         if decision.goals is not None:
-            self._put_value(f"{topic}/goals", time_s, decision.goals)
+            self._put(f"{topic}/goals", time_s, decision.goals)
         if decision.proximity is not None:
-            self._put_value(f"{topic}/proximity", time_s, decision.proximity)
-        self._put_value(f"{topic}/report", time_s, decision.report)
-        self._put_value(f"{topic}/flight", time_s, decision.flight)
+            self._put(f"{topic}/proximity", time_s, decision.proximity)
+        self._put(f"{topic}/report", time_s, decision.report)
+        self._put(f"{topic}/flight", time_s, decision.flight)
         if not frame.decision.ground_map.ideal:
-            self._put_value(f"{topic}/map", time_s, frame.decision.ground_map)
+            self._put(f"{topic}/map", time_s, frame.decision.ground_map)
         truth = {
             "whole_ids": sight.whole_ids,
             "found_ids": sight.found_ids,
             "false_detections": sight.false_detections,
         }
-        self._put(f"{topic}/truth", time_s, truth, "skyherd.SightTruth")
+        self._put(f"{topic}/truth", time_s, truth)
         if self.images and sight.image is not None:
             _, data = cv2.imencode(".jpg", sight.image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
             nanoseconds = _nanoseconds(time_s)
@@ -174,23 +243,33 @@ class McapRecorder:
                 "data": base64.b64encode(data.tobytes()).decode(),
                 "format": "jpeg",
             }
-            self._put(f"{topic}/image", time_s, record, "foxglove.CompressedImage", IMAGE_SCHEMA)
+            self._put(f"{topic}/image", time_s, record)
 
-    def _put_value(self, topic: str, time_s: float, value: Any) -> None:
-        """Append a dataclass, whose name and fields give the schema."""
-        self._put(topic, time_s, value, f"skyherd.{type(value).__name__}", type(value))
+    def _register(self, topics: Mapping[str, Schema]) -> dict[str, int]:
+        """Make the channels, numbered from 1 in the order of the topics, and each schema once."""
+        schemas: dict[str, int] = {}
+        for name, content in topics.values():
+            if name not in schemas:
+                text = to_json(content if isinstance(content, dict) else json_schema(content))
+                schemas[name] = self._writer.register_schema(name, "jsonschema", text)
+        return {
+            topic: self._writer.register_channel(topic, "json", schemas[name])
+            for topic, (name, _) in topics.items()
+        }
 
-    def _put(
-        self, topic: str, time_s: float, record: Any, schema: str, kind: type | dict[str, Any] = OBJECT
-    ) -> None:
-        """Append a message; the first one of a topic makes its channel, the first of a schema its record."""
-        if topic not in self._channels:
-            if schema not in self._schemas:
-                text = to_json(kind if isinstance(kind, dict) else json_schema(kind))
-                self._schemas[schema] = self._writer.register_schema(schema, "jsonschema", text)
-            self._channels[topic] = self._writer.register_channel(topic, "json", self._schemas[schema])
+    def _put(self, topic: str, time_s: float, record: Any) -> None:
+        """Append a message with the next number."""
         at, data = _nanoseconds(time_s), to_json(record)
-        self._writer.add_message(self._channels[topic], log_time=at, publish_time=at, data=data)
+        self._writer.add_message(
+            self._channels[topic], log_time=at, publish_time=at, data=data, sequence=self._sequence
+        )
+        self._sequence += 1
+        self._bytes += len(data)
+
+    def _flush(self, time_s: float) -> None:
+        """Write what there is as a chunk, so that it stays if the process is killed now."""
+        self._writer.flush()  # type: ignore[no-untyped-call]
+        self._bytes, self._flushed_s = 0, time_s
 
     def __enter__(self) -> Self:
         return self

@@ -3,11 +3,12 @@
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, Self
 
-from pydantic import BeforeValidator, Field, FiniteFloat, ValidationError, field_validator, model_validator
+from pydantic import BeforeValidator, Field, ValidationError, field_validator, model_validator
 
 from skyherd.analysis.history import CURVES
 from skyherd.analysis.summary_fields import GROUPS
 from skyherd.datasets import Model, built_in_names, built_in_text, first_error, parse_toml, read_text
+from skyherd.datasets.configuration.fields import Coordinate, Positive, Seed
 from skyherd.errors import InputError
 
 BUILT_IN = "skyherd.study.specs"
@@ -50,14 +51,18 @@ def _kind(value: Any) -> Any:
     return {"uniform": value} if isinstance(value, list | tuple) else value
 
 
+Whole = Annotated[int, Field(gt=-(2**63), lt=2**63)]
+"""A whole number that TOML and JSON hold."""
+
+
 class DrawModel(Model):
     """How the values of a key are drawn: exactly one of these; `[a, b]` alone is `uniform`."""
 
-    uniform: tuple[FiniteFloat, FiniteFloat] | None = Field(None, description="[least, greatest]")
-    log: tuple[FiniteFloat, FiniteFloat] | None = Field(
+    uniform: tuple[Coordinate, Coordinate] | None = Field(None, description="[least, greatest]")
+    log: tuple[Positive, Positive] | None = Field(
         None, description="[least, greatest], above 0; uniform in the logarithm"
     )
-    whole: tuple[int, int] | None = Field(None, description="[first, last], each whole number as likely")
+    whole: tuple[Whole, Whole] | None = Field(None, description="[first, last], each whole number as likely")
     choice: list[Any] | None = Field(None, min_length=1, description="one of these, each as likely")
 
     @model_validator(mode="after")
@@ -68,8 +73,6 @@ class DrawModel(Model):
         for span in (self.uniform, self.log, self.whole):
             if span is not None and span[0] > span[1]:
                 raise ValueError(f"a range goes from least to greatest, not from {span[0]} to {span[1]}")
-        if self.log is not None and self.log[0] <= 0:
-            raise ValueError("a log range lies above 0")
         return self
 
 
@@ -77,7 +80,7 @@ class RandomModel(Model):
     """Random parameters: draw number i of a key depends on seed, i and key alone."""
 
     runs: Annotated[int, Field(ge=1, le=1_000_000)] = Field(description="how many draws of all keys")
-    seed: Annotated[int, Field(ge=0, lt=2**63)] = Field(1, description="of the draws")
+    seed: Seed = Field(1, description="of the draws")
     draw: Annotated[dict[str, Annotated[DrawModel, BeforeValidator(_kind)]], BeforeValidator(_keys)] = Field(
         min_length=1, description="how each key of the scenario is drawn"
     )

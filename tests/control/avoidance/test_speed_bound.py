@@ -8,10 +8,10 @@ import pytest
 from skyherd.control import AvoidanceRule, BodyRule, MarkerGains, NeighborMemory, Wheels
 from skyherd.control.avoidance.detour import around, gyroscopic
 from skyherd.control.avoidance.proximity import proximity
-from skyherd.control.avoidance.speed_bound import avoiding_law, closing_bounds, slowed
+from skyherd.control.avoidance.speed_bound import Bounds, avoiding_law, closing_bounds, slowed
 from skyherd.control.robots.unicycle import wheel_law
 from skyherd.geometry import to_complex, to_points, wrap_angle
-from skyherd.messages import VelocityCommand
+from skyherd.messages import Proximity, VelocityCommand
 from skyherd.random_streams import RunStream, generator
 from skyherd.sim.drive import Drive, DriveParameters
 from skyherd.sim.world import move_bodies
@@ -267,3 +267,71 @@ def test_a_gyroscopic_force_turns_to_the_tangent_and_does_not_brake() -> None:
         np.ones(1, dtype=complex), rows=rows[:0], bearings_rad=bearings[:0], speeds_mps=speeds[:0]
     )
     assert none[0].size == 0
+
+
+# --- each term of the bound, by its formula ---
+
+
+def remembered(age_s: float, distance_sides: float = 10.0) -> NeighborMemory:
+    """One robot that knows of another ahead of it, by a message of an age at time 0."""
+    memory = NeighborMemory(np.array([0]), np.array([0, 1]), lifetime_s=5.0)
+    near = Proximity(
+        unit_id=0,
+        time_s=-age_s,
+        horizon_sides=20.0,
+        ids=[0, 1],
+        robot_ids=[0],
+        other_ids=[1],
+        distances_sides=[distance_sides],
+        bearings_rad=[0.0],
+        reaches_sides=[2.0],
+        shares=[0.5],
+    )
+    memory.receive(near)
+    return memory
+
+
+def test_on_an_older_image_both_robots_may_have_strayed() -> None:
+    """Each at full speed: the line between them turned by up to `asin(2 v age / d)`."""
+    age_s, distance_m = 0.5, 10.0 * SIDE_M
+    bounds = closing_bounds(remembered(age_s), rule(), 0.0)
+    assert bounds.slack_rad == pytest.approx(np.arcsin(2 * WHEELS.max_speed_mps * age_s / distance_m))
+    assert closing_bounds(remembered(0.1), rule(), 0.0).slack_rad == 0
+
+
+def test_wheels_that_turn_wrongly_add_to_the_slack() -> None:
+    """By their error of rate, since the image and until the command's last effect."""
+    wrong = rule(turn_error_radps=0.3, lag_s=0.2)
+    slack_rad = closing_bounds(remembered(0.1), wrong, 0.0).slack_rad
+    assert slack_rad == pytest.approx(0.3 * (0.1 + STEP_S + 0.2))
+
+
+def test_wheels_that_creep_have_that_speed_taken_off() -> None:
+    share_m, age_s = np.array([0.4]), np.array([0.1])
+    plain, creeping = rule(), rule(creep_mps=0.05, overshoot=0.25)
+    bound_mps = plain.gamma_ps * share_m * np.exp(-plain.gamma_ps * (age_s + STEP_S))
+    assert plain.limit_mps(share_m, age_s) == pytest.approx(bound_mps)
+    assert creeping.limit_mps(share_m, age_s) == pytest.approx((bound_mps - 0.05) / 1.25)
+
+
+def test_what_a_robot_may_still_turn_while_its_wheels_lag_counts() -> None:
+    """A body 60 degrees off the way comes nearer to it by `max_turn lag`."""
+    lagging, v = rule(lag_s=0.2), np.array([0.4])
+    bounds = Bounds(
+        rows=np.array([0]),
+        bearings_rad=np.array([np.pi / 3]),
+        speeds_mps=np.array([0.1]),
+        slack_rad=np.zeros(1),
+        unseen_mps=np.array([10.0]),
+    )
+    slower, _ = slowed(v, np.zeros(1), bounds=bounds, rule=lagging)
+    assert slower == pytest.approx(0.1 / np.cos(np.pi / 3 - WHEELS.max_turn_radps * 0.2))
+    unlagged, _ = slowed(v, np.zeros(1), bounds=bounds, rule=rule())
+    assert unlagged == pytest.approx(0.1 / np.cos(np.pi / 3))
+
+
+def test_a_body_that_no_message_named_was_beyond_the_horizon() -> None:
+    """Both may come nearer since: each may use up half of the horizon."""
+    (unseen_mps,) = closing_bounds(remembered(0.1), rule(), 0.0).unseen_mps
+    gamma_ps = rule().gamma_ps
+    assert unseen_mps == pytest.approx(gamma_ps * 20.0 * SIDE_M / 2 * np.exp(-gamma_ps * (0.1 + STEP_S)))

@@ -154,3 +154,26 @@ def test_a_registration_reaches_along_a_chain_of_views(make_detections, make_rep
     assert not register_views(np.arange(N), seen, reports[:1]).known[5:].any(), (
         "without unit 1 there is no way"
     )
+
+
+def test_a_unit_exchanges_in_its_own_slot_and_on_the_map_of_all(make_report) -> None:
+    """Slots of a second go round: unit 0 has the even ones. Either condition alone is not enough."""
+
+    def report(role_map: RoleMap | None):
+        return replace(make_report(1, [], [], []), roles=role_map)
+
+    def allowed(time_s: float, role_map: RoleMap | None) -> bool:
+        return Roles(RULE, TEMPLATE).may_exchange(0, time_s, [report(role_map)])
+
+    own = Roles(RULE, TEMPLATE).map
+    newer = RoleMap(own.version + 1, 1, own.roles)
+    assert allowed(4.0, own) and allowed(4.0, None)
+    assert not allowed(5.0, own), "the slot of unit 1"
+    assert not allowed(4.0, newer), "unit 1 follows another map"
+
+
+@pytest.mark.parametrize("known", [0, 1])
+def test_with_fewer_than_two_known_places_nothing_is_exchanged(known) -> None:
+    mine = Roles(RULE, TEMPLATE)
+    assert not mine.exchange(0, Registration(RING[::-1], np.arange(N) < known))
+    assert mine.map.version == 0

@@ -22,6 +22,8 @@ from skyherd.control.rectification.ground_map import (
     USUAL_FOCAL,
     GroundMap,
 )
+from skyherd.control.rectification.information import Information
+from skyherd.control.rectification.square_shapes import Squares
 from skyherd.geometry import to_complex, to_points
 from skyherd.markers.dictionary import marker_cells
 from skyherd.messages import Detections
@@ -524,3 +526,89 @@ def test_a_zoom_lens_may_bend_otherwise_at_each_zoom(monkeypatch, seed):
     believed = scale_after_zooming(seed)
     assert believed > 4e-3
     assert error < believed / 2
+
+
+# --- the terms of the covariance, and the zoom ---
+
+BENT = np.array([0.05, -0.03, -0.08, 0.01, 0.0, 0.02, -0.01, 0.1, 0.06, -0.04])
+"""Unknowns of a map with every part: squeezed pixels, lens, centre, focal length and tilt."""
+
+
+def test_a_headings_variance_is_mapped_as_a_direction_is():
+    """By the map of two points a hundredth of a pixel apart, without its derivatives."""
+    rng = np.random.default_rng(4)
+    seen = IDEAL.see(*robots_in_view(IDEAL, 6, 4), rng)
+    deviation_rad = 0.01
+    covariances = np.zeros((len(seen), 3, 3))
+    covariances[:, 2, 2] = deviation_rad**2
+    ground_map = GroundMap(BENT)
+    mapped = rectified(replace(seen, covariances=covariances), ground_map)
+
+    def direction(headings_rad: np.ndarray) -> np.ndarray:
+        ahead = 0.01 * to_points(np.exp(1j * headings_rad))
+        ends = [ground_map.rectified_px(seen.centers_px + s * ahead, seen.image_size_px) for s in (1, -1)]
+        return np.angle(to_complex(ends[0] - ends[1]))
+
+    turn = 1e-4
+    slopes = (direction(seen.headings_rad + turn) - direction(seen.headings_rad - turn)) / (2 * turn)
+    # Differences of order 1e-4 of points to 1e-10 px over 0.01 px: 1e-4; and the map's own curvature.
+    np.testing.assert_allclose(
+        np.sqrt(mapped.covariances[:, 2, 2]), deviation_rad * np.abs(slopes), rtol=1e-3
+    )
+    assert np.ptp(slopes) > 0.05, "no part of the map that is the same for all headings"
+
+
+@pytest.mark.parametrize("unknown", [0, 1, 2, 8, 9])
+def test_what_is_not_known_of_the_map_counts_but_for_a_rotation_of_all(unknown):
+    """Headings err as the map turns at their markers, less the turn of the best similarity of all centres."""
+    rng = np.random.default_rng(5)
+    seen = IDEAL.see(*robots_in_view(IDEAL, 8, 5), rng)
+    seen = replace(seen, covariances=np.zeros((len(seen), 3, 3)))
+    deviation, step = 1e-3, 1e-5
+    covariance = np.zeros((BENT.size, BENT.size))
+    covariance[unknown, unknown] = deviation**2
+    mapped = rectified(seen, GroundMap(BENT, covariance))
+
+    def headings_and_centers(change: float) -> tuple[np.ndarray, np.ndarray]:
+        ground_map = GroundMap(BENT + change * np.eye(BENT.size)[unknown])
+
+        def place(points_px: np.ndarray) -> np.ndarray:
+            return to_complex(ground_map.rectified_px(points_px, seen.image_size_px))
+
+        # The turn of the map at a marker is that of a small square: of its two diagonals, taken as one.
+        ring = [
+            place(seen.centers_px + 0.05 * np.array([np.cos(t), np.sin(t)])) for t in np.arange(4) * np.pi / 2
+        ]
+        turn = np.angle((ring[0] - ring[2]) - 1j * (ring[1] - ring[3]))
+        return turn, place(seen.centers_px)
+
+    (turn_up, up), (turn_down, down) = headings_and_centers(step), headings_and_centers(-step)
+    turns, shifts = (turn_up - turn_down) / (2 * step), (up - down) / (2 * step)
+    z = (up + down) / 2
+    matrix = np.column_stack([z - z.mean(), np.ones(z.size)])
+    rotation = np.linalg.lstsq(matrix, shifts, rcond=None)[0][0].imag
+    expected = np.abs(turns - rotation) * deviation
+    np.testing.assert_allclose(np.sqrt(mapped.covariances[:, 2, 2]), expected, rtol=0.02, atol=2e-6)
+
+
+@pytest.mark.parametrize("factor", [1.2, 1 / 1.2])
+def test_zooming_in_and_out_cost_the_same_certainty(factor):
+    """What is known of the camera loses the same, whichever way it zooms.
+
+    So the sign of the growth of the sides in `Rectifier._after_zoom` decides nothing: it enters the variances
+    by its square, and those of a lens by its magnitude. A change of that sign is equivalent.
+    """
+    rectifier = Rectifier()
+    rng = np.random.default_rng(6)
+    place = robots_in_view(IDEAL, 9, 6)
+    seen = IDEAL.see(*place, rng)
+    rectifier.rectify(seen)
+    rectifier.ground_map = GroundMap(BENT)
+    squares = Squares.of(seen)
+    rectifier._previous, known = squares, Information.prior(np.full(8, 0.1))
+    lost = []
+    for growth in (np.log(factor), -np.log(factor)):
+        rectifier._log_sides = rectifier._ground_log_sides(squares) - growth
+        lost.append(rectifier._after_zoom(squares, known).matrix)
+    np.testing.assert_allclose(lost[0], lost[1], rtol=1e-9)
+    assert not np.allclose(lost[0], known.matrix)

@@ -3,8 +3,16 @@
 import numpy as np
 import pytest
 
-from skyherd.control import GoalInboxes, MarkerGains, PixelGains, Template, motion_goals, robot_commands
-from skyherd.control.robots.unicycle import unicycle_law
+from skyherd.control import (
+    GoalInboxes,
+    MarkerGains,
+    PixelGains,
+    Template,
+    Wheels,
+    motion_goals,
+    robot_commands,
+)
+from skyherd.control.robots.unicycle import unicycle_law, wheel_law
 from skyherd.geometry import wrap_angle
 
 ROUNDING = 1e-12
@@ -175,3 +183,15 @@ def test_pixel_gains_are_metres_a_second_a_pixel() -> None:
 def test_wrap_angle_is_half_open() -> None:
     angles = np.array([-np.pi, np.pi, 3 * np.pi, -3 * np.pi, 0.0])
     np.testing.assert_array_equal(wrap_angle(angles), [-np.pi, -np.pi, -np.pi, -np.pi, 0.0])
+
+
+@pytest.mark.parametrize("rho", [30 + 5j, 5 + 30j, -20 - 20j, 0.1 + 0.1j])
+def test_a_marker_ahead_of_the_axis_is_driven_straight_also_at_a_limit(rho) -> None:
+    """Its centre moves at `v + i l ω`: that is along ρ, and within both limits with one of them reached."""
+    gains, wheels = MarkerGains(0.5, 1.0, 0.0, side_m=0.3), Wheels(0.4, 2.0, axis_offset_m=0.1)
+    (v,), (omega,) = wheel_law(np.array([rho]), gains, wheels)
+    motion, wanted = v + 1j * wheels.axis_offset_m * omega, 0.5 * 0.3 * rho
+    assert (motion / wanted).imag == pytest.approx(0, abs=ROUNDING)
+    used = max(abs(v) / wheels.max_speed_mps, abs(omega) / wheels.max_turn_radps)
+    excess = max(abs(wanted.real) / 0.4, abs(wanted.imag) / 0.1 / 2.0)
+    assert used == pytest.approx(min(1.0, excess))

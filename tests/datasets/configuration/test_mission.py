@@ -31,7 +31,11 @@ BAD = {
     "malformed": ("duration_s = 10.0", "duration_s = = 10", ["malformed TOML"]),
     "unknown_key": ("side_m = 0.4", "side_m = 0.4\nsize = 3", ["marker.size", "unknown key"]),
     "wrong_type": ("height_m = 10", 'height_m = "high"', ["units.0.height_m", "'high'"]),
-    "negative_length": ("side_m = 0.4", "side_m = -0.4", ["marker.side_m", "greater than 0", "-0.4"]),
+    "negative_length": (
+        "side_m = 0.4",
+        "side_m = -0.4",
+        ["marker.side_m", "greater than or equal to 0.001", "-0.4"],
+    ),
     "nan_length": ("side_m = 0.4", "side_m = nan", ["marker.side_m", "finite"]),
     "nan_position": ("[2, 0]", "[nan, 0]", ["robots.positions_m.1.0", "finite"]),
     "missing_key": ("side_m = 0.4", "", ["marker.side_m", "missing"]),

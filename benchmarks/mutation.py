@@ -1,0 +1,154 @@
+"""How many small changes of the code no fast test notices, where the safety of others depends on the code.
+
+The tree protocol, roles, avoidance, the fusion of goals and the reader of recordings are changed in one place
+at a time (a comparison, an operator, a number, a condition), and their tests run on each change. A change
+that they let pass shows what is not tested, or makes no difference.
+
+    pip install -e '.[test,mutation]'
+    python benchmarks/mutation.py --share 0.1            # a tenth of all, drawn from a fixed seed
+    python benchmarks/mutation.py --parts roles recording
+
+The changes are made in a copy. It takes some seconds a change.
+"""
+
+import argparse
+import ast
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from random import Random
+
+from cosmic_ray.work_db import WorkDB, use_db
+from cosmic_ray.work_item import MutationSpec, TestOutcome
+
+ROOT = Path(__file__).parents[1]
+"""The checkout."""
+
+TIMEOUT_S = 180
+"""Time after which the tests of a change are ended, s; the change counts as noticed. Chosen: ten times the
+longest on an idle core."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """Code that is changed, by its place in the package, and the tests that are to notice."""
+
+    code: tuple[str, ...]
+    tests: str
+
+
+PARTS = {
+    "tree": Part(
+        ("control/tree",),
+        "tests/control/tree/test_rules.py tests/control/tree/test_edge.py"
+        " tests/control/tree/test_rule_order.py tests/control/tree/test_protocol.py",
+    ),
+    "roles": Part(("control/formation/roles.py",), "tests/control/formation/test_roles.py"),
+    "avoidance": Part(("control/avoidance",), "tests/control/avoidance/test_speed_bound.py"),
+    "fusion": Part(("control/robots/goal_fusion.py",), "tests/control/robots"),
+    "recording": Part(
+        ("recording/survey.py", "recording/reader.py"),
+        "tests/recording/test_damages.py tests/recording/test_handmade.py",
+    ),
+}
+"""The parts, by name."""
+
+NO_CHANGES = ("core/RemoveDecorator",)
+"""Kinds of change that are left out: a class without its decorator fails in every test."""
+
+
+def copy_package(folder: Path) -> None:
+    """Copy package and tests into a folder, the mapped folders in their places: changes then hurt nobody."""
+    shutil.copytree(ROOT / "src" / "skyherd", folder / "skyherd")
+    for name in ("vision", "control", "render", "datasets"):
+        shutil.copytree(ROOT / name, folder / "skyherd" / name)
+    shutil.copytree(ROOT / "tests", folder / "tests")
+    shutil.copy(ROOT / "pyproject.toml", folder)
+
+
+def annotations(tree: ast.Module) -> Iterator[tuple[int, int, int, int]]:
+    """Where types are written, as (line, column) of begin and end: changes there do nothing."""
+    for node in ast.walk(tree):
+        kinds = [getattr(node, name, None) for name in ("annotation", "returns")]
+        for kind in kinds:
+            if isinstance(kind, ast.expr) and kind.end_lineno is not None and kind.end_col_offset is not None:
+                yield kind.lineno, kind.col_offset, kind.end_lineno, kind.end_col_offset
+
+
+def counts(folder: Path, change: MutationSpec) -> bool:
+    """Whether a change may change what is done."""
+    if change.operator_name in NO_CHANGES:
+        return False
+    at = change.start_pos
+    spans = annotations(ast.parse((folder / change.module_path).read_text("utf-8")))
+    return not any((line, column) <= at <= (last, end) for line, column, last, end in spans)
+
+
+def run_part(name: str, share: float, seed: int, folder: Path) -> tuple[int, list[MutationSpec]]:
+    """Try a share of the changes of one part; how many were tried, and those that nobody noticed."""
+    part, session = PARTS[name], folder / f"{name}.sqlite"
+    files = [
+        str(path.relative_to(folder)) for code in part.code for path in sources(folder / "skyherd" / code)
+    ]
+    config = folder / f"{name}.toml"
+    config.write_text(
+        f"""[cosmic-ray]
+module-path = {files}
+timeout = {TIMEOUT_S}
+test-command = "{sys.executable} -m pytest -x -q -n 0 -p no:cacheprovider {part.tests}"
+[cosmic-ray.distributor]
+name = "local"
+"""
+    )
+    cosmic_ray("init", config, session, folder=folder)
+    with use_db(session, WorkDB.Mode.open) as db:
+        items = [item for item in db.work_items if counts(folder, item.mutations[0])]
+        drawn = Random(seed).sample(items, round(share * len(items)))
+        db.clear()
+        db.add_work_items(drawn)
+    cosmic_ray("exec", config, session, folder=folder)
+    with use_db(session, WorkDB.Mode.open) as db:
+        passed = {job for job, result in db.results if result.test_outcome == TestOutcome.SURVIVED}
+    return len(drawn), [item.mutations[0] for item in drawn if item.job_id in passed]
+
+
+def sources(path: Path) -> list[Path]:
+    """The Python files of a folder but for those that only gather names; or the one file."""
+    return sorted(set(path.glob("*.py")) - {path / "__init__.py"}) if path.is_dir() else [path]
+
+
+def cosmic_ray(verb: str, *arguments: Path, folder: Path) -> None:
+    """Call cosmic-ray in the copy, in which the tests import the copy's package."""
+    command = [sys.executable, "-m", "cosmic_ray.cli", verb, *map(str, arguments)]
+    subprocess.run(command, cwd=folder, check=True, env=os.environ | {"PYTHONPATH": str(folder)})
+
+
+def main() -> None:
+    """Print, for each part, how many changes were tried and which were not noticed."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--parts", nargs="*", default=list(PARTS), choices=list(PARTS))
+    parser.add_argument("--share", type=float, default=1.0, help="share of all changes that is tried")
+    parser.add_argument("--seed", type=int, default=1)
+    given = parser.parse_args()
+    with tempfile.TemporaryDirectory() as made:
+        folder = Path(made)
+        copy_package(folder)
+        tried = noticed = 0
+        for name in given.parts:
+            count, unnoticed = run_part(name, given.share, given.seed, folder)
+            tried, noticed = tried + count, noticed + count - len(unnoticed)
+            print(f"{name}: {count - len(unnoticed)} of {count} noticed", flush=True)
+            for change in unnoticed:
+                line, column = change.start_pos
+                how = f"{change.operator_name} {change.operator_args or ''}".strip()
+                print(f"  {change.module_path}:{line}:{column} {how}", flush=True)
+        print(f"all: {noticed} of {tried} noticed, {100 * noticed / max(tried, 1):.1f} %")
+
+
+if __name__ == "__main__":
+    main()

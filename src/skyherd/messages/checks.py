@@ -1,0 +1,97 @@
+"""Numbers that the library's constructors are given, checked in one place.
+
+A rule or a law with a number that means nothing (NaN, a negative gain) would make every command meaningless
+without a word. Scenario files have bounds of their own (`datasets/configuration`); here is what anybody who
+uses the library has to keep.
+"""
+
+from collections.abc import Iterable
+
+import numpy as np
+import numpy.typing as npt
+
+from skyherd.errors import InputError, MessageError
+from skyherd.geometry import IntArray
+
+MOST_SHOWN = 60
+"""Characters of a value that an error shows. Chosen: a number or a short list."""
+
+
+def shown(value: object) -> str:
+    """A value as an error shows it: one line, shortened."""
+    try:
+        text = " ".join(repr(value).split())
+    except ValueError:
+        return "an integer of very many digits"
+    return text if len(text) <= MOST_SHOWN else f"{text[:MOST_SHOWN]}…"
+
+
+def check_numbers(
+    owner: object,
+    *,
+    positive: Iterable[str] = (),
+    not_negative: Iterable[str] = (),
+    finite: Iterable[str] = (),
+    endless: Iterable[str] = (),
+) -> None:
+    """Check the fields of an object that are numbers.
+
+    Args:
+        owner: the object that is being made.
+        positive: names of fields above 0.
+        not_negative: names of fields of 0 or more.
+        finite: names of fields of either sign.
+        endless: those of all these that may be infinite, as a limit that there is not.
+
+    Raises:
+        InputError: a field is no number, not finite, or of the wrong sign.
+    """
+    for names, least, allowed in (
+        (positive, np.nextafter(0, 1), "a number above 0"),
+        (not_negative, 0.0, "a number of 0 or more"),
+        (finite, -np.inf, "a finite number"),
+    ):
+        for name in names:
+            value = getattr(owner, name)
+            if not _is_number(value) or not value >= least or (np.isinf(value) and name not in endless):
+                raise InputError(f"{type(owner).__name__}.{name}", shown(value), allowed)
+
+
+def _is_number(value: object) -> bool:
+    """Whether a value is one real number that fits into a float."""
+    try:
+        return isinstance(value, int | float | np.integer | np.floating) and not np.isnan(float(value))
+    except OverflowError:
+        return False
+
+
+def check_ids(ids: npt.ArrayLike, where: str) -> IntArray:
+    """Ids as an array of integers, as they are given.
+
+    Args:
+        ids: (N,) ids.
+        where: what to call them in an error.
+
+    Raises:
+        InputError: they are no list of whole numbers from 0 up.
+    """
+    try:
+        given = np.asarray(ids)
+        whole = np.array(given, dtype=np.int64)
+        right = given.ndim == 1 and bool((whole == given).all() and (whole >= 0).all())
+    except (ValueError, TypeError, OverflowError, RuntimeWarning):
+        right = False
+    if not right:
+        raise InputError(where, f"ids {shown(ids)}", "whole numbers from 0 up, in a list")
+    return whole
+
+
+def check_time(owner: object) -> None:
+    """Check that the field `time_s` of a message is a finite number.
+
+    Raises:
+        MessageError: it is none.
+    """
+    value = getattr(owner, "time_s", None)
+    if not _is_number(value) or not np.isfinite(float(value)):  # type: ignore[arg-type]
+        raise MessageError(f"{type(owner).__name__}.time_s: {shown(value)}, expected a finite number")

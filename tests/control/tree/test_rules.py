@@ -1,0 +1,156 @@
+"""Single rules of the tree protocol, each in a situation in which one condition of it decides."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from skyherd.control import Template, TreeRule
+from skyherd.control.tree.edge import Edge
+from skyherd.control.tree.failover import fail_over
+from skyherd.control.tree.joining import admit
+from skyherd.control.tree.node_state import NodeState, Situation
+from skyherd.control.tree.orphans import adopt_orphans, disown_lost
+from skyherd.control.tree.pair_exchange import use_turns
+from skyherd.control.tree.peer_reports import PeerReports
+from skyherd.messages import NO_ID, TreeStatus, UnitReport
+
+SIZE_PX = np.array([800, 800])
+SHAPE = Template(np.arange(8), np.exp(2j * np.pi * np.arange(8) / 8) * (1 + 0.1 * np.arange(8)))
+RULE = TreeRule(share="nearest")
+
+
+def report(unit, time_s, *, controls=(), sees=None, tree_id=0, edges=(), heir=NO_ID, asks=NO_ID):
+    """A report: what the unit sees by distance in half images, its edges as (neighbour, turn, pair)."""
+    sees = sees or {}
+    points = np.array([(799 / 2 + 400 * at, 799 / 2) for at in sees.values()]).reshape(-1, 2)
+    tree = TreeStatus(
+        tree_id=tree_id,
+        asks_id=asks,
+        ask_turn=0,
+        heir_id=heir,
+        ready=True,
+        neighbor_ids=[neighbor for neighbor, _, _ in edges],
+        turns=[turn for _, turn, _ in edges],
+        pairs=np.array([pair for _, _, pair in edges]).reshape(-1, 2),
+        offered_ids=[],
+        offered_to_ids=[],
+        to_release_ids=[],
+        missing_ids=[],
+    )
+    return UnitReport(
+        unit_id=unit,
+        time_s=time_s,
+        image_size_px=SIZE_PX,
+        ids=list(sees),
+        points_px=points,
+        controlled_ids=list(controls),
+        secure_ids=[],
+        tree=tree,
+    )
+
+
+def situation(unit, reports, *, time_s=10.0, sees=None):
+    """What a unit goes by at the first image of slot 5."""
+    peers = PeerReports()
+    news = peers.take(reports)
+    return Situation(
+        rule=RULE,
+        shape=SHAPE,
+        unit_id=unit,
+        time_s=time_s,
+        slot=5,
+        at_slot=True,
+        distances=sees or {},
+        news=news,
+        peers=peers,
+    )
+
+
+def robots(*ids):
+    return frozenset(ids)
+
+
+def test_a_robot_that_is_promised_is_not_left_to_others():
+    """Robots 1 and 2 went out of view and unit 9 sees both; 1 is offered to unit 7."""
+    edge = Edge(0, 7, 0.0, turn=1, pair=robots(3, 4), offered=robots(1))
+    state = NodeState(
+        own=robots(1, 2), edges={7: edge}, tree_id=0, seen_s={1: 5.0, 2: 5.0}, held_s={1: 1.0, 2: 1.0}
+    )
+    now = situation(0, [report(9, 10.0, sees={1: 0.1, 2: 0.1})])
+    assert disown_lost(state, now)["own"] == robots(1)
+
+
+@pytest.mark.parametrize(("unit", "adopts"), [(0, True), (2, False)])
+def test_of_two_units_that_see_an_orphan_equally_near_the_lower_adopts_it(unit, adopts):
+    now = situation(unit, [report(1, 10.0, sees={5: 0.25})], sees={5: 0.25})
+    state = NodeState(tree_id=0, orphaned_s={5: 0.0}, distances_before=dict(now.peers.newest[1].distances))
+    assert (5 in adopt_orphans(state, now)["own"]) == adopts
+
+
+def test_the_nearer_of_two_units_adopts_whatever_its_number():
+    for unit in (0, 2):
+        now = situation(unit, [report(1, 10.0, sees={5: 0.25})], sees={5: 0.2})
+        near = NodeState(tree_id=0, orphaned_s={5: 0.0}, distances_before={5: 0.2})
+        far = NodeState(tree_id=0, orphaned_s={5: 0.0}, distances_before={5: 0.3})
+        assert 5 in adopt_orphans(near, now)["own"] and 5 not in adopt_orphans(far, now)["own"]
+
+
+def test_an_heir_takes_over_what_no_living_unit_claims():
+    """Unit 1 is dead, unit 0 its heir; robot 4 was its as well, but unit 2 has it by now."""
+    gone = report(1, 0.0, controls=[1, 2, 3, 4], edges=[(0, 4, [1, 2])], heir=0)
+    now = situation(0, [gone, report(2, 10.0, controls=[4])])
+    state = NodeState(own=robots(6), edges={1: Edge(0, 1, 0.0, turn=4, pair=robots(1, 2))}, tree_id=0)
+    changed = fail_over(state, now)
+    assert changed["own"] == robots(1, 2, 3, 6) and not changed["edges"]
+
+
+def test_an_heir_opens_the_edges_of_the_dead_to_the_living():
+    gone = report(
+        1, 0.0, controls=[1, 2, 3, 4], edges=[(0, 4, [1, 2]), (2, 8, [3, 4]), (3, 8, [5, 6])], heir=0
+    )
+    now = situation(0, [gone, report(2, 10.0, controls=[3, 4])])
+    state = NodeState(edges={1: Edge(0, 1, 0.0, turn=4, pair=robots(1, 2))}, tree_id=0)
+    edges = fail_over(state, now)["edges"]
+    assert edges.keys() == {2} and edges[2].pair == robots(3, 4)
+
+
+@pytest.mark.parametrize(("since_s", "stays"), [(9.5, True), (0.0, False)])
+def test_a_new_edge_has_a_silence_to_be_answered(since_s, stays):
+    """The neighbour was heard long ago; an edge that is younger than a silence says nothing against it."""
+    old = report(1, 0.0, controls=[1, 2], edges=[(0, 4, [1, 2])], heir=0)
+    state = NodeState(edges={1: Edge(0, 1, since_s, turn=4, pair=robots(1, 2))}, tree_id=0)
+    assert (1 in fail_over(state, situation(0, [old]))["edges"]) == stays
+
+
+@pytest.mark.parametrize(("own", "granted"), [((1,), False), ((1, 2), True)])
+def test_an_edge_is_granted_with_two_robots_or_not_at_all(own, granted):
+    asks = report(5, 10.0, sees={1: 0.1, 2: 0.1}, tree_id=NO_ID, asks=0)
+    state = NodeState(own=robots(*own), tree_id=0)
+    now = replace(situation(0, [asks], sees={1: 0.1, 2: 0.1}), slot=0)
+    assert (5 in admit(state, now)["edges"]) == granted
+
+
+def test_a_unit_does_not_take_its_own_robots_into_a_pair():
+    """Robot 3 is offered by unit 1 and claimed by unit 0 at once, as two units may adopt it at the same time.
+
+    Taken into the pair it would be shared, and yet unit 0's own: its edge to a third unit could have it too.
+    """
+    sees = {1: 0.5, 2: 0.6, 3: 0.01, 4: 0.05}
+    peer = report(1, 10.0, controls=[1, 2, 3, 4], sees=sees, edges=[(0, 4, [1, 2])])
+    edge = Edge(0, 1, 0.0, turn=4, pair=robots(1, 2), reach=robots(3, 4))
+    for own, pair in ((robots(3), robots(1, 4)), (robots(), robots(3, 4))):
+        state = NodeState(own=own, edges={1: edge}, tree_id=0)
+        assert use_turns(state, situation(0, [peer], sees=sees))["edges"][1].pair == pair
+
+
+def test_a_unit_with_nothing_to_change_hands_its_turn_over_at_once():
+    """Between two slots, the pair it shares being the best there is; another one in reach makes it wait."""
+    for reach, turn in ((robots(), 5), (robots(3, 4), 4)):
+        sees = {1: 0.1, 2: 0.2, 3: 0.01, 4: 0.05}
+        peer = report(1, 10.0, controls=[1, 2, *reach], sees=sees, edges=[(0, 4, [1, 2])])
+        edge = Edge(0, 1, 0.0, turn=4, pair=robots(1, 2), reach=reach)
+        plain = TreeRule(share="nearest", gain=1.0)
+        now = replace(situation(0, [peer], sees=sees), at_slot=False, rule=plain)
+        changed = use_turns(NodeState(edges={1: edge}, tree_id=0), now)["edges"][1]
+        assert (changed.turn, changed.pair, changed.wants) == (turn, robots(1, 2), turn == 4)

@@ -1,0 +1,294 @@
+"""A recording damaged at random: never a traceback, never read as whole, never more lost than was hit.
+
+What was hit follows from the file as it was written: the chunks whose bytes a damage touched. Every step of
+every other chunk must come back, equal to what was written. The damages are drawn from a fixed seed: flipped
+bits and bytes, pieces overwritten, cut out or put in, chunks swapped, repeated and cut out, and files that
+break off, each of a file that was closed and of one whose writer was killed.
+"""
+
+import io
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from skyherd.datasets import load_mission
+from skyherd.errors import InputError
+from skyherd.loop import run_steps
+from skyherd.recording.reader import read_recording, read_steps
+from skyherd.recording.survey import MAGIC, describe_flaws, survey
+from skyherd.recording.writer import McapRecorder
+
+CHUNK_OPCODE, CHUNK_HEAD = 6, 9 + 8 + 8 + 8 + 4 + 4 + 4 + 8
+"""Opcode of a chunk, and bytes before what it packs: record, times, size, checksum, compression, length."""
+
+
+@dataclass
+class Written:
+    """A recording as it was written: its bytes, where its chunks lie, and which steps each of them holds."""
+
+    data: bytes
+    spans: list[tuple[int, int]]
+    rows: list[list[int]]
+    positions_m: list[np.ndarray]
+
+
+def packed_length(data, start):
+    return int.from_bytes(data[start + CHUNK_HEAD - 8 : start + CHUNK_HEAD], "little")
+
+
+@pytest.fixture(scope="module")
+def closed(tmp_path_factory) -> Written:
+    """Five seconds of six robots, two steps a chunk."""
+    path = tmp_path_factory.mktemp("closed") / "run.mcap"
+    mission = load_mission(
+        "triangle", ["perception=ideal", "duration_s=5.0", "step_s=0.25", "units.*.frame_rate_hz=4.0"]
+    )
+    with McapRecorder(path, mission) as recorder:
+        for step in run_steps(mission):
+            recorder.write(step)
+        recorder.finish(step.time_s, 1.5)
+    data = path.read_bytes()
+    chunks = survey(io.BytesIO(data)).chunks
+    spans = [(c.start, c.start + CHUNK_HEAD + packed_length(data, c.start)) for c in chunks]
+    recording = read_recording(path)
+    times_s = [step.time_s for step in recording.steps]
+    # The mission has the time of the first step, the end that of the last.
+    rows = [[], []]
+    for chunk in chunks[2:]:
+        begun = sum(map(len, rows))
+        rows.append([row for row in range(begun, 21) if chunk.first_s <= times_s[row] <= chunk.last_s])
+    assert [row for some in rows for row in some] == list(range(21))
+    return Written(data, spans, rows, [step.positions_m for step in recording.steps])
+
+
+@pytest.fixture(scope="module")
+def killed(closed) -> Written:
+    """The same without its end, as SIGKILL leaves it right after the last flush."""
+    return Written(
+        closed.data[: closed.spans[-2][1]], closed.spans[:-1], closed.rows[:-1], closed.positions_m
+    )
+
+
+def hit_by(written, low, high):
+    """Numbers of the chunks that the bytes from `low` to `high` touch."""
+    return {n for n, (start, end) in enumerate(written.spans) if start < high and low < end}
+
+
+def flip_bit(written, rng):
+    at, data = int(rng.integers(len(written.data))), bytearray(written.data)
+    data[at] ^= 1 << int(rng.integers(8))
+    return bytes(data), hit_by(written, at, at + 1)
+
+
+def flip_head_of_chunk(written, rng):
+    number = int(rng.integers(len(written.spans)))
+    at, data = written.spans[number][0] + int(rng.integers(CHUNK_HEAD)), bytearray(written.data)
+    data[at] ^= 1 << int(rng.integers(8))
+    return bytes(data), {number}
+
+
+def flip_opcode_of_chunk(written, rng):
+    number, data = int(rng.integers(len(written.spans))), bytearray(written.data)
+    data[written.spans[number][0]] ^= 1 << int(rng.integers(8))
+    return bytes(data), set()  # the chunk is found by its mark, and its checksum is right
+
+
+def flip_end(written, rng):
+    """In the metadata, the summary or the footer."""
+    at, data = int(rng.integers(written.spans[-1][1], len(written.data))), bytearray(written.data)
+    data[at] ^= 1 << int(rng.integers(8))
+    return bytes(data), set()
+
+
+def overwrite(written, rng):
+    at, size = int(rng.integers(len(written.data))), int(rng.integers(1, 2000))
+    noise = rng.bytes(min(size, len(written.data) - at))
+    return written.data[:at] + noise + written.data[at + len(noise) :], hit_by(written, at, at + len(noise))
+
+
+def cut_out(written, rng):
+    at, size = int(rng.integers(len(written.data) - 1)), int(rng.integers(1, 60_000))
+    return written.data[:at] + written.data[at + size :], hit_by(written, at, at + size)
+
+
+def put_in(written, rng):
+    at, noise = int(rng.integers(1, len(written.data))), rng.bytes(int(rng.integers(1, 5000)))
+    hit = {n for n, (start, end) in enumerate(written.spans) if start < at < end}
+    return written.data[:at] + noise + written.data[at:], hit
+
+
+def break_off(written, rng):
+    at = int(rng.integers(len(written.data) - 1))
+    return written.data[:at], hit_by(written, at, len(written.data))
+
+
+def cut_chunk(written, rng):
+    number = int(rng.integers(len(written.spans)))
+    start, end = written.spans[number]
+    return written.data[:start] + written.data[end:], {number}
+
+
+def repeat_chunk(written, rng):
+    """Anywhere between two chunks, in place of nothing."""
+    start, end = written.spans[int(rng.integers(len(written.spans)))]
+    at = written.spans[int(rng.integers(len(written.spans)))][0]
+    return written.data[:at] + written.data[start:end] + written.data[at:], set()
+
+
+def swap_chunks(written, rng):
+    first, second = sorted(rng.choice(len(written.spans), size=2, replace=False).tolist())
+    (a, b), (c, d) = written.spans[first], written.spans[second]
+    data = written.data
+    return data[:a] + data[c:d] + data[b:c] + data[a:b] + data[d:], set()
+
+
+DAMAGES = (
+    flip_bit,
+    flip_head_of_chunk,
+    flip_opcode_of_chunk,
+    flip_end,
+    overwrite,
+    cut_out,
+    put_in,
+    break_off,
+    cut_chunk,
+    repeat_chunk,
+    swap_chunks,
+)
+
+
+def check_damage(written, number, path):
+    """Damage a recording in the way of a number, and see what is read of it."""
+    rng = np.random.default_rng([20, number])
+    kind = DAMAGES[number % len(DAMAGES)]
+    if kind is flip_end and len(written.data) == written.spans[-1][1]:
+        kind = flip_bit
+    data, hit = kind(written, rng)
+    path.write_bytes(data)
+    expected = [row for n, rows in enumerate(written.rows) if n not in hit for row in rows]
+    try:
+        recording = read_recording(path)
+    except InputError as refusal:
+        # Nothing can be read without the mission, and there is no run without a step.
+        assert {0, 1} <= hit or not expected, (kind.__name__, number, str(refusal))
+        assert len(str(refusal)) < 500 + len(str(path)) and "\n" not in str(refusal)
+        return
+    assert not recording.whole, (kind.__name__, number)
+    assert len(describe_flaws(recording.flaws)) < 300
+    rows = [round(step.time_s / 0.25) for step in recording.steps]
+    assert rows == sorted(set(rows))
+    assert set(expected) <= set(rows), (kind.__name__, number, describe_flaws(recording.flaws))
+    for row, step in zip(rows, recording.steps, strict=True):
+        np.testing.assert_array_equal(step.positions_m, written.positions_m[row])
+
+
+def test_damage_is_told_and_costs_what_it_hit(closed, tmp_path):
+    for number in range(66):
+        check_damage(closed, number, tmp_path / "run.mcap")
+
+
+@pytest.mark.slow
+def test_500_damages_of_closed_files_and_500_of_killed_ones(closed, killed, tmp_path):
+    for written in (closed, killed):
+        for number in range(500):
+            if written is killed and DAMAGES[number % len(DAMAGES)] is break_off:
+                continue  # that is another killed run, which nothing can tell
+            check_damage(written, 1000 + number, tmp_path / "run.mcap")
+
+
+def test_the_file_that_nobody_damaged_is_whole(closed, tmp_path):
+    path = tmp_path / "run.mcap"
+    path.write_bytes(closed.data)
+    recording = read_recording(path)
+    assert recording.whole and recording.wall_s == 1.5 and len(recording.steps) == 21
+
+
+def flaws_of(data, path):
+    path.write_bytes(data)
+    recording = read_recording(path)
+    return [flaw.kind for flaw in recording.flaws], len(recording.steps)
+
+
+def test_what_is_missing_damaged_or_cut_short_is_told_apart(closed, killed, tmp_path):
+    path, (start, end) = tmp_path / "run.mcap", closed.spans[6]
+    lost, data = len(closed.rows[6]), closed.data
+    assert flaws_of(data[:start] + data[end:], path) == (["missing"], 21 - lost)
+    # One bit of what the chunk packs, and one of its opcode, which no checksum of a chunk covers.
+    inside = bytearray(data)
+    inside[(start + end) // 2] ^= 1
+    assert flaws_of(bytes(inside), path) == (["damaged", "missing"], 21 - lost)
+    opcode = bytearray(data)
+    opcode[start] ^= 1
+    assert flaws_of(bytes(opcode), path) == (["damaged"], 21)
+    (begin, last), ending = closed.spans[-1], len(closed.rows[-1])
+    assert flaws_of(data[:begin] + data[last:], path) == (["missing"], 21 - ending)
+    assert flaws_of(killed.data, path) == (["cut short"], 21 - len(closed.rows[-1]))
+    assert flaws_of(data[: (start + end) // 2], path)[0] == ["cut short"]
+    assert flaws_of(data[:-1], path) == (["cut short"], 21)
+    assert flaws_of(data + b"\0", path) == (["cut short"], 21)
+    footer = bytearray(data)
+    footer[-len(MAGIC) - 1] ^= 1
+    assert flaws_of(bytes(footer), path) == (["damaged"], 21)
+    assert flaws_of(data[:end] + data[start:], path) == (["repeated"], 21)
+    (a, b), (c, d) = closed.spans[5], closed.spans[6]
+    swapped = data[:a] + data[c:d] + data[b:c] + data[a:b] + data[d:]
+    assert flaws_of(swapped, path) == (["misplaced"], 21)
+
+
+def test_every_bit_of_the_end_of_a_file_counts(closed, tmp_path):
+    """Metadata with the wall time, the closing record, the summary and the footer, a bit of each byte."""
+    for at in range(closed.spans[-1][1], len(closed.data), 7):
+        data = bytearray(closed.data)
+        data[at] ^= 1 << (at % 8)
+        assert survey(io.BytesIO(bytes(data))).flaws, at
+
+
+def test_the_mission_is_read_from_its_copy(closed, tmp_path):
+    for number in (0, 1):
+        start, end = closed.spans[number]
+        kinds, steps = flaws_of(closed.data[:start] + closed.data[end:], tmp_path / "run.mcap")
+        assert (kinds, steps) == (["missing"], 21)
+    path = tmp_path / "run.mcap"
+    path.write_bytes(closed.data[: closed.spans[0][0]] + closed.data[closed.spans[1][1] :])
+    with pytest.raises(InputError, match="its mission is not there"):
+        read_recording(path)
+
+
+@pytest.mark.parametrize("content", [b"", MAGIC])
+def test_a_run_that_was_killed_at_once_has_recorded_nothing_yet(tmp_path, content):
+    path = tmp_path / "run.mcap"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match="nothing was recorded yet"):
+        read_recording(path)
+
+
+def test_a_mission_without_a_step_has_recorded_nothing_yet(closed, tmp_path):
+    path = tmp_path / "run.mcap"
+    path.write_bytes(closed.data[: closed.spans[1][1]])
+    with pytest.raises(InputError, match="nothing was recorded yet"):
+        read_recording(path)
+    with pytest.raises(InputError, match="not a regular file"):
+        read_recording(tmp_path)
+
+
+def test_a_chunk_is_whole_steps_and_no_longer_than_half_a_second(closed):
+    assert all(closed.rows[2:-1])
+    assert max(len(rows) for rows in closed.rows) <= 2
+    assert all(after[0] == before[-1] + 1 for before, after in pairwise(closed.rows[2:-1]))
+
+
+def test_steps_with_images_are_read_around_damage_too(closed, tmp_path):
+    path, (start, end) = tmp_path / "run.mcap", closed.spans[6]
+    path.write_bytes(closed.data[:start] + closed.data[end:])
+    assert [s.time_s for s in read_steps(path)] == [s.time_s for s in read_recording(path).steps]
+
+
+def test_chunks_are_found_wherever_the_blocks_end_that_are_searched(closed, monkeypatch):
+    """A block may end within the mark of a chunk, or right before it."""
+    begun = [start for start, _ in closed.spans[:4]]
+    head = closed.data[: closed.spans[3][1]]
+    for size in (7, 40, *range(begun[1] + 20, begun[1] + 60)):
+        monkeypatch.setattr("skyherd.recording.survey.BLOCK", size)
+        assert [chunk.start for chunk in survey(io.BytesIO(head)).chunks] == begun

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from skyherd.geometry import Array, IntArray
-from skyherd.markers.dictionary import load_dictionary, pose_of_corners
+from skyherd.markers.dictionary import border_cells, load_dictionary, pose_of_corners
 from skyherd.messages import Detections
 from skyherd.vision.detectors.accuracy import DetectorAccuracy, load_accuracy
 from skyherd.vision.detectors.corners import detections_of_corners, opencv_corners
@@ -22,7 +22,7 @@ MIN_MARKER_SIDE_PX = 8.0
 8 px has little more than a pixel a cell. A smaller value costs time and finds hardly more."""
 
 
-def _parameters(image_side_px: int) -> cv2.aruco.DetectorParameters:
+def _parameters(image_side_px: int, dictionary: str) -> cv2.aruco.DetectorParameters:
     """Settings for an image whose longer side is given: OpenCV's perimeter rates are relative to it."""
     parameters = cv2.aruco.DetectorParameters()
     parameters.minMarkerPerimeterRate = 4 * MIN_MARKER_SIDE_PX / image_side_px
@@ -32,6 +32,7 @@ def _parameters(image_side_px: int) -> cv2.aruco.DetectorParameters:
     parameters.adaptiveThreshWinSizeStep = 24
     parameters.adaptiveThreshConstant = 13
     parameters.minDistanceToBorder = 1
+    parameters.markerBorderBits = border_cells(dictionary)
     parameters.perspectiveRemovePixelPerCell = 10
     parameters.perspectiveRemoveIgnoredMarginPerCell = 0.33
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_CONTOUR
@@ -87,7 +88,9 @@ class ArucoDetector:
         longer = max(image.shape)
         if longer not in self._detectors:
             dictionary = load_dictionary(self.dictionary)
-            self._detectors[longer] = cv2.aruco.ArucoDetector(dictionary, _parameters(longer))
+            self._detectors[longer] = cv2.aruco.ArucoDetector(
+                dictionary, _parameters(longer, self.dictionary)
+            )
         ids, corners = opencv_corners(self._detectors[longer], image)
         unique, first, count = np.unique(ids, return_index=True, return_counts=True)
         once = count == 1

@@ -26,7 +26,7 @@ import numpy.typing as npt
 
 from skyherd.errors import InputError
 from skyherd.geometry import Array, IntArray, fit_squares, to_complex
-from skyherd.markers.dictionary import load_dictionary, pose_of_corners
+from skyherd.markers.dictionary import border_cells, load_dictionary, pose_of_corners
 from skyherd.messages import Detections
 from skyherd.vision.detectors.accuracy import load_bias
 from skyherd.vision.detectors.corners import detections_of_corners, opencv_corners
@@ -164,6 +164,7 @@ class _OpenCV:
     def __init__(self, dictionary: str, refinement: int) -> None:
         parameters = cv2.aruco.DetectorParameters()
         parameters.cornerRefinementMethod = refinement
+        parameters.markerBorderBits = border_cells(dictionary)
         self._detector = cv2.aruco.ArucoDetector(load_dictionary(dictionary), parameters)
 
     def find(self, image: npt.NDArray[np.uint8], *, corrected: bool) -> tuple[IntArray, Array]:

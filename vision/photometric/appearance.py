@@ -135,7 +135,8 @@ def ground_share(x: Floats, y: Floats, appearances: MarkerAppearances, squeezes:
     edge is too far away to count. The share is zero for a marker whose pixels reach no ground.
 
     In the coordinates of a marker that is squeezed by e = `squeezes` (N,), `z + e z̄`, blur that is round in
-    the image has standard deviations `σ |1 ∓ e| / (1 - |e|²)` along x and y.
+    the image has standard deviations `σ |1 ∓ e| / sqrt(1 + |e|²)` along x and y, where σ is that of their
+    mean variance (`LocalHomographies.blurs`).
     """
     middle = EDGE_REACH * EDGE_SAMPLES_PER_SIGMA + 0.5
 
@@ -145,5 +146,7 @@ def ground_share(x: Floats, y: Floats, appearances: MarkerAppearances, squeezes:
         place = edge.astype(np.float32)[:, None] - per_side.astype(np.float32)[:, None] * np.abs(along)
         return _EDGE.take(np.clip(place, 0, 2 * middle - 1, out=place).astype(np.intp), mode="wrap")
 
-    x_stretch, y_stretch = (np.abs(1 + sign * squeezes) / (1 - np.abs(squeezes) ** 2) for sign in (-1, 1))
+    x_stretch, y_stretch = (
+        np.abs(1 + sign * squeezes) / np.sqrt(1 + np.abs(squeezes) ** 2) for sign in (-1, 1)
+    )
     return np.asarray(1 - covered(x, x_stretch) * covered(y, y_stretch))

@@ -9,7 +9,7 @@ their standard deviation.
 import numpy as np
 
 from skyherd.geometry import Array, BoolArray
-from skyherd.vision.photometric.design_matrix import BLACK, LIGHT, MIDDLE_GREY, SQUEEZE, UNKNOWNS
+from skyherd.vision.photometric.design_matrix import BLACK, LEAN, LIGHT, MIDDLE_GREY, SQUEEZE, UNKNOWNS
 from skyherd.vision.photometric.fit_result import print_contrasts, weighted_median
 from skyherd.vision.photometric.least_squares import LeastSquaresSolution
 from skyherd.vision.photometric.local_homography import LocalHomographies
@@ -29,24 +29,43 @@ standard deviations. Chosen: chance does not reach it; a smaller value frees two
 need."""
 
 
+OWN_PLANES = Plane(shared=False)
+"""The plane of markers that share none: each has its own squeeze and lean."""
+
+LEAN_STD = 0.1
+"""Expected size of a marker's own lean, where no plane says what it is: the standard deviation of each of its
+two components, by which the marker's image grows along one side's length. Chosen: that of a marker seen from
+four sides away at a tilt of 25 degrees; a larger one lets small markers lean by their noise."""
+
+
 def hold_common_unknowns(
-    solution: LeastSquaresSolution, start: LocalHomographies, middle: complex, right: BoolArray
+    solution: LeastSquaresSolution,
+    start: LocalHomographies,
+    middle: complex,
+    right: BoolArray,
+    plane: Plane,
+    *,
+    alone: bool,
 ) -> tuple[LeastSquaresSolution, Plane]:
     """Return the solution with the unknowns held that the markers share, and the plane of the markers.
 
-    Light is held at even where that explains the pixels, and the squeezes at those of the plane.
+    Light is held at even where that explains the pixels, and squeezes and leans at those of the plane. Where
+    no plane explains the squeezes, each marker has its own, and its own lean, which is expected to be small.
 
     Args:
         solution: with every unknown free.
         start: homographies about which it is linear.
         middle: centre of the image, u + iv, px.
         right: (N,) which markers have all their cells right, as far as that is known.
+        plane: of the step before.
+        alone: whether each marker has a plane of its own in any case.
     """
     inliers = _print_inliers(solution, right)
     even = solution.constrained(LIGHT, np.zeros((right.size, 2)))
     solution = solution if _is_uneven(solution, even, inliers) else even
-    plane, squeezes = common_plane(solution, start, middle, inliers)
-    return solution.constrained(SQUEEZE, squeezes), plane
+    if alone:
+        return on_own_planes(solution, start, LEAN_STD), OWN_PLANES
+    return on_common_plane(solution, start, middle, inliers, plane)
 
 
 def _print_inliers(solution: LeastSquaresSolution, right: BoolArray) -> BoolArray:
@@ -70,20 +89,65 @@ def _is_uneven(solution: LeastSquaresSolution, even: LeastSquaresSolution, inlie
     return bool(chi_squared.mean() > 1 + UNEVEN_SIGMAS / np.sqrt(chi_squared.size))
 
 
-def common_plane(
-    solution: LeastSquaresSolution, homographies: LocalHomographies, middle: complex, inliers: BoolArray
-) -> tuple[Plane, Array]:
-    """Return the plane that the inliers lie on, and the steps of squeeze that put every marker on it.
+def on_common_plane(
+    solution: LeastSquaresSolution,
+    start: LocalHomographies,
+    middle: complex,
+    inliers: BoolArray,
+    plane: Plane,
+    lean_std: float = LEAN_STD,
+) -> tuple[LeastSquaresSolution, Plane]:
+    """Return the solution with squeezes and leans held at those of the plane that the inliers lie on.
+
+    Where no plane explains the squeezes they are left free, and the leans are expected about zero.
 
     Args:
-        solution: with the squeezes free.
-        homographies: about which it is linear.
+        solution: with squeezes and leans free.
+        start: homographies about which it is linear.
         middle: centre of the image, u + iv, px.
         inliers: (N,) which markers the plane is fitted to.
+        plane: of the step before, which says how markers lean while their squeezes are compared.
+        lean_std: expected size of a lean where no plane says what it is; 0 holds it at zero.
 
     Returns:
-        The plane, and values (N, 2) for the unknowns `SQUEEZE`. If no plane explains the squeezes, the values
-        are those of the solution itself.
+        The solution, and the plane.
+    """
+    leaning = solution.constrained(LEAN, _leans(solution, start, plane, middle))
+    plane, squeezes = _common_plane(leaning, start, middle, inliers)
+    if not plane.shared:
+        return on_own_planes(solution, start, lean_std), plane
+    leaning = solution.constrained(LEAN, _leans(solution, start, plane, middle))
+    return leaning.constrained(SQUEEZE, squeezes), plane
+
+
+def on_own_planes(
+    solution: LeastSquaresSolution, start: LocalHomographies, lean_std: float
+) -> LeastSquaresSolution:
+    """Return the solution with the squeezes free and the leans expected about zero.
+
+    Args:
+        solution: with squeezes and leans free.
+        start: homographies about which it is linear.
+        lean_std: expected size of each of a lean's components; 0 holds it at zero.
+    """
+    level = _leans(solution, start, OWN_PLANES, 0j)
+    noise_stds = solution.constrained(LEAN, level).noise_stds()
+    return solution.expected(LEAN, level, (lean_std * solution.contrasts() / noise_stds) ** 2)
+
+
+def _leans(solution: LeastSquaresSolution, start: LocalHomographies, plane: Plane, middle: complex) -> Array:
+    """Values (N, 2) of the unknowns `LEAN` at which markers lean as the plane, or not at all without one."""
+    horizons = plane.horizons(start.centers - middle) if plane.shared else np.zeros(len(start))
+    steps = start.leans_to(horizons)
+    return np.stack([steps.real, steps.imag], axis=1) * solution.contrasts()[:, None]
+
+
+def _common_plane(
+    solution: LeastSquaresSolution, homographies: LocalHomographies, middle: complex, inliers: BoolArray
+) -> tuple[Plane, Array]:
+    """The plane that the inliers lie on, and the steps of squeeze (N, 2) that put every marker on it.
+
+    The steps are values for the unknowns `SQUEEZE`; they mean nothing if the plane is not shared.
     """
     contrasts = solution.contrasts()
     found = solution.values[:, SQUEEZE] @ np.array([1, 1j]) / contrasts

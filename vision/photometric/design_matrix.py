@@ -5,10 +5,11 @@ grey level of pixel p is
 
     I(p) ≈ a + b T + b (T_z · δz + T_log σ δ log σ) + g (1 - A) + (l_x x + l_y y) (r + T),
 
-with black level a, contrast b (white minus black), a step of the pose δz = d + (s + iθ) z + e z̄ (shift d,
-scale s, rotation θ, squeeze e), a change of the blur's logarithm δ log σ, ground level g beyond the card, of
-which the card covers the share A, and light l that changes over the marker, with r = a / b. Everything that
-the pixels depend on is thus an unknown of one linear model, 12 in all.
+with black level a, contrast b (white minus black), a step of the pose δz = d + (s + iθ) z + e z̄ - z Re(q̄ z)
+(shift d, scale s, rotation θ, squeeze e, lean q), a change of the blur's logarithm δ log σ, ground level g
+beyond the card, of which the card covers the share A, and light l that changes over the marker, with
+r = a / b. Everything that the pixels depend on is thus an unknown of one linear model, 14 in all; eight of
+them make up a homography.
 
 The pattern and its derivatives are read *at the image's own pixels*; the image itself is never resampled, so
 that its noise stays white.
@@ -35,20 +36,20 @@ from skyherd.vision.photometric.pixel_support import BLOCK, Floats, pixels_withi
 BLACK, CONTRAST, RIGHT, DOWN, TURN, GROW, BLUR, GROUND = range(8)
 """Indices of the unknowns with one component, in the order of the model's columns."""
 
-SQUEEZE, LIGHT = [8, 9], [10, 11]
+SQUEEZE, LIGHT, LEAN = [8, 9], [10, 11], [12, 13]
 """Indices of the unknowns with two components each."""
 
-UNKNOWNS = 12
+UNKNOWNS = 14
 """Number of unknowns of a marker. Derived: the indices above."""
 
 PIXEL_ROW = UNKNOWNS
 """Index of the pixels' own values, which are stored beside the model's columns."""
 
-POSE = [RIGHT, DOWN, TURN, GROW, *SQUEEZE]
+POSE = [RIGHT, DOWN, TURN, GROW, *SQUEEZE, *LEAN]
 """Indices of the unknowns that make up a step of the pose."""
 
 PADDED_COLUMNS = 16
-"""Rows allocated in `DesignMatrices.columns`: the 12 unknowns and the pixels, filled up with zeros. Chosen:
+"""Rows allocated in `DesignMatrices.columns`: the 14 unknowns and the pixels, filled up with zeros. Chosen:
 the next multiple of 16, at which products of single-precision matrices are fastest."""
 
 MIDDLE_GREY = 128.0
@@ -87,7 +88,7 @@ class DesignMatrices:
         self._fill(appearances, homographies)
 
     def gram_matrices(self) -> Floats:
-        """Return the inner products (N, 13, 13) of the weighted columns and the pixels."""
+        """Return the inner products (N, 15, 15) of the weighted columns and the pixels."""
         size = PIXEL_ROW + 1
         return (self.columns @ self.columns.transpose(0, 2, 1))[:, :size, :size]
 
@@ -97,13 +98,13 @@ class DesignMatrices:
         self.counts = np.count_nonzero(self.columns[:, BLACK], axis=1)
 
     def residuals(self, solutions: Array) -> Floats:
-        """Return the weighted residuals (N, M), grey levels, of the model at `solutions` (N, 12)."""
+        """Return the weighted residuals (N, M), grey levels, of the model at `solutions` (N, 14)."""
         model = np.zeros((self.rows.size, PADDED_COLUMNS), dtype=np.float32)
         model[:, :UNKNOWNS], model[:, PIXEL_ROW] = -solutions, 1.0
         return (model[:, None] @ self.columns)[:, 0]
 
     def cell_residuals(self, solutions: Array, n_cells: int) -> tuple[Array, Array]:
-        """Return what the model at `solutions` (N, 12) leaves of the pixels, grey levels.
+        """Return what the model at `solutions` (N, 14) leaves of the pixels, grey levels.
 
         Returns:
             The mean residual over each cell (N, n, n), and the largest absolute residual of a pixel (N,).
@@ -149,6 +150,9 @@ class DesignMatrices:
         xx, yy, xy, yx = x * slope_x, y * slope_y, x * slope_y, y * slope_x
         np.subtract(yx, xy, out=columns[TURN])
         np.subtract(-xx, yy, out=columns[GROW])
+        for axis, along in zip(LEAN, (x, y), strict=True):
+            np.multiply(columns[GROW], along, out=columns[axis])
+            np.negative(columns[axis], out=columns[axis])
         np.subtract(yy, xx, out=columns[SQUEEZE[0]])
         np.subtract(-yx, xy, out=columns[SQUEEZE[1]])
         light = appearances.black_ratios.astype(np.float32)[:, None] * weights
@@ -165,7 +169,7 @@ class DesignMatrices:
         in its coordinates, and the squeeze changes by `- h m̄ z / 2`.
         """
         x, y, factors = self.x, self.y, _read(anisotropies, self.x, self.y)
-        squeezes = (homographies.squeezes / homographies.arms).astype(np.complex64)[:, None]
+        squeezes = homographies.anisotropies().astype(np.complex64)[:, None]
         leans = (homographies.horizons * homographies.arms.conj() / 2).astype(np.complex64)[:, None]
         squeeze_x = squeezes.real - (leans.real * x - leans.imag * y)
         squeeze_y = squeezes.imag - (leans.imag * x + leans.real * y)

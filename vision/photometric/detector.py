@@ -8,34 +8,40 @@ Each image passes through these stages.
    image, and at once when a followed marker is missing or none is known. Their cells are compared with all
    markers of the dictionary; nothing is refused for a doubtful bit yet.
 3. *Fit*: the known pattern of each marker is fitted to the image's own pixels
-   (`skyherd.vision.photometric.fit`); large markers in a shrunk image.
-4. *Verify*: a fit counts only if it shows its marker's bits and leaves nothing but noise
+   (`skyherd.vision.photometric.fit`), under whatever blur it has
+   (`skyherd.vision.photometric.unknown_blur`); large markers in a shrunk image.
+4. *Verify*: a fit counts only if it shows its marker's bits and leaves little else
    (`skyherd.vision.photometric.verify`). A marker that something seems to cover is fitted once more to its
-   visible pixels (`skyherd.vision.photometric.occlusion`).
-5. *Learn*: what a unit's images have in common (blur, noise, print contrast, the markers' plane) is estimated
-   from the fits and used for the next image.
+   visible pixels (`skyherd.vision.photometric.occlusion`), and one that does not lie on the others' plane
+   with a perspective of its own.
+5. *Learn*: if markers are followed, the unit's blur, noise and plane are where the next image's fits begin.
 """
 
 from dataclasses import replace
-from statistics import median
 
 import numpy as np
 
 from skyherd.geometry import SQUARE_CORNERS, Array, BoolArray, IntArray, to_complex, to_points
+from skyherd.markers.dictionary import cells_per_side
 from skyherd.messages import Detections
 from skyherd.vision.grey import Image, check_grey
-from skyherd.vision.photometric.fit import MAX_STEPS, MAX_STEPS_FROM_PREDICTION, USUAL_NOISE, image_middle
-from skyherd.vision.photometric.fit_result import FitResults, no_fit_results
-from skyherd.vision.photometric.image_estimates import START_SIGMA_PX, ImageEstimates
+from skyherd.vision.photometric.fit import MAX_STEPS_FROM_PREDICTION, USUAL_NOISE, image_middle
+from skyherd.vision.photometric.fit_result import FitResults, no_fit_results, weighted_median
+from skyherd.vision.photometric.image_estimates import ImageEstimates
 from skyherd.vision.photometric.local_homography import LocalHomographies
 from skyherd.vision.photometric.plane import Plane
-from skyherd.vision.photometric.scales import fit_all_sizes, fit_visible_all_sizes
+from skyherd.vision.photometric.scales import fit_visible_all_sizes
 from skyherd.vision.photometric.tracks import in_view
+from skyherd.vision.photometric.unknown_blur import (
+    START_SIGMA_PX,
+    fit_any_blur,
+    is_promising,
+    usual_sigma_px,
+    with_usual_blur,
+)
 from skyherd.vision.photometric.verify import (
-    FIRST_WRONG_BIT_SHARE,
     bits_are_right,
     image_noise,
-    match_blur_and_print,
     may_be_occluded,
     residual_is_noise,
     verified,
@@ -47,31 +53,19 @@ LEARNING_RATE = 0.2
 """Share by which blur and noise move towards what an image shows. Chosen: an average over about five images;
 a larger rate passes on more of each image's error, a smaller one follows a refocused lens more slowly."""
 
-BLUR_ROUNDS, BLUR_SETTLED = 5, 0.04
-"""In the first image that shows markers, the blur is found by so many rounds of fitting at most, until its
-logarithm changes by less than the second number. Chosen: an error of 4 % is within one `BLUR_STEP` of the
-patterns, and the fits correct it."""
-
 CORNER_SQUEEZE_ERROR_PX = 1.0
 """Accuracy of a squeeze that is computed from a quadrilateral's corners, px. Chosen: corners are found to
 about a pixel. Within it, the plane's squeeze is the better start."""
 
-MIN_NOISE = 0.3
-"""Smallest noise, grey levels. Derived: rounding to whole grey levels has `sqrt(1 / 12)` = 0.29."""
-
-MIN_MARKERS_FOR_NOISE = 3
-"""Number of markers from which on their residuals estimate an image's noise better than the image does
-itself.
-Chosen: with fewer, a fit would be judged by its own residuals."""
-
-OCCLUDED_NOISE_RATIO = 1.5
-"""A marker that leaves more than this many times the camera's noise does not count for the noise and the
-blur.
-Chosen: more than `skyherd.vision.photometric.verify.NOISE_FACTOR`, so that a rising noise is followed."""
-
 SEARCH_INTERVAL = 10
 """While all markers are followed, the whole image is searched in every image of this number. Chosen: a new
 marker waits this long at most; a smaller value costs time, which the search takes most of."""
+
+
+COARSE_CELL_PX = 8.0
+"""Side of a cell from which on markers are fitted in a shrunk image at first, until their blur and bits are
+known. Chosen: cells then have 4 to 8 px; a larger value costs time with its square, at half of it bits of
+sharpened images are lost."""
 
 
 class PhotometricDetector:
@@ -82,11 +76,11 @@ class PhotometricDetector:
 
     Args:
         dictionary: of the markers, such as `4X4_50`.
-        following: whether markers are followed from one image of a unit to the next. If not, each image is
-            searched as a whole; blur, noise and plane are still learned.
+        following: whether markers are followed from one image of a unit to the next. If not, every image is
+            taken by itself, and the result does not depend on earlier ones.
 
     Attributes:
-        estimates: what has been learned of each unit's images, by unit id.
+        estimates: what was estimated of each unit's images, by unit id.
 
     Raises:
         InputError: there is no such dictionary.
@@ -109,30 +103,16 @@ class PhotometricDetector:
             InputError: the image is not a grey one of 8 bits, or is empty.
         """
         image = check_grey(image)
-        known = self.estimates.setdefault(unit_id, ImageEstimates())
+        if unit_id not in self.estimates or not self.following:
+            self.estimates[unit_id] = ImageEstimates()
+        known = self.estimates[unit_id]
         found, lost = self._follow(image, known, time_s)
         known.unsearched += 1
         if lost or not len(found.ids) or known.unsearched >= SEARCH_INTERVAL:
             found = _unambiguous(found.joined(self._search(image, known, found.homographies)))
             known.unsearched = 0
-        if 2 * len(found.ids) < known.found:
-            known, found = self._search_anew(image, unit_id, known, found)
         self._learn(known, found, time_s)
         return _detections(found, image, time_s, unit_id)
-
-    def _search_anew(
-        self, image: Image, unit_id: int, known: ImageEstimates, found: FitResults
-    ) -> tuple[ImageEstimates, FitResults]:
-        """Search without any estimates, and drop them if that finds more.
-
-        Called when most markers are gone: lights and lenses change, so that the estimates may be wrong.
-        """
-        fresh = ImageEstimates()
-        anew = _unambiguous(self._search(image, fresh, self._none.homographies))
-        if len(anew.ids) <= len(found.ids):
-            return known, found
-        self.estimates[unit_id] = fresh
-        return fresh, anew
 
     def _follow(self, image: Image, known: ImageEstimates, time_s: float) -> tuple[FitResults, bool]:
         """Markers found where they were predicted, and whether one is missing or has left the view."""
@@ -140,93 +120,119 @@ class PhotometricDetector:
         here = in_view(homographies, image.shape)
         if not here.any():
             return self._none, False
-        near = homographies.take(here)
-        fits = self._fit(image, known, known.tracks.ids[here], near, MAX_STEPS_FROM_PREDICTION)
-        fits, good = self._verified_or_visible(image, known, fits)
+        fits, known.plane = fit_any_blur(
+            image,
+            self.dictionary,
+            known.tracks.ids[here],
+            homographies.take(here),
+            known.tracks.sigmas_px[here],
+            known.plane,
+            known.noise or USUAL_NOISE,
+            MAX_STEPS_FROM_PREDICTION,
+        )
+        fits, good = self._verified(image, fits, known.plane)
         return fits.take(good), not (here.all() and good.all())
 
     def _search(self, image: Image, known: ImageEstimates, followed: LocalHomographies) -> FitResults:
         """Verified markers anywhere in the image but where markers are followed already."""
         quads = find_quads(image)
-        quads = quads[_elsewhere(quads, followed)]
-        if known.sigma_px is None:
-            self._find_blur(image, known, quads)
-        fits, good = self._verified_or_visible(image, known, self._fit_quads(image, known, quads))
-        return fits.take(good)
-
-    def _verified_or_visible(
-        self, image: Image, known: ImageEstimates, fits: FitResults
-    ) -> tuple[FitResults, BoolArray]:
-        """Fits, of covered markers those to their visible pixels, and which of them (N,) are verified."""
-        noise = known.noise or _noise_of(fits, image)
-        good = _verified(fits, known, noise, image)
-        doubtful = np.flatnonzero(may_be_occluded(fits, noise))
-        if doubtful.size:
-            sigma_px, floor = known.sigma_px or START_SIGMA_PX, max(noise, MIN_NOISE)
-            visible = fit_visible_all_sizes(
-                image, self.dictionary, fits.take(doubtful), sigma_px, known.plane, floor
-            )
-            accepted = _verified(visible, known, noise, image) & residual_is_noise(visible, floor)
-            fits, good = fits.put(doubtful[accepted], visible.take(accepted)), good.copy()
-            good[doubtful[accepted]] = True
-        return fits, good
-
-    def _fit_quads(self, image: Image, known: ImageEstimates, quads_px: Array) -> FitResults:
-        """Fits of the markers that quadrilaterals (N, 4, 2) most resemble."""
         sigma_px = known.sigma_px or START_SIGMA_PX
-        decoded = _best_of_each(decode_quads(image, quads_px, self.dictionary, sigma_px))
+        quads = quads[_elsewhere(quads, followed)]
+        decoded = _best_of_each(decode_quads(image, quads, self.dictionary, sigma_px))
         if not decoded.ids.size:
             return self._none
-        homographies = _on_plane(
-            LocalHomographies.of_corners(decoded.corners_px), known.plane, image_middle(image)
-        )
-        return self._fit(image, known, decoded.ids, homographies)
+        start = LocalHomographies.of_corners(decoded.corners_px)
+        start = _on_plane(start, known.plane, image_middle(image))
+        fits, known.plane = self._fit_quads(image, known, decoded.ids, start)
+        fits, good = self._verified(image, fits, known.plane)
+        return fits.take(good)
 
-    def _fit(
-        self,
-        image: Image,
-        known: ImageEstimates,
-        ids: IntArray,
-        homographies: LocalHomographies,
-        max_steps: int = MAX_STEPS,
-    ) -> FitResults:
-        """Fits with what is known; the plane that they give is kept if any of them shows its bits."""
-        sigma_px = known.sigma_px or START_SIGMA_PX
-        noise = max(known.noise or USUAL_NOISE, MIN_NOISE)
-        fits, plane = fit_all_sizes(
-            image, self.dictionary, ids, homographies, sigma_px, known.plane, noise, max_steps
+    def _fit_quads(
+        self, image: Image, known: ImageEstimates, ids: IntArray, start: LocalHomographies
+    ) -> tuple[FitResults, Plane]:
+        """Fits of what quadrilaterals may show, coarse ones at first, and the plane that they lie on."""
+        sigma_px, noise = known.sigma_px or START_SIGMA_PX, known.noise or USUAL_NOISE
+        fits, plane = fit_any_blur(
+            image,
+            self.dictionary,
+            ids,
+            start,
+            sigma_px,
+            known.plane,
+            noise,
+            largest_side_px=COARSE_CELL_PX * cells_per_side(self.dictionary),
         )
-        if plane != known.plane and bits_are_right(fits).any():
-            known.plane = plane
-        return fits
+        promising = np.flatnonzero(is_promising(fits))
+        if not promising.size:
+            return fits, known.plane
+        coarse = fits.take(promising)
+        right = bits_are_right(coarse)
+        if right.any():
+            noise = weighted_median(coarse.noise_stds, coarse.pixels * right)
+        fine, plane = fit_any_blur(
+            image, self.dictionary, coarse.ids, coarse.homographies, with_usual_blur(coarse), plane, noise
+        )
+        return fits.put(promising, fine), plane if right.any() else known.plane
 
-    def _find_blur(self, image: Image, known: ImageEstimates, quads_px: Array) -> None:
-        """Fit repeatedly with the blur that the last fits found, until it changes no more."""
-        for _ in range(BLUR_ROUNDS):
-            found = self._fit_quads(image, known, quads_px)
-            found = found.take(_first_look(found, image))
-            if not len(found.ids):
-                return
-            log_error = median(found.log_blurs.tolist())
-            known.adjust_blur(log_error, 1.0)
-            if abs(log_error) < BLUR_SETTLED:
-                return
+    def _verified(self, image: Image, fits: FitResults, plane: Plane) -> tuple[FitResults, BoolArray]:
+        """Fits, and which of them (N,) are verified.
+
+        Of covered markers they are those to their visible pixels, and of markers that are not on the plane
+        those with a perspective of their own.
+        """
+        noise = image_noise(image)
+        good = verified(fits, noise)
+        floor = max(noise, weighted_median(fits.noise_stds, fits.pixels * good)) if good.any() else noise
+        doubtful = np.flatnonzero(may_be_occluded(fits, floor))
+        if doubtful.size:
+            covered = fits.take(doubtful)
+            visible = fit_visible_all_sizes(
+                image, self.dictionary, covered, with_usual_blur(covered), plane, floor
+            )
+            accepted = verified(visible, noise) & residual_is_noise(visible, floor)
+            fits, good = _replaced(fits, good, doubtful[accepted], visible.take(accepted))
+        apart = np.flatnonzero(~good & plane.shared)
+        if apart.size:
+            others = fits.take(apart)
+            alone, _ = fit_any_blur(
+                image,
+                self.dictionary,
+                others.ids,
+                others.homographies,
+                np.maximum(others.sigmas_px, START_SIGMA_PX / 2),
+                Plane(),
+                floor,
+                alone=True,
+            )
+            accepted = verified(alone, noise)
+            fits, good = _replaced(fits, good, apart[accepted], alone.take(accepted))
+        return fits, good
 
     def _learn(self, known: ImageEstimates, found: FitResults, time_s: float) -> None:
-        """Update blur, noise and print contrast and, if markers are followed, the tracks."""
-        known.found = len(found.ids)
-        limit = np.inf if known.noise is None else OCCLUDED_NOISE_RATIO * known.noise
-        usual = found.take(found.noise_stds < limit)
-        if len(usual.ids):
-            log_error, noise, known.print_contrast = (
-                median(values.tolist())
-                for values in (usual.log_blurs, usual.noise_stds, usual.print_contrasts())
-            )
-            known.adjust_blur(log_error, LEARNING_RATE)
-            before = noise if known.noise is None else known.noise
-            known.noise = before + LEARNING_RATE * (noise - before)
-        if self.following:
-            known.tracks = known.tracks.updated(time_s, found.ids, found.homographies)
+        """Update blur, noise and, if markers are followed, the tracks."""
+        if not len(found.ids):
+            known.tracks = known.tracks.updated(time_s, found.ids, found.homographies, found.sigmas_px)
+            return
+        sigma_px, noise = usual_sigma_px(found), weighted_median(found.noise_stds, found.pixels)
+        known.sigma_px = _moved_towards(sigma_px, known.sigma_px)
+        known.noise = _moved_towards(noise, known.noise)
+        sigmas_px = with_usual_blur(found)
+        sigmas_px[sigmas_px == sigma_px] = known.sigma_px
+        known.tracks = known.tracks.updated(time_s, found.ids, found.homographies, sigmas_px)
+
+
+def _moved_towards(value: float, before: float | None) -> float:
+    """What was known before, moved by `LEARNING_RATE` of the difference, or the value itself."""
+    return value if before is None else before + LEARNING_RATE * (value - before)
+
+
+def _replaced(
+    fits: FitResults, good: BoolArray, rows: IntArray, others: FitResults
+) -> tuple[FitResults, BoolArray]:
+    """Fits with those at indices `rows` replaced, which are then good."""
+    good = good.copy()
+    good[rows] = True
+    return fits.put(rows, others), good
 
 
 def _on_plane(homographies: LocalHomographies, plane: Plane, middle: complex) -> LocalHomographies:
@@ -234,26 +240,6 @@ def _on_plane(homographies: LocalHomographies, plane: Plane, middle: complex) ->
     squeezes = plane.squeezes(homographies.centers - middle) * homographies.arms.conj()
     near = np.abs(squeezes - homographies.squeezes) < CORNER_SQUEEZE_ERROR_PX
     return replace(homographies, squeezes=np.where(near, squeezes, homographies.squeezes))
-
-
-def _first_look(fits: FitResults, image: Image) -> BoolArray:
-    """Which fits (N,) show their marker when nothing but the image says how large its noise is."""
-    return verified(fits, max(image_noise(image), MIN_NOISE), FIRST_WRONG_BIT_SHARE)
-
-
-def _verified(fits: FitResults, known: ImageEstimates, noise: float, image: Image) -> BoolArray:
-    """Which fits (N,) show their marker, by the unit's estimates or, without any, at a first look as well."""
-    if known.noise is not None:
-        return verified(fits, noise) & match_blur_and_print(fits, 0.0, known.print_contrast)
-    return _first_look(fits, image) & verified(fits, noise)
-
-
-def _noise_of(fits: FitResults, image: Image) -> float:
-    """Noise of a unit without estimates, grey levels: of its markers if they are enough, or the image."""
-    first = fits.noise_stds[_first_look(fits, image)]
-    if first.size >= MIN_MARKERS_FOR_NOISE:
-        return float(np.median(first))
-    return max(image_noise(image), MIN_NOISE)
 
 
 def _elsewhere(quads_px: Array, followed: LocalHomographies) -> BoolArray:

@@ -21,6 +21,7 @@ from skyherd.vision.photometric.appearance import MarkerAppearances, anisotropie
 from skyherd.vision.photometric.common_unknowns import hold_common_unknowns
 from skyherd.vision.photometric.design_matrix import (
     BLACK,
+    LEAN,
     MIDDLE_GREY,
     SQUEEZE,
     UNKNOWNS,
@@ -97,7 +98,7 @@ class PixelSamples:
             rows: indices of the markers to be read.
             start: homographies of all N markers, about which the model is linear.
             appearances: of all N markers.
-            inlier_limits: a solution (N, 12) and limits (N,), grey levels; only pixels whose residual from
+            inlier_limits: a solution (N, 14) and limits (N,), grey levels; only pixels whose residual from
                 that solution is below their marker's limit are used. All are if left out.
         """
         for pixels in design_matrices_of(image, rows, start, appearances):
@@ -145,10 +146,12 @@ def fit_markers(
     dictionary: str,
     ids: IntArray,
     homographies: LocalHomographies,
-    sigma_px: float,
+    sigma_px: float | Array,
     plane: Plane,
     noise: float = USUAL_NOISE,
     max_steps: int = MAX_STEPS,
+    *,
+    alone: bool = False,
 ) -> tuple[FitResults, Plane]:
     """Fit markers `ids` (N,) that lie near `homographies`: a pixel or two, or a tenth of a side, away.
 
@@ -160,45 +163,49 @@ def fit_markers(
         dictionary: of the markers.
         ids: (N,) marker ids, at least one.
         homographies: N of them, where to begin.
-        sigma_px: standard deviation of the blur of lens and pixel together, as far as it is known.
-        plane: of the markers, as far as it is known.
+        sigma_px: standard deviation of the blur of lens and pixel together, as far as it is known: of all
+            markers, or (N,) of each.
+        plane: of the markers, as far as it is known. If it is not, their own horizons are where they begin.
         noise: standard deviation of a pixel, grey levels, as far as it is known.
         max_steps: most steps taken; a marker that has settled takes no more.
+        alone: whether each marker has a plane of its own, also if one would explain them all.
 
     Returns:
         The results, in the order of `ids`, and the plane that they put the markers on.
     """
     middle = image_middle(image)
     sides_px = homographies.sides_px()
-    appearances = appearances_of(dictionary, ids, sigma_px / sides_px, plane, noise)
+    blurs = homographies.blurs(sigma_px)
+    appearances = appearances_of(dictionary, ids, blurs, plane, noise)
     samples, n_cells = PixelSamples(ids.size), cells_per_side(dictionary)
-    start = homographies = replace(homographies, horizons=plane.horizons(homographies.centers - middle))
+    if plane.shared and plane != Plane():
+        homographies = replace(homographies, horizons=plane.horizons(homographies.centers - middle))
+    start = homographies
     rows, right = np.arange(ids.size), np.ones(ids.size, dtype=bool)
     for number in range(1, max_steps + 1):
         start = homographies if rows.size == ids.size else start.put(rows, homographies.take(rows))
         samples.read(image, rows, start, appearances)
         solution = samples.solution()
         if number > 1:  # before, a start that is a pixel off may leave as much as a wrong cell
-            contrasts, noise_stds = solution.contrasts()[rows], solution.noise_stds()[rows]
-            means, peaks = samples.cell_residuals(rows, solution, n_cells)
-            outliers = has_outlier_pixels(peaks, contrasts, noise_stds)
-            right[rows] = _cells_are_right(means, contrasts) & ~outliers
-        solution, plane = hold_common_unknowns(solution, start, middle, right)
+            means, _ = samples.cell_residuals(rows, solution, n_cells)
+            right[rows] = _cells_are_right(means, solution.contrasts()[rows])
+        solution, plane = hold_common_unknowns(solution, start, middle, right, plane, alone=alone)
         appearances = replace(
             appearances,
             black_ratios=(solution.values[:, BLACK] + MIDDLE_GREY) / solution.contrasts(),
-            anisotropies=anisotropies_of(dictionary, ids, sigma_px / sides_px, plane),
+            anisotropies=anisotropies_of(dictionary, ids, blurs, plane),
         )
         homographies, moved_px = stepped(solution, start)
-        homographies = replace(homographies, horizons=plane.horizons(homographies.centers - middle))
+        if plane.shared:
+            homographies = replace(homographies, horizons=plane.horizons(homographies.centers - middle))
         bent_px = np.abs(homographies.horizons - start.horizons) * sides_px**2 / 2
         unsettled = (moved_px > SETTLED_PX * np.cbrt(noise)) | (bent_px > SETTLED_HORIZON_PX)
         rows = np.flatnonzero(unsettled & (right | (number < max_steps / 2)))
         if not rows.size:
             break
     residuals = samples.cell_residuals(np.arange(ids.size), solution, n_cells)
-    variances = plane.variances(homographies.centers - middle)
-    return fit_results_of(ids, solution, homographies, residuals, moved_px, sigma_px, variances), plane
+    variances = plane.variances(homographies.centers - middle) if plane.shared else np.zeros(ids.size)
+    return fit_results_of(ids, solution, homographies, residuals, moved_px, blurs, variances), plane
 
 
 def image_middle(image: Image) -> complex:
@@ -232,7 +239,10 @@ def stepped(
     steps = solution.values / solution.contrasts()[:, None]
     shift = steps[:, design_matrix.RIGHT] + 1j * steps[:, design_matrix.DOWN]
     grow = steps[:, design_matrix.GROW] + 1j * steps[:, design_matrix.TURN]
-    squeeze = steps[:, SQUEEZE] @ np.array([1, 1j])
-    size = np.sqrt(np.abs(shift) ** 2 + (np.abs(grow) ** 2 + np.abs(squeeze) ** 2) / 4)
+    squeeze, lean = (steps[:, pair] @ np.array([1, 1j]) for pair in (SQUEEZE, LEAN))
+    size = np.sqrt(
+        np.abs(shift) ** 2 + (np.abs(grow) ** 2 + np.abs(squeeze) ** 2) / 4 + np.abs(lean) ** 2 / 16
+    )
     cut = np.minimum(1.0, MAX_STEP / np.maximum(size, MIN_STEP))
-    return homographies.moved(cut * shift, cut * grow, cut * squeeze), size * homographies.sides_px()
+    moved = homographies.moved(cut * shift, cut * grow, cut * squeeze, cut * lean)
+    return moved, size * homographies.sides_px()

@@ -12,6 +12,10 @@ from skyherd.vision.photometric.least_squares import LeastSquaresSolution
 from skyherd.vision.photometric.local_homography import LocalHomographies
 from skyherd.vision.row_record import RowRecord
 
+MAX_LOG_BLUR = 0.5
+"""Largest change of a blur's logarithm that a fit is believed. Chosen: the model is linear in it, so that a
+larger one is not reliable; the next fit, about the blur found, goes on from there."""
+
 
 @dataclass(frozen=True)
 class FitResults(RowRecord):
@@ -26,6 +30,7 @@ class FitResults(RowRecord):
         noise_stds: (N,) standard deviations of the pixels' residuals, grey levels.
         log_blurs: (N,) logarithm of the blur found over the blur assumed.
         blurs_cells: (N,) standard deviation of the blur assumed, in cells.
+        sigmas_px: (N,) standard deviation of the blur found, lens and pixel together, px.
         pixels: (N,) number of pixels used.
         cell_means: (N, n, n) mean residual over each cell, grey levels.
         peaks: (N,) largest absolute residual of a pixel, grey levels.
@@ -40,6 +45,7 @@ class FitResults(RowRecord):
     noise_stds: Array
     log_blurs: Array
     blurs_cells: Array
+    sigmas_px: Array
     pixels: Array
     cell_means: Array
     peaks: Array
@@ -71,7 +77,16 @@ def no_fit_results(dictionary: str) -> FitResults:
     n, empty, points = cells_per_side(dictionary), np.zeros(0), np.zeros(0, dtype=complex)
     scalars = {
         name: empty
-        for name in ("blacks", "contrasts", "noise_stds", "log_blurs", "blurs_cells", "pixels", "peaks")
+        for name in (
+            "blacks",
+            "contrasts",
+            "noise_stds",
+            "log_blurs",
+            "blurs_cells",
+            "sigmas_px",
+            "pixels",
+            "peaks",
+        )
     }
     return FitResults(
         ids=np.zeros(0, dtype=np.int64),
@@ -89,7 +104,7 @@ def fit_results_of(
     homographies: LocalHomographies,
     cell_residuals: tuple[Array, Array],
     moved_px: Array,
-    sigma_px: float,
+    blurs: Array,
     squeeze_variances: Array,
 ) -> FitResults:
     """Return the results of N markers from the solution of the fit's last step.
@@ -100,10 +115,12 @@ def fit_results_of(
         homographies: after the last step.
         cell_residuals: as `PixelSamples.cell_residuals` returns them.
         moved_px: (N,) how far the last step moved the middles of the sides.
-        sigma_px: standard deviation of the blur that was assumed, px.
+        blurs: (N,) standard deviations of the blurs that were assumed, in marker sides.
         squeeze_variances: (N,) variances of each component of the squeezes that were held.
     """
     cell_means, peaks = cell_residuals
+    log_blurs = solution.values[:, BLUR] / solution.contrasts()
+    found = np.clip(log_blurs, -MAX_LOG_BLUR, MAX_LOG_BLUR)
     return FitResults(
         ids=ids,
         homographies=homographies,
@@ -111,8 +128,9 @@ def fit_results_of(
         blacks=solution.values[:, BLACK] + MIDDLE_GREY,
         contrasts=solution.values[:, CONTRAST],
         noise_stds=solution.noise_stds(),
-        log_blurs=solution.values[:, BLUR] / solution.contrasts(),
-        blurs_cells=sigma_px / homographies.sides_px() * cell_means.shape[1],
+        log_blurs=log_blurs,
+        blurs_cells=blurs * cell_means.shape[1],
+        sigmas_px=blurs * np.exp(found) / homographies.blurs(1.0),
         pixels=solution.pixels,
         cell_means=cell_means,
         peaks=peaks,

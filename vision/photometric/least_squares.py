@@ -5,9 +5,10 @@ with every unknown free also gives the solution in which some of them, h, are he
 
     x' = x - C_xh C_hh⁻¹ (x_h - v),   C' = C - C_xh C_hh⁻¹ C_hx,
 
-with C the inverse normal matrix; the sum of squares grows by `(x_h - v)ᵀ C_hh⁻¹ (x_h - v)`. One Gram matrix
-a marker thus answers every question that is asked by holding unknowns (is the light even? do the squeezes
-belong to one plane?) without looking at the pixels again.
+with C the inverse normal matrix; the sum of squares grows by `(x_h - v)ᵀ C_hh⁻¹ (x_h - v)`. With `C_hh + P`
+in place of C_hh, the unknowns are not held, but expected at v with variances P. One Gram matrix a marker thus
+answers every question that is asked by holding unknowns (is the light even? do the squeezes belong to one
+plane?) without looking at the pixels again.
 """
 
 from dataclasses import dataclass
@@ -47,8 +48,8 @@ class LeastSquaresSolution:
     """Least-squares solutions for N markers.
 
     Attributes:
-        values: (N, 12) the unknowns, in the order of `skyherd.vision.photometric.design_matrix`.
-        inverse_normals: (N, 12, 12) inverse normal matrices C; rows and columns of held unknowns are zero.
+        values: (N, 14) the unknowns, in the order of `skyherd.vision.photometric.design_matrix`.
+        inverse_normals: (N, 14, 14) inverse normal matrices C; rows and columns of held unknowns are zero.
         residual_squares: (N,) sums of squared weighted residuals, grey levels squared.
         pixels: (N,) number of pixels used.
         free: number of unknowns that are not held.
@@ -62,7 +63,7 @@ class LeastSquaresSolution:
 
     @classmethod
     def of_grams(cls, grams: Array, pixels: Array) -> "LeastSquaresSolution":
-        """Solve for all unknowns, from Gram matrices (N, 13, 13) of `pixels` (N,) pixels each.
+        """Solve for all unknowns, from Gram matrices (N, 15, 15) of `pixels` (N,) pixels each.
 
         The last row and column of a Gram matrix are the inner products with the pixels' values.
         """
@@ -75,6 +76,18 @@ class LeastSquaresSolution:
         )
         return cls(values, inverse_normals, squares, pixels)
 
+    def expected(self, unknowns: list[int], at: Array, variances: Array) -> "LeastSquaresSolution":
+        """Return the solution in which `unknowns` are expected at values `at` (N, len(unknowns)).
+
+        `variances` (N,), of each of them about that value, are in units of the noise's variance. With zero,
+        the unknowns are held; see `constrained`. The sum of squares includes what the expectation adds.
+        """
+        offset = (self.values[:, unknowns] - at)[..., None]
+        spread = self.inverse_normals[:, unknowns][:, :, unknowns] + variances[:, None, None] * np.eye(
+            len(unknowns)
+        )
+        return self._drawn(unknowns, offset, np.linalg.inv(spread), self.free)
+
     def constrained(self, unknowns: list[int], at: Array) -> "LeastSquaresSolution":
         """Return the solution in which `unknowns` are held at values `at` (N, len(unknowns)).
 
@@ -83,6 +96,10 @@ class LeastSquaresSolution:
         """
         offset = (self.values[:, unknowns] - at)[..., None]
         blocks = np.linalg.inv(self.inverse_normals[:, unknowns][:, :, unknowns]).astype(float)
+        return self._drawn(unknowns, offset, blocks, self.free - len(unknowns))
+
+    def _drawn(self, unknowns: list[int], offset: Array, blocks: Array, free: int) -> "LeastSquaresSolution":
+        """The solution moved by `-C_xh B (x_h - v)`, with B = `blocks` and x_h - v = `offset`."""
         gain = self.inverse_normals[:, :, unknowns] @ blocks
         growth = np.maximum(offset.transpose(0, 2, 1) @ blocks @ offset, 0.0)[:, 0, 0]
         return LeastSquaresSolution(
@@ -90,7 +107,7 @@ class LeastSquaresSolution:
             inverse_normals=self.inverse_normals - gain @ self.inverse_normals[:, unknowns],
             residual_squares=self.residual_squares + growth,
             pixels=self.pixels,
-            free=self.free - len(unknowns),
+            free=free,
         )
 
     def noise_stds(self) -> Array:

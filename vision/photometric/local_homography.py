@@ -46,19 +46,52 @@ class LocalHomographies(RowRecord):
         horizons = np.zeros(len(corners_px), dtype=complex)
         return cls(squares.centers, squares.arms, squares.squeezes, horizons)
 
-    def moved(self, shift: ComplexArray, grow: ComplexArray, squeeze: ComplexArray) -> "LocalHomographies":
+    def moved(
+        self, shift: ComplexArray, grow: ComplexArray, squeeze: ComplexArray, lean: ComplexArray
+    ) -> "LocalHomographies":
         """Return the homographies after a small step of each marker in its own coordinates.
 
-        The step is `z ↦ shift + (1 + grow) z + squeeze z̄`, with (N,) complex `shift`, `grow` (real part:
-        scale, imaginary part: rotation) and `squeeze`; the result is right to first order in each of them.
-        Horizons stay.
+        The step is `z ↦ shift + (1 + grow) z + squeeze z̄ - z Re(q̄ z)`, with (N,) complex `shift`, `grow`
+        (real part: scale, imaginary part: rotation), `squeeze` and `lean` q; the result is right to first
+        order in each of them.
         """
+        horizon = (lean * self.arms - lean.conj() * self.squeezes) / self._areas
         return replace(
             self,
             centers=self.centers + self.arms * shift + self.squeezes * shift.conj(),
             arms=self.arms * (1 + grow) + self.squeezes * squeeze.conj(),
             squeezes=self.squeezes * (1 + grow.conj()) + self.arms * squeeze,
+            horizons=self.horizons + horizon,
         )
+
+    def leans_to(self, horizons: ComplexArray) -> ComplexArray:
+        """Return the leans q (N,) of the steps of `moved` that take the markers to `horizons` (N,), 1/px.
+
+        A change δ of the horizon is the lean `δ m̄ + δ̄ k`, exactly.
+        """
+        return replace(self, horizons=horizons - self.horizons).leans()
+
+    def leans(self) -> ComplexArray:
+        """Return the leans q (N,): the marker's image shrinks by Re(q̄ z) towards its point z."""
+        return np.asarray(self.horizons * self.arms.conj() + self.horizons.conj() * self.squeezes)
+
+    def blurs(self, sigmas_px: float | Array) -> Array:
+        """Return blurs (N,) of standard deviations `sigmas_px`, px, in marker sides.
+
+        Blur that is round in the image has different variances along different directions of a squeezed
+        marker; this is the root of their mean, `σ sqrt(|m|² + |k|²) / (|m|² - |k|²)`.
+        """
+        mean_square = np.abs(self.arms) ** 2 + np.abs(self.squeezes) ** 2
+        return np.asarray(sigmas_px * np.sqrt(mean_square) / np.abs(self._areas))
+
+    def anisotropies(self) -> ComplexArray:
+        """Return by how much (N,) blur that is round in the image differs along a marker's directions.
+
+        With e = k / m it is `a = e / (1 + |e|²)`: the blur's variances along x and y are those of `blurs`
+        times `1 ∓ 2 Re a`, and its covariance is `-2 Im a` times as much.
+        """
+        relative = self.squeezes / self.arms
+        return np.asarray(relative / (1 + np.abs(relative) ** 2))
 
     def images(self, z: ComplexArray) -> ComplexArray:
         """Return the image points (N, M), u + iv, of points z (M,) of each marker's plane."""

@@ -14,11 +14,11 @@ from dataclasses import replace
 import numpy as np
 
 from skyherd.geometry import Array
-from skyherd.markers.dictionary import cells_per_side
+from skyherd.markers.dictionary import border_cells, cells_per_side
 from skyherd.vision.grey import Image
 from skyherd.vision.photometric.appearance import appearances_of
-from skyherd.vision.photometric.common_unknowns import common_plane
-from skyherd.vision.photometric.design_matrix import BLACK, CONTRAST, MIDDLE_GREY, POSE, SQUEEZE, UNKNOWNS
+from skyherd.vision.photometric.common_unknowns import on_common_plane
+from skyherd.vision.photometric.design_matrix import BLACK, CONTRAST, MIDDLE_GREY, POSE, UNKNOWNS
 from skyherd.vision.photometric.fit import PixelSamples, image_middle, stepped
 from skyherd.vision.photometric.fit_result import FitResults, fit_results_of
 from skyherd.vision.photometric.plane import Plane
@@ -42,7 +42,7 @@ cell; less would let a bit be guessed from its edge."""
 
 
 def fit_visible(
-    image: Image, dictionary: str, fits: FitResults, sigma_px: float, plane: Plane, noise: float
+    image: Image, dictionary: str, fits: FitResults, sigma_px: float | Array, plane: Plane, noise: float
 ) -> FitResults:
     """Return the same markers, fitted to those of their pixels that agree on a pose.
 
@@ -50,7 +50,7 @@ def fit_visible(
         image: grey, (height, width).
         dictionary: of the markers.
         fits: of N markers, at least one, to all their pixels.
-        sigma_px: standard deviation of the blur of lens and pixel together.
+        sigma_px: standard deviation of the blur of lens and pixel together: of all markers, or (N,) of each.
         plane: of all the image's markers, from which blur in marker coordinates follows. The squeezes of the
             covered markers are found from themselves, since what covers them may have affected the plane.
         noise: standard deviation of a pixel, grey levels.
@@ -60,9 +60,11 @@ def fit_visible(
         as much as a wrong one, so that a marker with a hidden bit is never verified.
     """
     n_cells, middle = cells_per_side(dictionary), image_middle(image)
-    appearances = appearances_of(dictionary, fits.ids, sigma_px / fits.homographies.sides_px(), plane, noise)
+    blurs = fits.homographies.blurs(sigma_px)
+    appearances = appearances_of(dictionary, fits.ids, blurs, plane, noise)
     appearances = replace(appearances, black_ratios=fits.blacks / fits.contrasts)
-    rows, homographies = np.arange(fits.ids.size), fits.homographies
+    horizons = plane.horizons(fits.homographies.centers - middle)
+    rows, homographies = np.arange(fits.ids.size), replace(fits.homographies, horizons=horizons)
     values = np.zeros((rows.size, UNKNOWNS))
     values[:, BLACK], values[:, CONTRAST] = fits.blacks - MIDDLE_GREY, fits.contrasts
     samples = PixelSamples(rows.size)
@@ -71,16 +73,19 @@ def fit_visible(
         values[:, POSE] = 0.0  # the last round's step was taken
         samples.read(image, rows, homographies, appearances, inlier_limits=(values, limits))
         solution = samples.solution()
-        plane, squeezes = common_plane(solution, homographies, middle, np.ones(rows.size, dtype=bool))
-        solution = solution.constrained(SQUEEZE, squeezes)
+        solution, plane = on_common_plane(
+            solution, homographies, middle, np.ones(rows.size, dtype=bool), plane, lean_std=0.0
+        )
         values = solution.values.copy()
         homographies, moved_px = stepped(solution, homographies)
         homographies = replace(homographies, horizons=plane.horizons(homographies.centers - middle))
         limits = np.maximum(LIMIT_FACTOR * limits, INLIER_SIGMAS * np.minimum(noise, solution.noise_stds()))
     means, peaks = samples.cell_residuals(rows, solution, n_cells)
-    means = _hidden_bits_as_wrong(means, samples.cell_support(rows, n_cells), solution.contrasts())
-    variances = plane.variances(homographies.centers - middle)
-    return fit_results_of(fits.ids, solution, homographies, (means, peaks), moved_px, sigma_px, variances)
+    means = _hidden_bits_as_wrong(
+        means, samples.cell_support(rows, n_cells), solution.contrasts(), border_cells(dictionary)
+    )
+    variances = plane.variances(homographies.centers - middle) if plane.shared else np.zeros(rows.size)
+    return fit_results_of(fits.ids, solution, homographies, (means, peaks), moved_px, blurs, variances)
 
 
 def _rounds(contrasts: Array, noise: float) -> int:
@@ -89,11 +94,11 @@ def _rounds(contrasts: Array, noise: float) -> int:
     return int(np.ceil(max(falls, 0.0))) + FINAL_ROUNDS
 
 
-def _hidden_bits_as_wrong(cell_means: Array, support: Array, contrasts: Array) -> Array:
+def _hidden_bits_as_wrong(cell_means: Array, support: Array, contrasts: Array, border: int) -> Array:
     """Mean residuals (N, n, n), in which a cell with too little support leaves the whole contrast.
 
     That holds for cells with a bit; hidden cells of the border leave zero.
     """
     has_bit = np.zeros(support.shape[1:])
-    has_bit[1:-1, 1:-1] = 1.0
+    has_bit[border:-border, border:-border] = 1.0
     return np.where(support < MIN_VISIBLE_SHARE, has_bit * contrasts[:, None, None], cell_means)

@@ -20,6 +20,7 @@ import numpy.typing as npt
 from skyherd.geometry import Array, IntArray
 from skyherd.markers.blur_model import Gathered, gather_with_derivatives
 from skyherd.markers.dictionary import marker_cells
+from skyherd.vision.photometric.pixel_support import Floats
 
 BLUR_STEP = 1.05
 """Patterns are kept for blurs, in sides, in this geometric progression; the fit's unknown `BLUR` takes up the
@@ -58,9 +59,9 @@ class Pattern:
     center: float
 
 
-def _pattern(values: Array, rate: float) -> Pattern:
+def _pattern(channels: list[Floats], rate: float) -> Pattern:
     """A pattern of `rate` samples to a marker side, the marker's centre in its middle."""
-    kept = np.ascontiguousarray(values, dtype=np.float32)
+    kept = np.asarray(cv2.merge(channels), dtype=np.float32)
     kept.setflags(write=False)
     return Pattern(kept, rate, (len(kept) - 1) / 2)
 
@@ -93,24 +94,29 @@ def make_pattern(dictionary: str, marker_id: int, bucket: int) -> Pattern:
     curvature = sigma**2 * e.curvature
     log_blur = product(e.value, curvature) + product(curvature, e.value)
     channels = [
-        1.0 + product(e.value, e.value) - log_blur / (12 * (sigma * rate) ** 2),
+        1 + product(e.value, e.value) - log_blur / np.float32(12 * (sigma * rate) ** 2),
         product(e.value, e.slope),
         product(e.slope, e.value),
         log_blur,
     ]
-    return _pattern(np.stack(channels, axis=-1), rate)
+    return _pattern(channels, rate)
 
 
 def _products(
     dictionary: str, marker_id: int, x: Array, sigma: float
-) -> tuple[Callable[[Array, Array], Array], Gathered]:
-    """The map `- down B rightᵀ` of a marker's black cells B, and E with its derivatives at x (S,)."""
+) -> tuple[Callable[[Array, Array], Floats], Gathered]:
+    """The map `- down B rightᵀ` of a marker's black cells B, and E with its derivatives at x (S,).
+
+    Products are in single precision, as patterns are kept, which is six times as fast as double.
+    """
     black = (~marker_cells(dictionary, marker_id)).astype(float)
     e = gather_with_derivatives(x, np.arange(len(black) + 1) / len(black) - 0.5, sigma)
 
-    def product(down: Array, right: Array) -> Array:
+    def product(down: Array, right: Array) -> Floats:
         # OpenCV's product, not NumPy's: BLAS threads on so small a product cost more than it does.
-        return np.asarray(cv2.gemm(down @ black, right, -1.0, np.empty(0), 0.0, flags=cv2.GEMM_2_T))
+        rows, columns = (down @ black).astype(np.float32), right.astype(np.float32)
+        none = np.empty(0, dtype=np.float32)
+        return np.asarray(cv2.gemm(rows, columns, -1.0, none, 0.0, flags=cv2.GEMM_2_T), dtype=np.float32)
 
     return product, e
 
@@ -132,4 +138,4 @@ def make_anisotropy(dictionary: str, marker_id: int, bucket: int) -> Pattern:
     product, e = _products(dictionary, marker_id, x, sigma)
     curvature = sigma**2 * e.curvature
     along = product(e.value, curvature) - product(curvature, e.value)
-    return _pattern(np.stack([along, 2 * sigma**2 * product(e.slope, e.slope)], axis=-1), rate)
+    return _pattern([along, np.float32(2 * sigma**2) * product(e.slope, e.slope)], rate)

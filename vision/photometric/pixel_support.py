@@ -1,6 +1,6 @@
 """The pixels that lie within each marker, with their marker coordinates."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -18,6 +18,10 @@ MIN_AXIS_PER_PX = 1e-12
 """Smallest slope along a line, in marker sides per pixel, that is divided by; an axis that is exactly at
 right angles to a line would divide by zero. Chosen far below 1 / image width, so that the bounds it gives lie
 outside any image."""
+
+MAX_GROWTH = 0.5
+"""Largest share by which a horizon may move a marker's border outwards. Chosen: at a half, the marker is seen
+from nearer than its own side; what lies further out is not read."""
 
 
 @dataclass(frozen=True)
@@ -37,6 +41,12 @@ class PixelSupport:
     x: Floats
     y: Floats
 
+    def within(self, limits: Array) -> "PixelSupport":
+        """Return the support without the pixels whose coordinates exceed their marker's limit (N,)."""
+        limit = limits.astype(np.float32)[:, None]
+        mask = self.mask * ((np.abs(self.x) <= limit) & (np.abs(self.y) <= limit))
+        return replace(self, counts=np.count_nonzero(mask, axis=1), mask=mask)
+
 
 def pixels_within(
     homographies: LocalHomographies, limits: Array, image_shape: tuple[int, ...]
@@ -44,9 +54,11 @@ def pixels_within(
     """Return the pixels of an image (height, width) whose marker coordinates are within ± `limits` (N,).
 
     Each image line meets the strips `|x| < limit` and `|y| < limit` in two intervals; the pixels of a line
-    are the common part of both, cut off at the image's border. The limits hold for the affine part of the
-    homography: the horizon is applied to the coordinates only.
+    are the common part of both, cut off at the image's border. The strips are those of the affine part of the
+    homography, made wider by what a horizon may add; the pixels beyond the limits are then masked.
     """
+    inner, leans = limits, np.abs(homographies.leans())
+    limits = limits / (1 - np.minimum(leans * np.sqrt(2) * limits, MAX_GROWTH))
     right = homographies.arms + homographies.squeezes
     down = 1j * (homographies.arms - homographies.squeezes)
     reach = limits * (np.abs(right.imag) + np.abs(down.imag))
@@ -64,7 +76,8 @@ def pixels_within(
     in_image = lines + corner.imag[:, None]
     meets = (in_image >= 0) & (in_image < image_shape[0]) & (high >= low)
     counts = np.where(meets, high - low + 1, 0).astype(np.int64)
-    return _padded(homographies, corner, np.where(meets, low, 0), lines, counts, image_shape[1])
+    support = _padded(homographies, corner, np.where(meets, low, 0), lines, counts, image_shape[1])
+    return support.within(inner) if leans.any() else support
 
 
 def _padded(

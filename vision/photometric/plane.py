@@ -17,6 +17,7 @@ coordinates; neglecting that costs 0.002 px at a tilt of 15 degrees. Where no pl
 each marker keeps its own.
 """
 
+import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -31,6 +32,10 @@ ignores small tilts."""
 EXCESS = 6.0
 """Chi-squared a degree of freedom beyond which markers do not lie on one plane. Chosen: texture that blurs
 into small cards may double the chi-squared of markers that do lie on one."""
+
+MIN_SHARE_ON_PLANE, MIN_MARKERS_ON_PLANE = 2 / 3, 4
+"""Smallest share and number of markers that a common plane must explain. Chosen: most of them, and one marker
+more than the three with which a plane's four unknowns leave two degrees of freedom."""
 
 MAX_ROUNDS = 8
 """Most rounds of the plane's iteration. Each leaves half of |λ p| or less of what the one before did, 0.1 at
@@ -85,7 +90,25 @@ def squeeze_design_matrix(points: ComplexArray) -> ComplexArray:
 
 
 def fit_plane(points: ComplexArray, squeezes: ComplexArray, variances: Array) -> Plane:
-    """Return the simplest plane that explains the squeezes (N,) observed at image points (N,).
+    """Return the simplest plane that explains the squeezes of most markers, (N,), at image points (N,).
+
+    If no plane explains all of them, the tenth of the markers that lies farthest off is left out, and so on
+    until one does, since some may lie on something else or be covered in part. If none explains
+    `MIN_SHARE_ON_PLANE` of the markers, the result has `shared` False. Arguments are those of
+    `fit_plane_to_all`.
+    """
+    kept = np.flatnonzero(np.isfinite(variances))
+    least = max(math.ceil(MIN_SHARE_ON_PLANE * kept.size), MIN_MARKERS_ON_PLANE)
+    first = plane = fit_plane_to_all(points, squeezes, variances)
+    while not plane.shared and kept.size > least:
+        off = np.abs(squeezes - plane.squeezes(points))[kept] ** 2 / variances[kept]
+        kept = kept[np.argsort(off)[: max(least, kept.size - math.ceil(kept.size / 10))]]
+        plane = fit_plane_to_all(points[kept], squeezes[kept], variances[kept])
+    return plane if plane.shared else first
+
+
+def fit_plane_to_all(points: ComplexArray, squeezes: ComplexArray, variances: Array) -> Plane:
+    """Return the simplest plane that explains all squeezes (N,) observed at image points (N,).
 
     Three hypotheses are compared: a camera that looks straight down (no unknowns), one squeeze common to all
     (α), and a tilted plane (α and λ). The next one is accepted where the chi-squared falls by more than

@@ -12,7 +12,7 @@ from functools import reduce
 import cv2
 import numpy as np
 
-from skyherd.geometry import UNIFORM_VARIANCE, IntArray
+from skyherd.geometry import UNIFORM_VARIANCE, Array, IntArray
 from skyherd.vision.grey import Image
 from skyherd.vision.photometric.fit import MAX_STEPS, fit_markers
 from skyherd.vision.photometric.fit_result import FitResults
@@ -31,44 +31,54 @@ def fit_all_sizes(
     dictionary: str,
     ids: IntArray,
     homographies: LocalHomographies,
-    sigma_px: float,
+    sigma_px: float | Array,
     plane: Plane,
     noise: float,
     max_steps: int = MAX_STEPS,
+    *,
+    alone: bool = False,
+    largest_side_px: float = LARGEST_SIDE_PX,
 ) -> tuple[FitResults, Plane]:
     """Do as `fit_markers`, with each marker at a resolution that suits it.
 
-    Arguments and results are those of `fit_markers` and refer to the full-size image. The results come in
-    order of size if some markers are large; the plane is that of the smallest ones.
+    Arguments and results are those of `fit_markers` and refer to the full-size image; the plane is that of
+    the smallest markers. Markers of more than `largest_side_px` are fitted in a shrunk image.
     """
-    octaves = _octaves(homographies)
+    sigmas_px = np.broadcast_to(np.asarray(sigma_px, dtype=float), (ids.size,))
+    octaves = _octaves(homographies, largest_side_px)
     if not octaves.any():
-        return fit_markers(image, dictionary, ids, homographies, sigma_px, plane, noise, max_steps)
+        return fit_markers(
+            image, dictionary, ids, homographies, sigma_px, plane, noise, max_steps, alone=alone
+        )
     parts: list[FitResults] = []
+    order: list[IntArray] = []
     fitted_plane = plane
     for octave in np.unique(octaves):
-        rows, scaled = octaves == octave, ScaledImage(image, 2 ** int(octave))
+        rows, scaled = np.flatnonzero(octaves == octave), ScaledImage(image, 2 ** int(octave))
+        order.append(rows)
         fits, here = fit_markers(
             scaled.image,
             dictionary,
             ids[rows],
             homographies.take(rows).scaled(scaled.shrink),
-            scaled.sigma_px(sigma_px),
+            scaled.sigmas_px(sigmas_px[rows]),
             scaled.plane(plane),
             scaled.noise(noise),
             max_steps,
+            alone=alone,
         )
         parts.append(scaled.full_size(fits))
         if len(parts) == 1:
             fitted_plane = replace(here, horizon=here.horizon / scaled.shrink)
-    return reduce(FitResults.joined, parts), fitted_plane
+    return reduce(FitResults.joined, parts).take(np.argsort(np.concatenate(order))), fitted_plane
 
 
 def fit_visible_all_sizes(
-    image: Image, dictionary: str, fits: FitResults, sigma_px: float, plane: Plane, noise: float
+    image: Image, dictionary: str, fits: FitResults, sigma_px: float | Array, plane: Plane, noise: float
 ) -> FitResults:
     """Do as `fit_visible`, with each marker at a resolution that suits it; in the order of `fits`."""
-    octaves, visible = _octaves(fits.homographies), fits
+    octaves, visible = _octaves(fits.homographies, LARGEST_SIDE_PX), fits
+    sigmas_px = np.broadcast_to(np.asarray(sigma_px, dtype=float), (fits.ids.size,))
     for octave in np.unique(octaves):
         rows, scaled = np.flatnonzero(octaves == octave), ScaledImage(image, 2 ** int(octave))
         covered = fits.take(rows)
@@ -76,7 +86,7 @@ def fit_visible_all_sizes(
             scaled.image,
             dictionary,
             replace(covered, homographies=covered.homographies.scaled(scaled.shrink)),
-            scaled.sigma_px(sigma_px),
+            scaled.sigmas_px(sigmas_px[rows]),
             scaled.plane(plane),
             scaled.noise(noise),
         )
@@ -84,9 +94,9 @@ def fit_visible_all_sizes(
     return visible
 
 
-def _octaves(homographies: LocalHomographies) -> IntArray:
+def _octaves(homographies: LocalHomographies, largest_side_px: float) -> IntArray:
     """How often (N,) the image is to be halved for each marker."""
-    octaves = np.maximum(np.ceil(np.log2(homographies.sides_px() / LARGEST_SIDE_PX)), 0)
+    octaves = np.maximum(np.ceil(np.log2(homographies.sides_px() / largest_side_px)), 0)
     return np.asarray(octaves, dtype=np.int64)
 
 
@@ -100,9 +110,13 @@ class ScaledImage:
         self.shrink = shrink
         self.image = image if shrink == 1 else _shrunk(image, shrink)
 
-    def sigma_px(self, sigma_px: float) -> float:
-        """Return the blur of lens and pixel in shrunk pixels, from that in full-size pixels."""
-        return math.sqrt(max((sigma_px**2 - UNIFORM_VARIANCE) / self.shrink**2, 0.0) + UNIFORM_VARIANCE)
+    def sigmas_px(self, sigmas_px: Array) -> Array:
+        """Return blurs (N,) of lens and pixel in shrunk pixels, from those in full-size pixels."""
+        return _with_pixel(np.maximum(sigmas_px**2 - UNIFORM_VARIANCE, 0.0) / self.shrink**2)
+
+    def full_size_sigmas_px(self, sigmas_px: Array) -> Array:
+        """Return blurs (N,) of lens and pixel in full-size pixels, from those in shrunk pixels."""
+        return _with_pixel(np.maximum(sigmas_px**2 - UNIFORM_VARIANCE, 0.0) * self.shrink**2)
 
     def noise(self, noise: float) -> float:
         """Return the standard deviation of a shrunk pixel, grey levels: that of a mean, rounded once more."""
@@ -119,9 +133,15 @@ class ScaledImage:
             fits,
             homographies=fits.homographies.scaled(1 / self.shrink),
             covariances=scale @ fits.covariances @ scale,
+            sigmas_px=self.full_size_sigmas_px(fits.sigmas_px),
             pixels=fits.pixels * self.shrink**2,
             moved_px=fits.moved_px * self.shrink,
         )
+
+
+def _with_pixel(variances: Array) -> Array:
+    """Standard deviations (N,) of lenses of given variances, px², and a square pixel together."""
+    return np.asarray(np.sqrt(variances + UNIFORM_VARIANCE))
 
 
 def _shrunk(image: Image, shrink: int) -> Image:

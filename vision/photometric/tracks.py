@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skyherd.geometry import BoolArray, ComplexArray, IntArray
+from skyherd.geometry import Array, BoolArray, ComplexArray, IntArray
 from skyherd.vision.photometric.local_homography import LocalHomographies
 
 
@@ -24,6 +24,7 @@ class Tracks:
         velocities: (N,) of the centres, px/s, complex; zero for a marker seen once.
         arm_log_rates: (N,) rates of the arms' logarithms, 1/s: real part growth, imaginary part rotation.
         on_arc: (N,) whether the centres' steps turn and grow with the arms.
+        sigmas_px: (N,) standard deviations of the blur, lens and pixel together, px.
     """
 
     time_s: float
@@ -32,6 +33,7 @@ class Tracks:
     velocities: ComplexArray
     arm_log_rates: ComplexArray
     on_arc: BoolArray
+    sigmas_px: Array
 
     def elapsed_s(self, time_s: float) -> float:
         """Return the time since the last image, s; 1 if the images' times do not increase."""
@@ -52,7 +54,9 @@ class Tracks:
             horizons=self.homographies.horizons,
         )
 
-    def updated(self, time_s: float, ids: IntArray, homographies: LocalHomographies) -> "Tracks":
+    def updated(
+        self, time_s: float, ids: IntArray, homographies: LocalHomographies, sigmas_px: Array
+    ) -> "Tracks":
         """Return the tracks after an image at `time_s` that shows markers `ids` (N,) at `homographies`.
 
         Markers that were followed before get a velocity; markers that are not among `ids` are dropped.
@@ -66,7 +70,7 @@ class Tracks:
         straight = self.velocities[before]
         turned = straight * np.exp(self.arm_log_rates[before] * elapsed)
         on_arc[now] = np.abs(velocities[now] - turned) <= np.abs(velocities[now] - straight)
-        return Tracks(time_s, ids, homographies, velocities, rates, on_arc)
+        return Tracks(time_s, ids, homographies, velocities, rates, on_arc, sigmas_px)
 
 
 def no_tracks() -> Tracks:
@@ -79,6 +83,7 @@ def no_tracks() -> Tracks:
         velocities=empty,
         arm_log_rates=empty,
         on_arc=np.zeros(0, dtype=bool),
+        sigmas_px=np.zeros(0),
     )
 
 

@@ -7,11 +7,12 @@ boundaries of an image are treated at once, by NumPy operations on all of their 
 
 import math
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
 from skyherd.geometry import Array, BoolArray, ComplexArray, IntArray, to_points
-from skyherd.vision.search.regions import dark_boundaries
+from skyherd.vision.search.regions import Boundaries, dark_boundaries, dark_regions
 
 MIN_QUAD_SIDE_PX = 7.0
 """Shortest side of a dark region that is looked at, px between the centres of its outermost pixels. Chosen: a
@@ -25,6 +26,13 @@ its steps run diagonally), so that squares seen at a slant pass and lines do not
 GROWTH_PX = 0.5
 """By how much the sides are moved outwards, px. Derived: boundaries run through the centres of the outermost
 pixels of a region, whose edge is half a pixel further out."""
+
+ERODED_PX = 1.0
+"""By how much erosion moves a region's sides inwards, px. Derived: `DarkRegions.eroded` takes off one."""
+
+SHRINKS = (1, 2, 4)
+"""By how much images are shrunk in which regions are parted from what touches them. Chosen: bridges of two
+pixels break in each, so that those of up to eight do; more would lose all but the largest markers."""
 
 ROUNDED_SHARE = 0.125
 """Share of a side at either end that is not used to fit its line, since blur rounds the corners. Chosen:
@@ -45,8 +53,8 @@ MIN_POINTS = math.ceil(4 * MIN_QUAD_SIDE_PX / math.sqrt(2))
 """Smallest number of boundary points. Derived: a square whose sides run diagonally has a boundary of
 `side / sqrt(2)` pixels a side."""
 
-MAX_SIDE_RATIO = 3.0
-"""Largest ratio of a quadrilateral's sides. Chosen: more is not a marker that could be read."""
+MAX_SIDE_RATIO = 4.0
+"""Largest ratio of a quadrilateral's sides. Derived: a tilt of 75 degrees shortens a side by 3.9."""
 
 MAX_AREA_MISMATCH = 0.3
 """Largest relative difference between the areas of a region and of its quadrilateral. Chosen: a quadrilateral
@@ -56,9 +64,27 @@ through four corners of some other outline misses more."""
 def find_quads(image: npt.NDArray[np.uint8]) -> Array:
     """Return the corners (N, 4, 2), px, of the dark quadrilaterals in a grey image (height, width).
 
-    Corners run clockwise as seen and begin with any of the four.
+    Corners run clockwise as seen and begin with any of the four. A quadrilateral may be found several times:
+    regions are looked at as they are, and without their outermost pixels, which parts markers from dark
+    squares that touch their corners; the latter also in images of half and a quarter of the size, where wider
+    bridges break.
     """
-    boundaries = dark_boundaries(image, MIN_POINTS)
+    found = []
+    for shrink in SHRINKS:
+        small = image if shrink == 1 else _shrunk(image, shrink)
+        regions = dark_regions(small)
+        if regions is None:
+            break
+        middle = (shrink - 1) / 2
+        if shrink == 1:
+            found.append(_quads_of(dark_boundaries(regions, MIN_POINTS), GROWTH_PX))
+        apart = _quads_of(dark_boundaries(regions.eroded(), MIN_POINTS), GROWTH_PX + ERODED_PX)
+        found.append(shrink * apart + middle)
+    return np.concatenate(found) if found else np.zeros((0, 4, 2))
+
+
+def _quads_of(boundaries: Boundaries, growth_px: float) -> Array:
+    """Corners (N, 4, 2) of the quadrilaterals among boundaries, their sides moved outwards by `growth_px`."""
     points, lengths = boundaries.points, boundaries.lengths
     if not lengths.size:
         return np.zeros((0, 4, 2))
@@ -70,8 +96,18 @@ def find_quads(image: npt.NDArray[np.uint8]) -> Array:
         return np.zeros((0, 4, 2))
     points, lengths, area = points[np.repeat(square, lengths)], lengths[square], area[square]
     starts = np.cumsum(lengths) - lengths
-    corners = _lines_met(*_sides(points, starts, lengths, _corner_rows(points, starts, lengths)))
-    return to_points(corners[_is_quad(corners, area)])
+    sides = _sides(points, starts, lengths, _corner_rows(points, starts, lengths))
+    corners = _lines_met(*sides, growth_px)
+    return to_points(corners[_is_quad(corners, area, growth_px)])
+
+
+def _shrunk(image: npt.NDArray[np.uint8], shrink: int) -> npt.NDArray[np.uint8]:
+    """Means over squares of `shrink` pixels; lines that make no whole square are left out."""
+    height, width = (side // shrink for side in image.shape)
+    if min(height, width) == 0:
+        return np.zeros((0, 0), dtype=np.uint8)
+    whole = image[: height * shrink, : width * shrink]
+    return np.asarray(cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
 def _cross(a: ComplexArray, b: ComplexArray) -> Array:
@@ -134,10 +170,10 @@ def _sides(
     return np.asarray(mean.reshape(-1, 4), dtype=complex), np.asarray(along.reshape(-1, 4))
 
 
-def _lines_met(means: ComplexArray, along: ComplexArray) -> ComplexArray:
-    """Corners (N, 4), clockwise, where each side, half a pixel further out, meets the one before it."""
+def _lines_met(means: ComplexArray, along: ComplexArray, growth_px: float) -> ComplexArray:
+    """Corners (N, 4), clockwise, where each side, `growth_px` further out, meets the one before it."""
     # Boundaries run anticlockwise as seen: outwards is to the right of the way along, +v being down.
-    means = means + GROWTH_PX * 1j * along
+    means = means + growth_px * 1j * along
     before_means = np.take(means, [3, 0, 1, 2], axis=1)
     before = np.take(along, [3, 0, 1, 2], axis=1)
     crossing = _cross(before, along)
@@ -146,13 +182,13 @@ def _lines_met(means: ComplexArray, along: ComplexArray) -> ComplexArray:
     return np.asarray(corners[:, ::-1])
 
 
-def _is_quad(corners: ComplexArray, area: Array) -> BoolArray:
+def _is_quad(corners: ComplexArray, area: Array, growth_px: float) -> BoolArray:
     """Which corners (N, 4) make a convex quadrilateral, not too oblong, of the region's own area."""
     sides = np.roll(corners, -1, axis=1) - corners
     lengths = np.abs(sides)
     convex = (_cross(sides, np.roll(sides, -1, axis=1)) > 0).all(axis=1)
     inside = _cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1]) / 2
-    grown = area + GROWTH_PX * lengths.sum(axis=1)
+    grown = area + growth_px * lengths.sum(axis=1)
     shortest = lengths.min(axis=1)
     return np.asarray(
         convex

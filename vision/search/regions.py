@@ -82,22 +82,44 @@ class Mosaic:
     offsets: ComplexArray
 
 
-def dark_boundaries(image: Image, min_points: int) -> Boundaries:
-    """Return the boundaries of an image's dark regions that have `min_points` points or more.
+@dataclass(frozen=True)
+class DarkRegions:
+    """The dark regions of an image.
+
+    Attributes:
+        dark: 255 where the mosaic's image is dark.
+        mosaic: the places of the image that were looked at.
+    """
+
+    dark: Image
+    mosaic: Mosaic
+
+    def eroded(self) -> "DarkRegions":
+        """Return the regions without their outermost pixels: what touches at a corner only comes apart."""
+        square = np.ones((3, 3), dtype=np.uint8)
+        return DarkRegions(np.asarray(cv2.erode(self.dark, square), dtype=np.uint8), self.mosaic)
+
+
+def dark_regions(image: Image) -> DarkRegions | None:
+    """Return the dark regions of an image; None if it has less than two lines or columns.
 
     An odd last line or column of the image (height, width) is not looked at.
     """
-    none = Boundaries(np.zeros(0, dtype=complex), np.zeros(0, dtype=np.int64))
     height, width = (side - side % 2 for side in image.shape)
     if min(height, width) == 0:
-        return none
+        return None
     mosaic = _mosaic(image[:height, :width])
     mask = cv2.resize(mosaic.mask, mosaic.image.shape[::-1], interpolation=cv2.INTER_NEAREST)
-    dark = cv2.bitwise_and(_dark(mosaic.image), mask)
-    contours, _ = cv2.findContours(dark, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
+    return DarkRegions(np.asarray(cv2.bitwise_and(_dark(mosaic.image), mask), dtype=np.uint8), mosaic)
+
+
+def dark_boundaries(regions: DarkRegions, min_points: int) -> Boundaries:
+    """Return the boundaries of dark regions that have `min_points` points or more."""
+    mosaic = regions.mosaic
+    contours, _ = cv2.findContours(regions.dark, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
     boundaries = [contour for contour in contours if len(contour) >= min_points]
     if not boundaries:
-        return none
+        return Boundaries(np.zeros(0, dtype=complex), np.zeros(0, dtype=np.int64))
     lengths = np.array([len(boundary) for boundary in boundaries])
     joined = np.concatenate(boundaries)[:, 0].astype(float)
     place = np.searchsorted(mosaic.begins, joined[np.cumsum(lengths) - lengths, 0], side="right") - 1

@@ -20,6 +20,10 @@ QUIET_ZONE_CELLS = 1.0
 twice as wide costs a quarter more room on the robot."""
 
 
+BORDER_MARK, MAX_BORDER_BITS = "@", 3
+"""Sign between a dictionary's name and the width of its markers' border, and the largest width, in cells.
+*Chosen*: boards have one or two cells; the sign occurs in no name."""
+
 MIDDLE_GREY = 127
 """Grey level above which a cell drawn by OpenCV is white. *Derived*: cells are drawn as 0 or 255."""
 
@@ -31,13 +35,48 @@ def dictionary_names() -> list[str]:
     )
 
 
+def with_border(name: str, border_bits: int) -> str:
+    """The name of a dictionary's markers drawn with a black border of so many cells: `4X4_50@2` for two.
+
+    Calibration boards for cameras often have two. All functions here take such names; without the addition
+    the border is one cell wide, as OpenCV and AprilTag draw it.
+
+    Raises:
+        InputError: the border is not of 1 to `MAX_BORDER_BITS` cells, or the name has one already.
+    """
+    if not 1 <= border_bits <= MAX_BORDER_BITS:
+        raise InputError("border bits", f"{border_bits}", f"a whole number from 1 to {MAX_BORDER_BITS}")
+    if BORDER_MARK in name:
+        raise InputError("marker dictionary", f"{name} names its border already", "one of the two")
+    return name if border_bits == 1 else f"{name}{BORDER_MARK}{border_bits}"
+
+
+@cache
+def border_cells(name: str) -> int:
+    """Width of the black border of a dictionary's markers, in cells; see `with_border`.
+
+    Raises:
+        InputError: what follows the dictionary's name is no such width.
+    """
+    _, mark, width = name.partition(BORDER_MARK)
+    if not mark:
+        return 1
+    if width not in map(str, range(1, MAX_BORDER_BITS + 1)):
+        raise InputError(
+            "marker dictionary", f"{name!r}", f"a border of 1 to {MAX_BORDER_BITS} cells after {BORDER_MARK}"
+        )
+    return int(width)
+
+
 @cache
 def load_dictionary(name: str) -> cv2.aruco.Dictionary:
-    """The dictionary of a name such as `4X4_50`.
+    """The dictionary of a name such as `4X4_50`; a border named after it is left to `border_cells`.
 
     Raises:
         InputError: there is none of that name; the error lists those that there are.
     """
+    border_cells(name)
+    name = name.partition(BORDER_MARK)[0]
     if name in CODES:
         return _generate(name)
     if name not in dictionary_names():
@@ -62,7 +101,7 @@ def dictionary_size(name: str) -> int:
 @cache
 def cells_per_side(name: str) -> int:
     """Cells along a marker's side, its black border included."""
-    return int(load_dictionary(name).markerSize) + 2
+    return int(load_dictionary(name).markerSize) + 2 * border_cells(name)
 
 
 @cache
@@ -75,7 +114,8 @@ def marker_cells(name: str, marker_id: int) -> npt.NDArray[np.bool_]:
     if not 0 <= marker_id < dictionary_size(name):
         raise InputError("marker id", f"{marker_id} is not in {name}", f"0 to {dictionary_size(name) - 1}")
     n = cells_per_side(name)
-    cells = np.asarray(cv2.aruco.generateImageMarker(load_dictionary(name), marker_id, n)) > MIDDLE_GREY
+    drawn = cv2.aruco.generateImageMarker(load_dictionary(name), marker_id, n, borderBits=border_cells(name))
+    cells = np.asarray(drawn) > MIDDLE_GREY
     cells.setflags(write=False)
     return cells
 

@@ -5,7 +5,7 @@ import pytest
 from scipy.special import ndtr
 
 from skyherd.vision.photometric.appearance import MarkerAppearances, ground_share
-from skyherd.vision.photometric.design_matrix import design_matrices_of
+from skyherd.vision.photometric.design_matrix import BLACK, PIXEL_ROW, UNKNOWNS, design_matrices_of
 from skyherd.vision.photometric.local_homography import LocalHomographies
 from skyherd.vision.photometric.pattern import blur_buckets, make_pattern
 
@@ -52,12 +52,13 @@ def test_ground_is_seen_beyond_the_card_only():
 
 @pytest.mark.parametrize("squeeze", [0.14, -0.14, 0.1 - 0.1j])
 def test_blur_is_not_round_in_a_squeezed_marker(squeeze):
-    """The image's round blur through the inverse of `z + e z̄`: its covariance there, and the law along each
-    axis; entries are 1/64 σ apart."""
+    """The image's round blur through the inverse of `z + e z̄`: its covariance there, of mean
+    variance σ², and the law along each axis; entries are 1/64 σ apart."""
     x, y = (z.ravel()[None].astype(np.float32) for z in np.mgrid[-0.9:0.9:61j, -0.9:0.9:61j])
     e = complex(squeeze)
     image_marker = np.array([[1 + e.real, e.imag], [e.imag, 1 - e.real]])
-    deviations = SIGMA * np.sqrt(np.diag(np.linalg.inv(image_marker @ image_marker.T)))
+    variances = np.diag(np.linalg.inv(image_marker @ image_marker.T))
+    deviations = SIGMA * np.sqrt(variances / variances.mean())
     inside = [
         ndtr((z + HALF_CARD) / deviation) - ndtr((z - HALF_CARD) / deviation)
         for z, deviation in zip((x, y), deviations, strict=True)
@@ -86,14 +87,17 @@ def test_pixels_are_those_within_the_limits_and_know_where_they_are(horizon):
         p = u + 1j * v - where.centers[row]
         nearness = 1 - (np.conj(where.horizons[row]) * p).real
         x, y = (across.conjugate() * p).real, (down.conjugate() * p).real
+        x, y = x / nearness, y / nearness
         inside = (np.abs(x) <= 0.55) & (np.abs(y) <= 0.55)
-        count = int(pixels.counts[row])
-        assert count == inside.sum()
-        np.testing.assert_allclose(pixels.x[row, :count], (x / nearness)[inside], atol=1e-6)
-        np.testing.assert_allclose(pixels.y[row, :count], (y / nearness)[inside], atol=1e-6)
-        weights = pixels.columns[row, 0]
-        np.testing.assert_allclose(pixels.columns[row, 12, :count], (image[inside] - 128.0) * weights[:count])
-        assert not pixels.columns[row, :, count:].any()
+        weights = pixels.columns[row, BLACK]
+        used = weights > 0
+        assert pixels.counts[row] == inside.sum() == used.sum()
+        np.testing.assert_allclose(pixels.x[row, used], x[inside], atol=1e-6)
+        np.testing.assert_allclose(pixels.y[row, used], y[inside], atol=1e-6)
+        np.testing.assert_allclose(
+            pixels.columns[row, PIXEL_ROW, used], (image[inside] - 128.0) * weights[used]
+        )
+        assert not pixels.columns[row, :, ~used].any()
 
 
 def test_means_over_cells_are_those_of_the_pixels_in_them():
@@ -101,7 +105,7 @@ def test_means_over_cells_are_those_of_the_pixels_in_them():
     image = np.random.default_rng(2).integers(0, 255, (80, 160)).astype(np.uint8)
     where = homographies([40.2 + 39.6j, 120.7 + 40.1j], [30.0, 29.0 * np.exp(0.7j)])
     (pixels,) = design_matrices_of(image, np.arange(2), where, appearances(2, reaches_ground=False))
-    means, _ = pixels.cell_residuals(np.zeros((2, 12)), 6)
+    means, _ = pixels.cell_residuals(np.zeros((2, UNKNOWNS)), 6)
     v, u = np.mgrid[:80, :160]
     for row, (across, down) in enumerate(zip(*where.axes(), strict=True)):
         p = u + 1j * v - where.centers[row]

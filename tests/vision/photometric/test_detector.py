@@ -118,7 +118,7 @@ def near(side_px, heading, center, seed=0):
 def test_a_perfect_fit_recovers_the_pose_from_two_pixels_away():
     center, heading = 50.3 + 48.8j, 0.7
     image, start = near(30.0, heading, center)
-    off = start.moved(np.array([0.04 - 0.04j]), np.array([0.03 + 0.05j]), np.array([0.01 + 0j]))
+    off = start.moved(*(np.array([z]) for z in (0.04 - 0.04j, 0.03 + 0.05j, 0.01 + 0j, 0j)))
     fits, plane = fit_markers(image, DICTIONARY, np.array([9]), off, total_sigma_px(0.8), Plane())
     # Quantised to 8 bits, sigma 0.29 grey: the bound at noise 2 is 0.0018 px, here 0.0003 px; five times it.
     assert abs(fits.homographies.centers[0] - center) < 0.0015

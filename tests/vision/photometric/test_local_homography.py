@@ -71,6 +71,9 @@ def steps(seed, size):
     return size * (rng.normal(size=(3, COUNT)) + 1j * rng.normal(size=(3, COUNT)))
 
 
+STILL = np.zeros(COUNT, dtype=complex)
+
+
 def after(homographies, shift, grow, squeeze):
     """Images of `POINTS` taken through the step in marker coordinates first: the composition itself."""
     stepped = shift[:, None] + (1 + grow)[:, None] * POINTS + squeeze[:, None] * POINTS.conj()
@@ -81,15 +84,36 @@ def test_affine_shapes_move_exactly():
     """An affine map after an affine map is one: nothing is left to a second order, however large the step."""
     homographies, step = random_shapes(4, horizon=0.0), steps(4, 0.3)
     np.testing.assert_allclose(
-        homographies.moved(*step).images(POINTS), after(homographies, *step), atol=1e-9
+        homographies.moved(*step, STILL).images(POINTS), after(homographies, *step), atol=1e-9
     )
 
 
 def test_growth_and_squeeze_are_exact_under_a_horizon_too():
     homographies, (_, grow, squeeze) = random_shapes(5), steps(5, 0.1)
-    still = np.zeros(COUNT, dtype=complex)
-    moved = homographies.moved(still, grow, squeeze)
-    np.testing.assert_allclose(moved.images(POINTS), after(homographies, still, grow, squeeze), atol=1e-9)
+    moved = homographies.moved(STILL, grow, squeeze, STILL)
+    np.testing.assert_allclose(moved.images(POINTS), after(homographies, STILL, grow, squeeze), atol=1e-9)
+
+
+def test_a_lean_is_a_change_of_the_horizon_exactly():
+    """A point z of the leaning marker lies where `z / (1 + Re(q̄ z))` lay, and the way back is `leans_to`."""
+    homographies, (lean, *_) = random_shapes(8), steps(8, 0.05)
+    moved = homographies.moved(STILL, STILL, STILL, lean)
+    nearer = POINTS / (1 + (lean.conj()[:, None] * POINTS).real)
+    before = [homographies.take(np.array([row])).images(z)[0] for row, z in enumerate(nearer)]
+    np.testing.assert_allclose(moved.images(POINTS), before, atol=1e-9)
+    np.testing.assert_allclose(homographies.leans_to(moved.horizons), lean, atol=1e-12)
+
+
+def test_blur_in_marker_coordinates_is_the_images_through_the_inverse_map():
+    """Its covariance `σ² (JᵀJ)⁻¹`, whose mean variance and anisotropy the two methods give."""
+    homographies, sigma_px = random_shapes(9), 0.8
+    across, down = homographies.axes()
+    inverse = np.stack([[across.real, across.imag], [down.real, down.imag]]).transpose(2, 0, 1)
+    covariances = sigma_px**2 * inverse @ inverse.transpose(0, 2, 1)
+    squares, uneven = homographies.blurs(sigma_px) ** 2, homographies.anisotropies()
+    np.testing.assert_allclose(covariances[:, 0, 0], squares * (1 - 2 * uneven.real))
+    np.testing.assert_allclose(covariances[:, 1, 1], squares * (1 + 2 * uneven.real))
+    np.testing.assert_allclose(covariances[:, 0, 1], -2 * squares * uneven.imag, atol=1e-12)
 
 
 def test_what_a_shift_leaves_under_a_horizon_is_of_second_order_in_the_two():
@@ -97,7 +121,9 @@ def test_what_a_shift_leaves_under_a_horizon_is_of_second_order_in_the_two():
     errors, scales = [], 0.5 ** np.arange(5)
     for scale in scales:
         homographies, step = random_shapes(6, horizon=1e-3 * scale), steps(6, 0.1 * scale)
-        errors.append(np.abs(homographies.moved(*step).images(POINTS) - after(homographies, *step)).max())
+        errors.append(
+            np.abs(homographies.moved(*step, STILL).images(POINTS) - after(homographies, *step)).max()
+        )
     order = np.polyfit(np.log(scales), np.log(errors), 1)[0]
     assert order == pytest.approx(2.0, abs=0.1), errors
 

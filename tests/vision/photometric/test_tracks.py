@@ -24,6 +24,9 @@ HOMES = np.array([80 + 80j, 200 + 80j, 320 + 80j, 80 + 230j, 200 + 230j, 320 + 2
 # --- prediction ---
 
 
+SIGMAS = np.full(2, 0.85)
+
+
 def flight(times, *, turn=0.0, zoom=0.0, arc=0.0, hub=200 + 150j):
     """Homographies (one for each time) of two robots on arcs of rate `arc` about their own hubs, seen by a
     camera that turns and zooms at rates `turn` and `zoom` about (200, 150)."""
@@ -39,7 +42,11 @@ def flight(times, *, turn=0.0, zoom=0.0, arc=0.0, hub=200 + 150j):
 def prediction_error(step_s, **motion):
     """Largest error of the third image's centres and arms, predicted from two, px."""
     one, two, three = flight(1.7 + step_s * np.arange(3), **motion)
-    tracks = no_tracks().updated(1.0, np.array([3, 8]), one).updated(1.0 + step_s, np.array([3, 8]), two)
+    tracks = (
+        no_tracks()
+        .updated(1.0, np.array([3, 8]), one, SIGMAS)
+        .updated(1.0 + step_s, np.array([3, 8]), two, SIGMAS)
+    )
     ahead = tracks.predicted(1.0 + 2 * step_s)
     return max(np.abs(ahead.centers - three.centers).max(), np.abs(ahead.arms - three.arms).max())
 
@@ -57,11 +64,13 @@ def test_arcs_and_turning_or_zooming_cameras_are_predicted_exactly(motion):
 def test_a_straight_line_is_predicted_exactly_and_a_marker_seen_once_where_it_was():
     still = LocalHomographies(*(np.array([z], dtype=complex) for z in (100 + 50j, 20j, 0, 0)))
     moved = LocalHomographies(still.centers + 3 - 1j, still.arms, still.squeezes, still.horizons)
-    once = no_tracks().updated(0.0, np.array([5]), still)
+    once = no_tracks().updated(0.0, np.array([5]), still, SIGMAS[:1])
     assert once.predicted(3.0).centers[0] == 100 + 50j
-    assert once.updated(1.0, np.array([5]), moved).predicted(1.5).centers[0] == pytest.approx(104.5 + 48.5j)
+    assert once.updated(1.0, np.array([5]), moved, SIGMAS[:1]).predicted(1.5).centers[0] == pytest.approx(
+        104.5 + 48.5j
+    )
     # Images that come without times are taken as evenly spaced.
-    untimed = once.updated(0.0, np.array([5]), moved)
+    untimed = once.updated(0.0, np.array([5]), moved, SIGMAS[:1])
     assert untimed.predicted(0.0).centers[0] == pytest.approx(106 + 48j)
 
 
@@ -82,10 +91,10 @@ def test_steps_that_turn_and_steps_that_do_not_are_told_apart():
 
     tracks, ids, times = no_tracks(), np.array([3, 8]), 0.5 * np.arange(5)
     for t in times[:3]:
-        tracks = tracks.updated(t, ids, homographies(t))
+        tracks = tracks.updated(t, ids, homographies(t), SIGMAS)
     for t in times[3:]:
         np.testing.assert_allclose(tracks.predicted(t).centers, homographies(t).centers, atol=1e-10)
-        tracks = tracks.updated(t, ids, homographies(t))
+        tracks = tracks.updated(t, ids, homographies(t), SIGMAS)
     assert tracks.on_arc.tolist() == [True, False]
 
 

@@ -9,7 +9,7 @@ from skyherd.vision.photometric.fit import fit_markers
 from skyherd.vision.photometric.local_homography import LocalHomographies
 from skyherd.vision.photometric.plane import Plane
 from skyherd.vision.photometric.scales import fit_all_sizes
-from skyherd.vision.photometric.verify import bits_are_right, image_noise, verified
+from skyherd.vision.photometric.verify import ROUNDING_NOISE, bits_are_right, image_noise, verified
 
 DICTIONARY, SIGMA_PX = "4X4_50", 0.85
 
@@ -40,15 +40,15 @@ def test_edges_and_markers_change_an_images_noise_little(place_markers, draw_mar
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (2, 2), (3, 3), (16, 16), (1, 90), (90, 1)], ids=str)
-def test_images_that_tell_no_noise_are_said_to_have_any(shape):
-    assert image_noise(np.full(shape, 128, np.uint8)) == np.inf
+def test_images_that_tell_no_noise_have_that_of_rounding(shape):
+    assert image_noise(np.full(shape, 128, np.uint8)) == ROUNDING_NOISE
 
 
 @pytest.mark.parametrize("level", [0, 255])
 def test_clipped_pixels_tell_no_noise(level):
     rng = np.random.default_rng(3)
     image = np.full((400, 400), level, np.uint8)
-    assert image_noise(image) == np.inf
+    assert image_noise(image) == ROUNDING_NOISE
     image[:, :200] = np.rint(rng.normal(128, 6.0, (400, 200)))
     assert image_noise(image) == pytest.approx(6.0, rel=0.12)
 
@@ -90,20 +90,6 @@ def test_markers_seen_by_few_pixels_have_no_say_on_the_plane(place_markers, draw
     assert plane == Plane()
 
 
-def test_a_marker_blurred_unlike_the_others_is_none(place_markers, draw_markers):
-    """Of nine, one whose blur comes out a third wider than the others'; a common change of focus is none."""
-    rng = np.random.default_rng(8)
-    homes = 50 + 50j + 70 * (np.arange(9) % 3 + 1j * (np.arange(9) // 3))
-    image = draw_markers(place_markers(homes, np.zeros(9), 30.0), range(9), (240, 240), rng)
-    arms = np.full(9, 30j)
-    start = LocalHomographies(homes, arms, 0 * arms, 0 * arms)
-    fits, _ = fit_markers(image, DICTIONARY, np.arange(9), start, SIGMA_PX, Plane())
-    assert verified(fits, 5.0).all()
-    assert verified(replace(fits, log_blurs=fits.log_blurs + 0.35), 5.0).all()
-    odd = fits.log_blurs + 0.45 * (np.arange(9) == 4)
-    assert verified(replace(fits, log_blurs=odd), 5.0).tolist() == [i != 4 for i in range(9)]
-
-
 def test_print_contrast_is_the_same_in_any_light(place_markers, draw_markers):
     """Light that is five times less scales black and white alike: 200 / 230 of white, to 1 %."""
     rng = np.random.default_rng(9)
@@ -138,15 +124,15 @@ def test_what_is_printed_unlike_the_others_is_none(place_markers, draw_markers):
 def test_a_white_that_no_camera_gives_is_none(place_markers, draw_markers):
     """Where blur takes most of a texture away, a fit may ask for any contrast to explain it."""
     fits = nine_fits(place_markers, draw_markers)
-    brighter = np.linspace(0, 80, 9)
+    brighter = np.linspace(0, 160, 9)
     whites = fits.blacks + brighter + fits.contrasts
-    assert verified(replace(fits, blacks=fits.blacks + brighter), 5.0).tolist() == (whites <= 280).tolist()
+    assert verified(replace(fits, blacks=fits.blacks + brighter), 5.0).tolist() == (whites <= 330).tolist()
 
 
-@pytest.mark.parametrize(("share", "passes"), [(0.05, True), (0.16, False)])
+@pytest.mark.parametrize(("share", "passes"), [(0.05, True), (0.2, False)])
 def test_little_left_in_every_cell_is_as_bad_as_much_in_one(place_markers, draw_markers, share, passes):
-    """A wrong cell leaves about 150 levels, an RMS of 25 over all 36, half of which is allowed: 0.05 x 150 in
-    every cell passes, 0.16 x 150 does not, although no cell by itself is wrong below a fifth."""
+    """A wrong cell leaves about 150 levels. An RMS of 13 % of the contrast of 200 is allowed over the cells:
+    0.05 x 150 in every cell passes, 0.2 x 150 does not, although no cell by itself is wrong up to a fifth."""
     fits = nine_fits(place_markers, draw_markers)
     board = share * 150.0 * (-1.0) ** np.add.outer(np.arange(6), np.arange(6))
     off = replace(fits, cell_means=board + 0 * fits.cell_means)

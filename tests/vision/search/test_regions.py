@@ -6,7 +6,7 @@ import pytest
 
 from skyherd.vision.search import regions
 from skyherd.vision.search.quads import MIN_POINTS
-from skyherd.vision.search.regions import dark_boundaries
+from skyherd.vision.search.regions import dark_boundaries, dark_regions
 
 SIZE_PX = (900, 700)
 
@@ -46,7 +46,7 @@ def bars(*, apart):
 
 def boundaries_of(image):
     """Each boundary as a sorted tuple of its points, in an order of their own."""
-    found = dark_boundaries(image, MIN_POINTS)
+    found = dark_boundaries(dark_regions(image), MIN_POINTS)
     parts = np.split(found.points, np.cumsum(found.lengths)[:-1]) if found.lengths.size else []
     return sorted(tuple(sorted((z.real, z.imag) for z in part)) for part in parts)
 
@@ -91,13 +91,14 @@ def test_noise_alone_is_not_looked_at(noise):
 @pytest.mark.parametrize("size_px", [(1, 1), (1, 7), (7, 1), (2, 2), (3, 5), (33, 47)])
 def test_any_size_of_image_is_taken(size_px):
     """A pixel's boundary is too short; an odd last line or column is left out."""
-    assert not dark_boundaries(np.zeros(size_px[::-1], np.uint8), MIN_POINTS).lengths.size
+    regions = dark_regions(np.zeros(size_px[::-1], np.uint8))
+    assert regions is None or not dark_boundaries(regions, MIN_POINTS).lengths.size
 
 
 def test_points_are_where_the_region_is_and_run_anticlockwise_as_seen():
     """An upright square of 20 px at (300, 200): outermost dark pixels within one of its edges."""
     square = np.array([[300, 200], [320, 200], [320, 220], [300, 220]], dtype=float)
-    found = dark_boundaries(drawn([square], noise=0.0, ground=230), MIN_POINTS)
+    found = dark_boundaries(dark_regions(drawn([square], noise=0.0, ground=230)), MIN_POINTS)
     outer = found.points[: found.lengths[0]]
     assert found.lengths.size == 1
     assert abs(outer.real.min() - 300) <= 1 and abs(outer.real.max() - 320) <= 1

@@ -94,9 +94,11 @@ class AerialController:
         """Decide on one image.
 
         Args:
-            detections: all markers found in it, of robots, obstacles and others.
+            detections: all markers found in it, of robots, obstacles and others. An id that occurs twice
+                counts as not seen: nobody can tell which of the two is the robot.
             reports: the last report received from each other unit, however old.
         """
+        detections = detections.unambiguous()
         if self.rectifier is not None:
             detections = self.rectifier.rectify(detections)
         seen = detections.select(self.template.members)

@@ -102,9 +102,18 @@ def test_goals_are_copies_and_read_only(make_detections) -> None:
         seen.centers_px[0] = 1.0
 
 
+def test_detections_mark_repeated_ids_and_do_without_them(make_detections) -> None:
+    seen = make_detections([4, 7, 4, 9], [1, 2, 3, 4])
+    assert seen.repeated.tolist() == [True, False, True, False]
+    assert seen.unambiguous().ids.tolist() == [7, 9]
+    assert seen.unambiguous().centers_px[:, 0].tolist() == [2, 4]
+    once = seen.unambiguous()
+    assert once.unambiguous() is once
+
+
 def test_messages_refuse_repeated_ids_and_nonsense(make_detections, make_goals) -> None:
     with pytest.raises(MessageError, match=r"repeated id in \[4, 4\]"):
-        make_detections([4, 4], [1, 2])
+        make_goals(0, [4, 4], [1j, 2j])
     with pytest.raises(MessageError, match="finite"):
         make_detections([4, 5], [1, np.nan])
     with pytest.raises(MessageError, match="positive"):

@@ -11,13 +11,15 @@ from functools import partial
 from importlib import import_module
 from typing import Any, Protocol, cast
 
+import cv2
 import numpy as np
 
 from skyherd.errors import InputError, SkyherdError
+from skyherd.markers.dictionary import with_border
 from skyherd.messages import Detections
 from skyherd.vision.detectors.opencv_tuned import ArucoDetector
 from skyherd.vision.detectors.peers import PeerDetector, peer_names
-from skyherd.vision.grey import Image
+from skyherd.vision.grey import Image, check_grey
 from skyherd.vision.photometric.detector import PhotometricDetector
 
 DEFAULT_DICTIONARY = "4X4_50"
@@ -40,12 +42,12 @@ class Detector(Protocol):
     **Result.** A `skyherd.messages.Detections` with one row for each marker:
 
     - `unit_id` and `time_s` as they were given, `image_size_px` as (width, height).
-    - `ids` (N,), int: indices into the dictionary, each once. Ascending order is customary, but nothing
-      relies on it. Every marker of the dictionary that is seen is reported: the detector does not know which
-      ids are robots or obstacles, and the receiver ignores ids that it does not know. Squares that are no
-      marker of the dictionary are left out.
-    - An id that is found several times must not be reported twice, which `Detections` refuses with
-      MessageError. Leave it out, as the package's own detectors do, or decide for one of the places.
+    - `ids` (N,), int: indices into the dictionary, mostly each once. Ascending order is customary, but
+      nothing relies on it. Every marker of the dictionary that is seen is reported: the detector does not
+      know which ids are robots or obstacles, and the receiver ignores ids that it does not know. Squares
+      that are no marker of the dictionary are left out.
+    - An id that is found several times is left out, as the package's own detectors do, or reported at each
+      place: `Detections.repeated` marks it then, and the controller takes it as not seen.
     - `centers_px` (N, 2): image of the marker's centre, or the mean of its corners, which is the same but for
       perspective. `headings_rad` (N,). `sides_px` (N,), positive: side of the black square, the border
       included and the white card not; of a square seen at a slant, the root of its area, or the side of the
@@ -98,7 +100,27 @@ def detector_names() -> list[str]:
     return sorted(_DETECTORS)
 
 
-def create_detector(name: str, *, dictionary: str = DEFAULT_DICTIONARY, corrected: bool = True) -> Detector:
+class InvertedDetector:
+    """A detector of markers that are white on black, made of one for black ones, which sees negatives."""
+
+    def __init__(self, detector: Detector) -> None:
+        self._detector = detector
+
+    def detect(self, image: Image, *, time_s: float = 0.0, unit_id: int = 0) -> Detections:
+        """Return the white markers in a grey image (height, width) of 8 bits; see `Detector.detect`."""
+        negative = cv2.bitwise_not(check_grey(image))
+        return self._detector.detect(np.asarray(negative, dtype=np.uint8), time_s=time_s, unit_id=unit_id)
+
+
+def create_detector(
+    name: str,
+    *,
+    dictionary: str = DEFAULT_DICTIONARY,
+    corrected: bool = True,
+    border_bits: int = 1,
+    inverted: bool = False,
+    repeats: bool = False,
+) -> Detector:
     """Return a new detector, by name or as `module:factory`.
 
     `module:factory` imports `module`, from the working directory too, and calls its attribute `factory` with
@@ -110,12 +132,27 @@ def create_detector(name: str, *, dictionary: str = DEFAULT_DICTIONARY, correcte
         dictionary: name of the marker dictionary, such as `APRILTAG_36h11`.
         corrected: False leaves the constant biases and the corner order of the detectors of other libraries
             (`skyherd.vision.detectors.peers`) as they come; it has no effect on other detectors.
+        border_bits: width of the markers' black border in cells; calibration boards often have two.
+        inverted: whether the markers are white on black.
+        repeats: whether ids that are found at several places are reported at each of them, as only
+            `photometric` can; `skyherd.messages.Detections.repeated` marks them. They are left out if not.
 
     Raises:
-        InputError: there is no detector of that name, the dictionary is not known or not read by it, its
-            library is not installed; or `module:factory` lacks a part, cannot be imported, has no such
-            attribute, is not callable, fails, or returns something without a method `detect`.
+        InputError: there is no detector of that name, it cannot do this, the dictionary is not known or not
+            read by it, its library is not installed; or `module:factory` lacks a part, cannot be imported,
+            has no such attribute, is not callable, fails, or returns something without a method `detect`.
     """
+    dictionary = with_border(dictionary, border_bits)
+    detector = _create_plain(name, dictionary, corrected=corrected, repeats=repeats)
+    return InvertedDetector(detector) if inverted else detector
+
+
+def _create_plain(name: str, dictionary: str, *, corrected: bool, repeats: bool) -> Detector:
+    """A detector of markers that are black on white."""
+    if repeats:
+        if name != "photometric":
+            raise InputError("detector", f"{name} leaves out ids that repeat", "photometric for them")
+        return PhotometricDetector(dictionary, following=False, repeats=True)
     if ":" in name:
         return _import_detector(name, dictionary)
     if name not in _DETECTORS:

@@ -6,14 +6,16 @@ ground that was taken for a marker can be fitted as well as one, and would put a
 their standard deviation.
 """
 
+from collections.abc import Callable
+
 import numpy as np
 
-from skyherd.geometry import Array, BoolArray
+from skyherd.geometry import Array, BoolArray, ComplexArray
 from skyherd.vision.photometric.design_matrix import BLACK, LEAN, LIGHT, MIDDLE_GREY, SQUEEZE, UNKNOWNS
 from skyherd.vision.photometric.fit_result import print_contrasts, weighted_median
 from skyherd.vision.photometric.least_squares import LeastSquaresSolution
 from skyherd.vision.photometric.local_homography import LocalHomographies
-from skyherd.vision.photometric.plane import Plane, fit_plane
+from skyherd.vision.photometric.plane import Plane, fit_plane, fit_plane_to_all
 
 MIN_PIXELS_FOR_PLANE = 2 * UNKNOWNS
 """Markers with fewer pixels do not count for the plane, since their noise is not known. Chosen: half of the
@@ -46,6 +48,7 @@ def hold_common_unknowns(
     plane: Plane,
     *,
     alone: bool,
+    settling: bool,
 ) -> tuple[LeastSquaresSolution, Plane]:
     """Return the solution with the unknowns held that the markers share, and the plane of the markers.
 
@@ -59,13 +62,14 @@ def hold_common_unknowns(
         right: (N,) which markers have all their cells right, as far as that is known.
         plane: of the step before.
         alone: whether each marker has a plane of its own in any case.
+        settling: whether a step was taken before, so that a plane of most of the markers means something.
     """
     inliers = _print_inliers(solution, right)
     even = solution.constrained(LIGHT, np.zeros((right.size, 2)))
     solution = solution if _is_uneven(solution, even, inliers) else even
     if alone:
         return on_own_planes(solution, start, LEAN_STD), OWN_PLANES
-    return on_common_plane(solution, start, middle, inliers, plane)
+    return on_common_plane(solution, start, middle, inliers, plane, most=settling)
 
 
 def _print_inliers(solution: LeastSquaresSolution, right: BoolArray) -> BoolArray:
@@ -95,6 +99,8 @@ def on_common_plane(
     middle: complex,
     inliers: BoolArray,
     plane: Plane,
+    *,
+    most: bool = False,
     lean_std: float = LEAN_STD,
 ) -> tuple[LeastSquaresSolution, Plane]:
     """Return the solution with squeezes and leans held at those of the plane that the inliers lie on.
@@ -107,13 +113,14 @@ def on_common_plane(
         middle: centre of the image, u + iv, px.
         inliers: (N,) which markers the plane is fitted to.
         plane: of the step before, which says how markers lean while their squeezes are compared.
+        most: whether a plane is enough that explains most of the inliers, not all.
         lean_std: expected size of a lean where no plane says what it is; 0 holds it at zero.
 
     Returns:
         The solution, and the plane.
     """
     leaning = solution.constrained(LEAN, _leans(solution, start, plane, middle))
-    plane, squeezes = _common_plane(leaning, start, middle, inliers)
+    plane, squeezes = _common_plane(leaning, start, middle, inliers, fit_plane if most else fit_plane_to_all)
     if not plane.shared:
         return on_own_planes(solution, start, lean_std), plane
     leaning = solution.constrained(LEAN, _leans(solution, start, plane, middle))
@@ -143,7 +150,11 @@ def _leans(solution: LeastSquaresSolution, start: LocalHomographies, plane: Plan
 
 
 def _common_plane(
-    solution: LeastSquaresSolution, homographies: LocalHomographies, middle: complex, inliers: BoolArray
+    solution: LeastSquaresSolution,
+    homographies: LocalHomographies,
+    middle: complex,
+    inliers: BoolArray,
+    fit: Callable[[ComplexArray, ComplexArray, Array], Plane],
 ) -> tuple[Plane, Array]:
     """The plane that the inliers lie on, and the steps of squeeze (N, 2) that put every marker on it.
 
@@ -156,7 +167,7 @@ def _common_plane(
     spread = np.where(counted, spread, np.inf)
     points = homographies.centers - middle
     squeezes = (homographies.squeezes + homographies.arms * found) / homographies.arms.conj()
-    plane = fit_plane(points, squeezes, spread * (solution.noise_stds() / contrasts) ** 2)
+    plane = fit(points, squeezes, spread * (solution.noise_stds() / contrasts) ** 2)
     if plane.shared:
         on_plane = plane.squeezes(points) * homographies.arms.conj()
         found = (on_plane - homographies.squeezes) / homographies.arms

@@ -21,8 +21,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from skyherd.geometry import SQUARE_CORNERS, Array, BoolArray, IntArray, to_complex, to_points
-from skyherd.markers.dictionary import cells_per_side
+from skyherd.errors import InputError
+from skyherd.geometry import (
+    SQUARE_CORNERS,
+    Array,
+    BoolArray,
+    ComplexArray,
+    IntArray,
+    to_complex,
+    to_points,
+)
+from skyherd.markers.dictionary import cells_per_side, code_distance
 from skyherd.messages import Detections
 from skyherd.vision.grey import Image, check_grey
 from skyherd.vision.photometric.fit import MAX_STEPS_FROM_PREDICTION, USUAL_NOISE, image_middle
@@ -46,7 +55,7 @@ from skyherd.vision.photometric.verify import (
     residual_is_noise,
     verified,
 )
-from skyherd.vision.search.decode import DecodedQuads, decode_quads
+from skyherd.vision.search.decode import decode_quads
 from skyherd.vision.search.quads import find_quads
 
 LEARNING_RATE = 0.2
@@ -71,23 +80,27 @@ sharpened images are lost."""
 class PhotometricDetector:
     """Finds, fits, verifies and follows markers; implements `skyherd.vision.Detector`.
 
-    Positions come with covariances that hold for the image at hand: residuals, not tables, give the noise. An
-    id that is found twice in an image is left out.
+    Positions come with covariances that hold for the image at hand: residuals, not tables, give the noise.
 
     Args:
         dictionary: of the markers, such as `4X4_50`.
         following: whether markers are followed from one image of a unit to the next. If not, every image is
             taken by itself, and the result does not depend on earlier ones.
+        repeats: whether an id that is found at several places is reported at each of them. If not, it is left
+            out. Markers that are followed are followed by their ids, so that this is for images taken by
+            themselves.
 
     Attributes:
         estimates: what was estimated of each unit's images, by unit id.
 
     Raises:
-        InputError: there is no such dictionary.
+        InputError: there is no such dictionary, or repeats are to be followed.
     """
 
-    def __init__(self, dictionary: str = "4X4_50", *, following: bool = True) -> None:
-        self.dictionary, self.following = dictionary, following
+    def __init__(self, dictionary: str = "4X4_50", *, following: bool = True, repeats: bool = False) -> None:
+        if following and repeats:
+            raise InputError("detector", "markers cannot be followed whose ids repeat", "one of the two")
+        self.dictionary, self.following, self.repeats = dictionary, following, repeats
         self.estimates: dict[int, ImageEstimates] = {}
         self._none = no_fit_results(dictionary)
 
@@ -109,28 +122,29 @@ class PhotometricDetector:
         found, lost = self._follow(image, known, time_s)
         known.unsearched += 1
         if lost or not len(found.ids) or known.unsearched >= SEARCH_INTERVAL:
-            found = _unambiguous(found.joined(self._search(image, known, found.homographies)))
+            found = found.joined(self._search(image, known, found.homographies))
+            found = found.take(np.argsort(found.ids, kind="stable")) if self.repeats else _unambiguous(found)
             known.unsearched = 0
         self._learn(known, found, time_s)
         return _detections(found, image, time_s, unit_id)
 
     def _follow(self, image: Image, known: ImageEstimates, time_s: float) -> tuple[FitResults, bool]:
         """Markers found where they were predicted, and whether one is missing or has left the view."""
-        homographies = known.tracks.predicted(time_s)
-        here = in_view(homographies, image.shape)
+        start = known.tracks.predicted(time_s)
+        here = in_view(start, image.shape)
         if not here.any():
             return self._none, False
         fits, known.plane = fit_any_blur(
             image,
             self.dictionary,
             known.tracks.ids[here],
-            homographies.take(here),
+            start.take(here),
             known.tracks.sigmas_px[here],
             known.plane,
             known.noise or USUAL_NOISE,
             MAX_STEPS_FROM_PREDICTION,
         )
-        fits, good = self._verified(image, fits, known.plane)
+        fits, good = self._verified(image, fits, known.plane, start.take(here))
         return fits.take(good), not (here.all() and good.all())
 
     def _search(self, image: Image, known: ImageEstimates, followed: LocalHomographies) -> FitResults:
@@ -138,14 +152,20 @@ class PhotometricDetector:
         quads = find_quads(image)
         sigma_px = known.sigma_px or START_SIGMA_PX
         quads = quads[_elsewhere(quads, followed)]
-        decoded = _best_of_each(decode_quads(image, quads, self.dictionary, sigma_px))
-        if not decoded.ids.size:
-            return self._none
+        decoded = decode_quads(image, quads, self.dictionary, sigma_px)
         start = LocalHomographies.of_corners(decoded.corners_px)
+        best = _best_of_each_place(decoded.ids, start.centers, start.sides_px(), decoded.correlations)
+        ids, start = decoded.ids[best], start.take(best)
+        if not ids.size:
+            return self._none
         start = _on_plane(start, known.plane, image_middle(image))
-        fits, known.plane = self._fit_quads(image, known, decoded.ids, start)
-        fits, good = self._verified(image, fits, known.plane)
-        return fits.take(good)
+        fits, known.plane = self._fit_quads(image, known, ids, start)
+        fits, good = self._verified(image, fits, known.plane, start)
+        found = fits.take(good)
+        shapes = found.homographies
+        return found.take(
+            _best_of_each_place(found.ids, shapes.centers, shapes.sides_px(), -found.noise_stds)
+        )
 
     def _fit_quads(
         self, image: Image, known: ImageEstimates, ids: IntArray, start: LocalHomographies
@@ -174,14 +194,16 @@ class PhotometricDetector:
         )
         return fits.put(promising, fine), plane if right.any() else known.plane
 
-    def _verified(self, image: Image, fits: FitResults, plane: Plane) -> tuple[FitResults, BoolArray]:
+    def _verified(
+        self, image: Image, fits: FitResults, plane: Plane, start: LocalHomographies
+    ) -> tuple[FitResults, BoolArray]:
         """Fits, and which of them (N,) are verified.
 
         Of covered markers they are those to their visible pixels, and of markers that are not on the plane
-        those with a perspective of their own.
+        those with a perspective of their own, from where they began (N,).
         """
-        noise = image_noise(image)
-        good = verified(fits, noise)
+        noise, distance = image_noise(image), code_distance(self.dictionary)
+        good = verified(fits, noise, distance)
         floor = max(noise, weighted_median(fits.noise_stds, fits.pixels * good)) if good.any() else noise
         doubtful = np.flatnonzero(may_be_occluded(fits, floor))
         if doubtful.size:
@@ -189,7 +211,7 @@ class PhotometricDetector:
             visible = fit_visible_all_sizes(
                 image, self.dictionary, covered, with_usual_blur(covered), plane, floor
             )
-            accepted = verified(visible, noise) & residual_is_noise(visible, floor)
+            accepted = verified(visible, noise, distance) & residual_is_noise(visible, floor)
             fits, good = _replaced(fits, good, doubtful[accepted], visible.take(accepted))
         apart = np.flatnonzero(~good & plane.shared)
         if apart.size:
@@ -198,13 +220,13 @@ class PhotometricDetector:
                 image,
                 self.dictionary,
                 others.ids,
-                others.homographies,
-                np.maximum(others.sigmas_px, START_SIGMA_PX / 2),
+                start.take(apart),
+                START_SIGMA_PX,
                 Plane(),
                 floor,
                 alone=True,
             )
-            accepted = verified(alone, noise)
+            accepted = verified(alone, noise, distance)
             fits, good = _replaced(fits, good, apart[accepted], alone.take(accepted))
         return fits, good
 
@@ -249,18 +271,20 @@ def _elsewhere(quads_px: Array, followed: LocalHomographies) -> BoolArray:
     return np.asarray((distance > followed.sides_px() / 2).all(axis=1))
 
 
-def _best_of_each(decoded: DecodedQuads) -> DecodedQuads:
-    """Of quadrilaterals for one marker in one place, such as both boundaries of its border, the likeliest."""
-    middles = to_complex(decoded.corners_px).mean(axis=1)
-    sides = LocalHomographies.of_corners(decoded.corners_px).sides_px()
-    twins = np.abs(middles[:, None] - middles) < sides / 2
-    twins &= decoded.ids[:, None] == decoded.ids
-    kept = np.ones(middles.size, dtype=bool)
-    for row in np.argsort(-decoded.correlations):
+def _best_of_each_place(ids: IntArray, centers: ComplexArray, sides_px: Array, merits: Array) -> BoolArray:
+    """Which of N (N,) stay if of those with one id in one place only that of the greatest merit does.
+
+    Two share a place if their centres are less than half the shorter one's side apart, such as those of both
+    boundaries of a marker's border.
+    """
+    reach_px = np.minimum(sides_px[:, None], sides_px) / 2
+    twins = (np.abs(centers[:, None] - centers) < reach_px) & (ids[:, None] == ids)
+    kept = np.ones(ids.size, dtype=bool)
+    for row in np.argsort(-merits):
         if kept[row]:
             kept &= ~twins[:, row]
             kept[row] = True
-    return decoded.take(kept)
+    return kept
 
 
 def _unambiguous(fits: FitResults) -> FitResults:

@@ -189,7 +189,9 @@ def fit_markers(
         if number > 1:  # before, a start that is a pixel off may leave as much as a wrong cell
             means, _ = samples.cell_residuals(rows, solution, n_cells)
             right[rows] = _cells_are_right(means, solution.contrasts()[rows])
-        solution, plane = hold_common_unknowns(solution, start, middle, right, plane, alone=alone)
+        solution, plane = hold_common_unknowns(
+            solution, start, middle, right, plane, alone=alone, settling=number > 1
+        )
         appearances = replace(
             appearances,
             black_ratios=(solution.values[:, BLACK] + MIDDLE_GREY) / solution.contrasts(),

@@ -5,8 +5,8 @@ image's noise and the share of its contrast that the processing of real cameras 
 (demosaicing, denoising, sharpening and compression: 3 to 11 %), and if its print is that of the others.
 
 A cell of the wrong colour leaves, along each axis, `E(x) = Φ((x + 1/2) / σ) - Φ((x - 1/2) / σ)` of the
-contrast, with x and the blur σ in cells: over the cell itself `(∫ E)²` on average. What a fit leaves of a
-cell is measured in this unit.
+contrast, with x and the blur σ in cells: over the cell itself `(∫ E)²` on average, and over the image the
+squares `(∫ E²)²` for each pixel of the cell. What a fit leaves is measured in these units.
 
 Light falls on black and white alike, so that `(white - black) / white`, the print contrast, is the same in
 sun and shade. What has less of it than the camera's markers is no print, but ground between cards.
@@ -43,6 +43,10 @@ MAX_SQUEEZE = 0.6
 """Largest squeeze of a marker's image, as a share of its arm. Derived: that of a tilt of 75 degrees, where
 `(1 - cos 75°) / (1 + cos 75°) = 0.59`."""
 
+MAX_LEAN = 0.45
+"""Largest lean of a marker's image. Derived: a marker tilted by 75 degrees leans so where the camera is twice
+its side away."""
+
 MAX_BLUR_CELLS = 0.75
 """Largest blur, standard deviation in cells. Chosen: beyond it other markers, and even texture, can pass for
 a marker."""
@@ -66,6 +70,11 @@ of 1190 markers on photographs of six kinds 99 % leave less than 0.11 and 0.07, 
 0.16 and 0.12; of what decodes and is no marker, three quarters leave more than 0.12 and 0.08, and the rest
 has a wrong cell."""
 
+WRONG_BITS_PER_DISTANCE = 0.3
+"""Besides, a fit may leave no more than this many wrong bits for each bit by which two markers of its
+dictionary differ at least. Measured: of the same markers 99.5 % leave less than 0.3; of dark squares that
+happen to have a light one inside, which 4X4_50 has too few bits to tell from its marker 17, a third does."""
+
 MIN_PRINT_SHARE = 0.75
 """Smallest share of the other markers' print contrast. Chosen: print contrasts of markers differ by a tenth
 at 12 px and noise 10; stray light of a twentieth of white takes this much in a shade five times darker."""
@@ -83,8 +92,9 @@ MAX_COVERED_SHARE = 0.25
 """Share of a marker's cells that may look wrong if it is still worth a fit without what covers it. Chosen: a
 larger share costs time for fits that are mostly refused, since hidden bits count as wrong."""
 
-SAMPLES_PER_CELL = 8
-"""Sample points of a cell in the integral of E. Chosen: the midpoint rule is then good to 1e-3."""
+SAMPLES_PER_CELL, SPAN_CELLS = 8, 5
+"""Sample points of a cell in the integrals of E, and number of cells that they cover: two cells on either
+side, which is enough up to a blur of `MAX_BLUR_CELLS`."""
 
 MIN_DIVISOR_CONTRAST = 1e-3
 """Smallest contrast, grey levels, that residuals are compared with; a fit with less is refused anyway."""
@@ -129,19 +139,21 @@ def _are_plausible(fits: FitResults, cell_noises: Array) -> BoolArray:
     plausible &= fits.moved_px <= MAX_LAST_STEP_PX
     plausible &= fits.pixels >= MIN_AREA_SHARE * fits.homographies.sides_px() ** 2
     plausible &= np.abs(fits.homographies.squeezes) <= MAX_SQUEEZE * np.abs(fits.homographies.arms)
+    plausible &= np.abs(fits.homographies.leans()) <= MAX_LEAN
     return np.asarray(plausible)
 
 
-def verified(fits: FitResults, noise: float) -> BoolArray:
+def verified(fits: FitResults, noise: float, distance: int) -> BoolArray:
     """Return which fits (N,) show their marker, leave little but noise, and are printed alike.
 
     Args:
         fits: of N markers.
         noise: standard deviation of a pixel, grey levels, determined by the image: a fit's own residuals
             would excuse themselves.
+        distance: least number of bits by which two markers of the dictionary differ.
     """
     wrong = WrongCellResiduals.of(fits)
-    right = _bits_are_right(fits, wrong) & _residuals_are_small(fits, wrong, noise)
+    right = _bits_are_right(fits, wrong) & _residuals_are_small(fits, wrong, noise, distance)
     if not right.any():
         return right
     prints = fits.print_contrasts()
@@ -157,10 +169,15 @@ def residual_is_noise(fits: FitResults, noise: float) -> BoolArray:
     return np.asarray(quiet & (fits.moved_px <= OCCLUSION_LAST_STEP_PX))
 
 
-def _residuals_are_small(fits: FitResults, wrong: "WrongCellResiduals", noise: float) -> BoolArray:
+def _residuals_are_small(
+    fits: FitResults, wrong: "WrongCellResiduals", noise: float, distance: int
+) -> BoolArray:
     """Which fits (N,) leave little more than the noise, pixel by pixel and cell by cell."""
     over_cells = np.sqrt(np.square(fits.cell_means).mean(axis=(1, 2)))
-    small = fits.noise_stds <= np.hypot(NOISE_FACTOR * noise, MODEL_SHARE * fits.contrasts)
+    model = np.minimum(
+        MODEL_SHARE * fits.contrasts, np.sqrt(WRONG_BITS_PER_DISTANCE * distance) * wrong.pixels
+    )
+    small = fits.noise_stds <= np.hypot(NOISE_FACTOR * noise, model)
     small &= over_cells <= np.hypot(NOISE_FACTOR * noise / wrong.cells_px, CELL_MODEL_SHARE * fits.contrasts)
     return np.asarray(small)
 
@@ -187,10 +204,12 @@ class WrongCellResiduals:
 
     Attributes:
         means: (N,) mean residual over that cell.
+        pixels: (N,) root mean square of the residuals of all pixels.
         cells_px: (N,) side of a cell, px.
     """
 
     means: Array
+    pixels: Array
     cells_px: Array
 
     @classmethod
@@ -198,8 +217,13 @@ class WrongCellResiduals:
         """Return the residuals for fits of N markers, at the blur that each fit found."""
         cells_px = fits.homographies.sides_px() / fits.cell_means.shape[1]
         log_sigmas = np.log(fits.blurs_cells) + np.minimum(np.maximum(fits.log_blurs, -1.0), 1.0)
-        own = np.interp(log_sigmas, _LOG_SIGMAS, _own_shares())
-        return cls(np.maximum(fits.contrasts, MIN_DIVISOR_CONTRAST) * own**2, cells_px)
+        own, square = (np.interp(log_sigmas, _LOG_SIGMAS, table) for table in _integral_tables())
+        contrast = np.maximum(fits.contrasts, MIN_DIVISOR_CONTRAST)
+        return cls(
+            means=contrast * own**2,
+            pixels=contrast * square * cells_px / np.sqrt(np.maximum(fits.pixels, 1.0)),
+            cells_px=cells_px,
+        )
 
 
 _LOG_SIGMAS: Array = np.linspace(np.log(0.01), np.log(10.0), 400)
@@ -207,8 +231,10 @@ _LOG_SIGMAS: Array = np.linspace(np.log(0.01), np.log(10.0), 400)
 
 
 @lru_cache(maxsize=1)
-def _own_shares() -> Array:
-    """`e = ∫ E` over the wrong cell itself, (400,), at the tabulated blurs."""
-    x = (np.arange(SAMPLES_PER_CELL) + 0.5) / SAMPLES_PER_CELL - 1 / 2
+def _integral_tables() -> tuple[Array, Array]:
+    """`∫ E` over the wrong cell itself and `∫ E²` over all, each (400,), at the tabulated blurs."""
+    x = (np.arange(SPAN_CELLS * SAMPLES_PER_CELL) + 0.5) / SAMPLES_PER_CELL - SPAN_CELLS / 2
     sigma = np.exp(_LOG_SIGMAS)[:, None]
-    return np.asarray((ndtr((x + 0.5) / sigma) - ndtr((x - 0.5) / sigma)).mean(axis=1))
+    seen = ndtr((x + 0.5) / sigma) - ndtr((x - 0.5) / sigma)
+    own = seen[:, np.abs(x) < 1 / 2].mean(axis=1)
+    return own, (seen**2).sum(axis=1) / SAMPLES_PER_CELL

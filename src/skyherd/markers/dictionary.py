@@ -24,6 +24,9 @@ BORDER_MARK, MAX_BORDER_BITS = "@", 3
 """Sign between a dictionary's name and the width of its markers' border, and the largest width, in cells.
 *Chosen*: boards have one or two cells; the sign occurs in no name."""
 
+DISTANCE_SAMPLE = 200
+"""Number of markers whose distances to all others are computed. Chosen: a second's work at most."""
+
 MIDDLE_GREY = 127
 """Grey level above which a cell drawn by OpenCV is white. *Derived*: cells are drawn as 0 or 255."""
 
@@ -46,9 +49,11 @@ def with_border(name: str, border_bits: int) -> str:
     """
     if not 1 <= border_bits <= MAX_BORDER_BITS:
         raise InputError("border bits", f"{border_bits}", f"a whole number from 1 to {MAX_BORDER_BITS}")
+    if border_bits == 1:
+        return name
     if BORDER_MARK in name:
         raise InputError("marker dictionary", f"{name} names its border already", "one of the two")
-    return name if border_bits == 1 else f"{name}{BORDER_MARK}{border_bits}"
+    return f"{name}{BORDER_MARK}{border_bits}"
 
 
 @cache
@@ -118,6 +123,25 @@ def marker_cells(name: str, marker_id: int) -> npt.NDArray[np.bool_]:
     cells = np.asarray(drawn) > MIDDLE_GREY
     cells.setflags(write=False)
     return cells
+
+
+@cache
+def code_distance(name: str) -> int:
+    """Least number of bits by which two markers of a dictionary differ, however each is turned.
+
+    Of dictionaries of more than `DISTANCE_SAMPLE` markers the first so many are compared with all.
+    """
+    border = border_cells(name)
+    bits = np.stack(
+        [marker_cells(name, i)[border:-border, border:-border] for i in range(dictionary_size(name))]
+    )
+    turned = np.concatenate([np.rot90(bits, turn, axes=(1, 2)) for turn in range(4)]).reshape(
+        4 * len(bits), -1
+    )
+    signs, some = 2.0 * turned - 1, min(len(bits), DISTANCE_SAMPLE)
+    agreement = (signs[:some] @ signs.T).astype(np.float32)
+    agreement[np.arange(some), np.arange(some)] = -np.inf
+    return int((turned.shape[1] - agreement.max()) / 2)
 
 
 def card_side(name: str) -> float:

@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from skyherd.errors import MessageError
-from skyherd.geometry import Array, IntArray
+from skyherd.geometry import Array, BoolArray, IntArray
 from skyherd.messages.checks import check_time
 from skyherd.messages.frozen_arrays import freeze, freeze_ids
 from skyherd.messages.ids import among
@@ -24,7 +24,7 @@ class Detections:
         unit_id: the aerial unit whose image it is.
         time_s: when the image was taken.
         image_size_px: (2,) width and height of the image.
-        ids: (N,) ids of the markers, each once.
+        ids: (N,) ids of the markers. Mostly each is there once; see `repeated`.
         centers_px: (N, 2) centres of the markers.
         headings_rad: (N,) direction of each robot's forward axis in the image, from +u to +v.
         sides_px: (N,) sides of the black squares, positive.
@@ -34,7 +34,7 @@ class Detections:
             detector reports none.
 
     Raises:
-        MessageError: a shape is wrong, an id occurs twice, a value is not finite or a side not positive.
+        MessageError: a shape is wrong, a value is not finite or a side not positive.
     """
 
     unit_id: int
@@ -49,7 +49,7 @@ class Detections:
 
     def __post_init__(self) -> None:
         check_time(self)
-        n = freeze_ids(self, "ids")
+        n = freeze_ids(self, "ids", repeats=True)
         freeze(self, "image_size_px", (2,))
         freeze(self, "centers_px", (n, 2))
         freeze(self, "headings_rad", (n,))
@@ -62,11 +62,25 @@ class Detections:
     def __len__(self) -> int:
         return int(self.ids.size)
 
+    @property
+    def repeated(self) -> BoolArray:
+        """Which detections (N,) have an id that others have too: nobody can tell which is the robot."""
+        _, where, counts = np.unique(self.ids, return_inverse=True, return_counts=True)
+        return np.asarray(counts[where] > 1)
+
+    def unambiguous(self) -> "Detections":
+        """The detections whose ids occur once."""
+        if len(set(self.ids.tolist())) == self.ids.size:
+            return self
+        return self._kept(~self.repeated)
+
     def select(self, ids: AbstractSet[int] | npt.ArrayLike) -> "Detections":
         """The detections of those of the `ids` that were found, in the order in which they were found."""
         keep = among(self.ids, ids)
-        if keep.all():
-            return self
+        return self if keep.all() else self._kept(keep)
+
+    def _kept(self, keep: BoolArray) -> "Detections":
+        """The detections of the mask `keep` (N,)."""
         return Detections(
             unit_id=self.unit_id,
             time_s=self.time_s,

@@ -54,15 +54,16 @@ def _fits(actual: tuple[int, ...], expected: tuple[int | None, ...]) -> bool:
     )
 
 
-def freeze_ids(owner: object, name: str) -> int:
+def freeze_ids(owner: object, name: str, *, repeats: bool = False) -> int:
     """Freeze a field of ids, as `freeze` does, and return how many there are.
 
     Raises:
-        MessageError: an id occurs twice or is negative, or the field is no list of integers.
+        MessageError: an id is negative, the field is no list of integers, or an id occurs twice and `repeats`
+            does not allow it.
     """
     freeze(owner, name, (np.size(getattr(owner, name)),), integer=True)
     ids = getattr(owner, name)
-    if len(set(ids.tolist())) != ids.size:
+    if not repeats and len(set(ids.tolist())) != ids.size:
         raise MessageError(f"{type(owner).__name__}.{name}: repeated id in {shown(ids.tolist())}")
     if (ids < 0).any():
         raise MessageError(f"{type(owner).__name__}.{name}: negative id in {shown(ids.tolist())}")

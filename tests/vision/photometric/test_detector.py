@@ -7,7 +7,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from skyherd.markers.blur_model import total_sigma_px
-from skyherd.markers.dictionary import card_side, pose_of_corners
+from skyherd.markers.dictionary import card_side, code_distance, pose_of_corners
 from skyherd.render import Camera, CameraPose, Ground, Renderer, Sensor, project_markers
 from skyherd.vision import PhotometricDetector
 from skyherd.vision.photometric.fit import fit_markers
@@ -133,7 +133,7 @@ def test_a_fit_of_the_wrong_marker_is_refused():
     image, start = near(24.0, -1.1, 50.2 + 49.7j)
     for marker_id in range(50):
         fits, _ = fit_markers(image, DICTIONARY, np.array([marker_id]), start, total_sigma_px(0.8), Plane())
-        assert verified(fits, 2.0)[0] == (marker_id == 9), marker_id
+        assert verified(fits, 2.0, code_distance(DICTIONARY))[0] == (marker_id == 9), marker_id
 
 
 def test_the_plane_of_a_tilted_camera_is_found():

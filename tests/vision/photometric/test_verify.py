@@ -11,7 +11,7 @@ from skyherd.vision.photometric.plane import Plane
 from skyherd.vision.photometric.scales import fit_all_sizes
 from skyherd.vision.photometric.verify import ROUNDING_NOISE, bits_are_right, image_noise, verified
 
-DICTIONARY, SIGMA_PX = "4X4_50", 0.85
+DICTIONARY, SIGMA_PX, DISTANCE = "4X4_50", 0.85, 4
 
 
 def one_shape(center, arm):
@@ -66,7 +66,7 @@ def test_a_fit_on_fewer_pixels_than_it_needs_is_none(place_markers, draw_markers
         arms = rng.uniform(2, 4, 15) * np.exp(2j * np.pi * rng.uniform(size=15))
         start = LocalHomographies(centers, arms, 0 * arms, 0 * arms)
         fits, _ = fit_markers(image, DICTIONARY, rng.integers(0, 50, 15), start, SIGMA_PX, Plane())
-        assert not verified(fits, 5.0)[fits.homographies.sides_px() < 8].any()
+        assert not verified(fits, 5.0, DISTANCE)[fits.homographies.sides_px() < 8].any()
 
 
 def test_a_marker_out_of_the_image_is_none(place_markers, draw_markers):
@@ -75,7 +75,7 @@ def test_a_marker_out_of_the_image_is_none(place_markers, draw_markers):
     image = draw_markers(place_markers(50 + 50j, 0.4, 24.0), [11], (100, 100), rng)
     for center in (-11 + 50j, 50 + 111j, -80 - 80j, 99 + 109j):
         fits, _ = fit_markers(image, DICTIONARY, np.array([11]), one_shape(center, 24.0), SIGMA_PX, Plane())
-        assert not verified(fits, 5.0).any()
+        assert not verified(fits, 5.0, DISTANCE).any()
 
 
 def test_markers_seen_by_few_pixels_have_no_say_on_the_plane(place_markers, draw_markers):
@@ -115,10 +115,10 @@ def test_what_is_printed_unlike_the_others_is_none(place_markers, draw_markers):
     fits, fifth = nine_fits(place_markers, draw_markers), np.arange(9) == 4
     grey = replace(fits, blacks=np.where(fifth, 120.0, fits.blacks))
     grey = replace(grey, contrasts=np.where(fifth, 100.0, fits.contrasts))
-    assert verified(grey, 5.0).tolist() == (~fifth).tolist()
+    assert verified(grey, 5.0, DISTANCE).tolist() == (~fifth).tolist()
     shade = np.where(fifth, 0.4, 1.0)
     shaded = replace(fits, blacks=shade * fits.blacks, contrasts=shade * fits.contrasts)
-    assert verified(shaded, 5.0).all()
+    assert verified(shaded, 5.0, DISTANCE).all()
 
 
 def test_a_white_that_no_camera_gives_is_none(place_markers, draw_markers):
@@ -126,7 +126,10 @@ def test_a_white_that_no_camera_gives_is_none(place_markers, draw_markers):
     fits = nine_fits(place_markers, draw_markers)
     brighter = np.linspace(0, 160, 9)
     whites = fits.blacks + brighter + fits.contrasts
-    assert verified(replace(fits, blacks=fits.blacks + brighter), 5.0).tolist() == (whites <= 330).tolist()
+    assert (
+        verified(replace(fits, blacks=fits.blacks + brighter), 5.0, DISTANCE).tolist()
+        == (whites <= 330).tolist()
+    )
 
 
 @pytest.mark.parametrize(("share", "passes"), [(0.05, True), (0.2, False)])
@@ -136,7 +139,7 @@ def test_little_left_in_every_cell_is_as_bad_as_much_in_one(place_markers, draw_
     fits = nine_fits(place_markers, draw_markers)
     board = share * 150.0 * (-1.0) ** np.add.outer(np.arange(6), np.arange(6))
     off = replace(fits, cell_means=board + 0 * fits.cell_means)
-    assert bits_are_right(off).all() and (verified(off, 5.0) == passes).all()
+    assert bits_are_right(off).all() and (verified(off, 5.0, DISTANCE) == passes).all()
 
 
 # --- large markers ---
@@ -150,4 +153,7 @@ def test_what_a_wrong_bit_leaves_does_not_depend_on_the_shrinking(place_markers,
     fits, _ = fit_all_sizes(image, DICTIONARY, np.array([11]), start, SIGMA_PX, Plane(), 5.0)
     whole, _ = fit_markers(image, DICTIONARY, np.array([11]), start, SIGMA_PX, Plane())
     assert fits.pixels[0] == pytest.approx(whole.pixels[0], rel=0.02)
-    assert verified(fits, 5.0)[0] and not verified(replace(fits, pixels=fits.pixels / 4), 5.0)[0]
+    assert (
+        verified(fits, 5.0, DISTANCE)[0]
+        and not verified(replace(fits, pixels=fits.pixels / 4), 5.0, DISTANCE)[0]
+    )

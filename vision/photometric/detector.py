@@ -186,7 +186,7 @@ class PhotometricDetector:
         if not promising.size:
             return fits, known.plane
         coarse = fits.take(promising)
-        right = bits_are_right(coarse)
+        right = bits_are_right(coarse, code_distance(self.dictionary))
         if right.any():
             noise = weighted_median(coarse.noise_stds, coarse.pixels * right)
         fine, plane = fit_any_blur(

@@ -28,6 +28,11 @@ WRONG_CELL_SHARE, WRONG_CELL_SIGMAS, WRONG_CELL_LIMIT = 0.2, 4.0, 0.4
 many standard deviations of noise, or the last share in any case. Chosen: a right cell leaves 0, a wrong one
 1, and the limit stays below the middle between them."""
 
+STRONG_DISTANCE, STRONG_CELL_LIMIT = 8, 0.5
+"""Where markers of a dictionary differ by so many bits at least, a cell may leave the second number whatever
+the noise: the middle between right and wrong. Chosen: a single cell that is read wrongly does not make
+another marker there, and sharpened photographs leave up to 0.49."""
+
 MIN_MARKER_CONTRAST = 12.0
 """Smallest contrast of a marker, grey levels. Chosen: four times the usual noise."""
 
@@ -70,6 +75,10 @@ of 1190 markers on photographs of six kinds 99 % leave less than 0.11 and 0.07, 
 0.16 and 0.12; of what decodes and is no marker, three quarters leave more than 0.12 and 0.08, and the rest
 has a wrong cell."""
 
+SHARP_BLUR_CELLS = 0.25
+"""Blur, cells, beyond which the share allowed for the pixels falls in proportion to its reciprocal. Derived:
+processing acts within a pixel or two of edges, and leaves little of what is blurred over more."""
+
 WRONG_BITS_PER_DISTANCE = 0.3
 """Besides, a fit may leave no more than this many wrong bits for each bit by which two markers of its
 dictionary differ at least. Measured: of the same markers 99.5 % leave less than 0.3; of dark squares that
@@ -106,15 +115,20 @@ MEDIAN_PER_SIGMA = 0.6745
 """Median of the absolute value of a normal variable of unit variance. Derived: Φ(0.6745) = 3/4."""
 
 
-def bits_are_right(fits: FitResults) -> BoolArray:
-    """Return which fits (N,) are plausible markers and leave every cell the colour it should have."""
-    return _bits_are_right(fits, WrongCellResiduals.of(fits))
+def bits_are_right(fits: FitResults, distance: int) -> BoolArray:
+    """Return which fits (N,) are plausible markers and leave every cell the colour it should have.
+
+    `distance` is the least number of bits by which two markers of the dictionary differ.
+    """
+    return _bits_are_right(fits, WrongCellResiduals.of(fits), distance)
 
 
-def _bits_are_right(fits: FitResults, wrong: "WrongCellResiduals") -> BoolArray:
+def _bits_are_right(fits: FitResults, wrong: "WrongCellResiduals", distance: int) -> BoolArray:
     cell_noises = fits.noise_stds / (wrong.means * wrong.cells_px)
     worst = np.abs(fits.cell_means).max(axis=(1, 2)) / wrong.means
     allowed = np.minimum(WRONG_CELL_SHARE + WRONG_CELL_SIGMAS * cell_noises, WRONG_CELL_LIMIT)
+    if distance >= STRONG_DISTANCE:
+        allowed = np.full_like(worst, STRONG_CELL_LIMIT)
     return np.asarray(_are_plausible(fits, cell_noises) & (worst < allowed))
 
 
@@ -153,7 +167,7 @@ def verified(fits: FitResults, noise: float, distance: int) -> BoolArray:
         distance: least number of bits by which two markers of the dictionary differ.
     """
     wrong = WrongCellResiduals.of(fits)
-    right = _bits_are_right(fits, wrong) & _residuals_are_small(fits, wrong, noise, distance)
+    right = _bits_are_right(fits, wrong, distance) & _residuals_are_small(fits, wrong, noise, distance)
     if not right.any():
         return right
     prints = fits.print_contrasts()
@@ -174,9 +188,9 @@ def _residuals_are_small(
 ) -> BoolArray:
     """Which fits (N,) leave little more than the noise, pixel by pixel and cell by cell."""
     over_cells = np.sqrt(np.square(fits.cell_means).mean(axis=(1, 2)))
-    model = np.minimum(
-        MODEL_SHARE * fits.contrasts, np.sqrt(WRONG_BITS_PER_DISTANCE * distance) * wrong.pixels
-    )
+    share = MODEL_SHARE * np.minimum(1.0, SHARP_BLUR_CELLS / fits.blurs_cells)
+    few_bits = np.sqrt(WRONG_BITS_PER_DISTANCE * distance) * wrong.pixels
+    model = np.minimum(share * fits.contrasts, few_bits)
     small = fits.noise_stds <= np.hypot(NOISE_FACTOR * noise, model)
     small &= over_cells <= np.hypot(NOISE_FACTOR * noise / wrong.cells_px, CELL_MODEL_SHARE * fits.contrasts)
     return np.asarray(small)

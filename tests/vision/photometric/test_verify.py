@@ -139,7 +139,7 @@ def test_little_left_in_every_cell_is_as_bad_as_much_in_one(place_markers, draw_
     fits = nine_fits(place_markers, draw_markers)
     board = share * 150.0 * (-1.0) ** np.add.outer(np.arange(6), np.arange(6))
     off = replace(fits, cell_means=board + 0 * fits.cell_means)
-    assert bits_are_right(off).all() and (verified(off, 5.0, DISTANCE) == passes).all()
+    assert bits_are_right(off, DISTANCE).all() and (verified(off, 5.0, DISTANCE) == passes).all()
 
 
 # --- large markers ---

@@ -75,9 +75,10 @@ of 1190 markers on photographs of six kinds 99 % leave less than 0.11 and 0.07, 
 0.16 and 0.12; of what decodes and is no marker, three quarters leave more than 0.12 and 0.08, and the rest
 has a wrong cell."""
 
-SHARP_BLUR_CELLS = 0.25
-"""Blur, cells, beyond which the share allowed for the pixels falls in proportion to its reciprocal. Derived:
-processing acts within a pixel or two of edges, and leaves little of what is blurred over more."""
+SHARP_BLUR_CELLS, STRONG_BLUR_CELLS = 0.15, 0.25
+"""Blurs, cells, of weak and of strong codes, beyond which the share allowed for the pixels falls in proportion
+to its reciprocal. Derived: processing acts within a pixel or two of edges, and leaves little of what is
+blurred over more. Measured: no marker on the photographs is lost at these values."""
 
 WRONG_BITS_PER_DISTANCE = 0.3
 """Besides, a fit may leave no more than this many wrong bits for each bit by which two markers of its
@@ -188,7 +189,8 @@ def _residuals_are_small(
 ) -> BoolArray:
     """Which fits (N,) leave little more than the noise, pixel by pixel and cell by cell."""
     over_cells = np.sqrt(np.square(fits.cell_means).mean(axis=(1, 2)))
-    share = MODEL_SHARE * np.minimum(1.0, SHARP_BLUR_CELLS / fits.blurs_cells)
+    sharp = STRONG_BLUR_CELLS if distance >= STRONG_DISTANCE else SHARP_BLUR_CELLS
+    share = MODEL_SHARE * np.minimum(1.0, sharp / fits.blurs_cells)
     few_bits = np.sqrt(WRONG_BITS_PER_DISTANCE * distance) * wrong.pixels
     model = np.minimum(share * fits.contrasts, few_bits)
     small = fits.noise_stds <= np.hypot(NOISE_FACTOR * noise, model)

@@ -144,7 +144,7 @@ def on_own_planes(
 
 def _leans(solution: LeastSquaresSolution, start: LocalHomographies, plane: Plane, middle: complex) -> Array:
     """Values (N, 2) of the unknowns `LEAN` at which markers lean as the plane, or not at all without one."""
-    horizons = plane.horizons(start.centers - middle) if plane.shared else np.zeros(len(start))
+    horizons = plane.horizons(start.centers - middle) if plane.shared else np.zeros(len(start), dtype=complex)
     steps = start.leans_to(horizons)
     return np.stack([steps.real, steps.imag], axis=1) * solution.contrasts()[:, None]
 

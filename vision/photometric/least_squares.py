@@ -86,7 +86,7 @@ class LeastSquaresSolution:
         spread = self.inverse_normals[:, unknowns][:, :, unknowns] + variances[:, None, None] * np.eye(
             len(unknowns)
         )
-        return self._drawn(unknowns, offset, np.linalg.inv(spread), self.free)
+        return self._drawn(unknowns, offset, np.linalg.inv(spread).astype(float), self.free)
 
     def constrained(self, unknowns: list[int], at: Array) -> "LeastSquaresSolution":
         """Return the solution in which `unknowns` are held at values `at` (N, len(unknowns)).

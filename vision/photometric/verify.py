@@ -12,6 +12,7 @@ Light falls on black and white alike, so that `(white - black) / white`, the pri
 sun and shade. What has less of it than the camera's markers is no print, but ground between cards.
 """
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -76,9 +77,9 @@ of 1190 markers on photographs of six kinds 99 % leave less than 0.11 and 0.07, 
 has a wrong cell."""
 
 SHARP_BLUR_CELLS, STRONG_BLUR_CELLS = 0.15, 0.25
-"""Blurs, cells, of weak and of strong codes, beyond which the share allowed for the pixels falls in proportion
-to its reciprocal. Derived: processing acts within a pixel or two of edges, and leaves little of what is
-blurred over more. Measured: no marker on the photographs is lost at these values."""
+"""Blurs, cells, of weak and of strong codes, beyond which the share allowed for the pixels falls as their
+reciprocal. Derived: processing acts within a pixel or two of edges, and leaves little of what is blurred over
+more. Measured: no marker on the photographs is lost at these values."""
 
 WRONG_BITS_PER_DISTANCE = 0.3
 """Besides, a fit may leave no more than this many wrong bits for each bit by which two markers of its
@@ -109,7 +110,7 @@ side, which is enough up to a blur of `MAX_BLUR_CELLS`."""
 MIN_DIVISOR_CONTRAST = 1e-3
 """Smallest contrast, grey levels, that residuals are compared with; a fit with less is refused anyway."""
 
-ROUNDING_NOISE = UNIFORM_VARIANCE**0.5
+ROUNDING_NOISE = math.sqrt(UNIFORM_VARIANCE)
 """Least noise of an image, grey levels. Derived: rounding to whole grey levels has `sqrt(1 / 12)` = 0.29."""
 
 MEDIAN_PER_SIGMA = 0.6745

@@ -7,7 +7,7 @@ import pytest
 
 from skyherd.geometry import ROBOT_FRAME_CORNERS
 from skyherd.markers.blur_model import total_sigma_px
-from skyherd.markers.dictionary import card_side
+from skyherd.markers.dictionary import card_side, code_distance
 from skyherd.render import Camera, CameraPose, Disc, Ground, Renderer, Sensor, project_markers
 from skyherd.vision import PhotometricDetector, create_detector
 from skyherd.vision.photometric.fit import fit_markers
@@ -17,6 +17,7 @@ from skyherd.vision.photometric.plane import Plane
 from skyherd.vision.photometric.verify import may_be_occluded, verified
 
 DICTIONARY, SIDE_PX, NOISE, SIGMA_PX = "4X4_50", 30.0, 3.0, total_sigma_px(0.8)
+DISTANCE = code_distance(DICTIONARY)
 IDS = np.arange(16)
 CAMERA, POSE = Camera((640, 640), focal_px=10 * SIDE_PX), CameraPose((0.0, 0.0), 10.0)
 
@@ -58,7 +59,7 @@ def test_what_covers_a_corner_does_not_pull_at_the_pose(radius):
     plain, plane = fit_markers(image, DICTIONARY, IDS, start, SIGMA_PX, Plane(), NOISE)
     assert may_be_occluded(plain, NOISE).all()
     fits = fit_visible(image, DICTIONARY, plain, SIGMA_PX, plane, NOISE)
-    assert verified(fits, NOISE).all()
+    assert verified(fits, NOISE, DISTANCE).all()
     deviations = np.sqrt(fits.covariances[:, 2, 2])
     off, plainly_off = (turned(f.homographies.headings_rad(), truth) / deviations for f in (fits, plain))
     assert np.mean(off**2) < 2 * (1 + 3 * 0.35)
@@ -73,7 +74,7 @@ def test_a_marker_with_a_bit_that_is_not_seen_is_not_shown():
     )
     assert np.flatnonzero(may_be_occluded(plain, NOISE)).tolist() == [5]
     fits = fit_visible(image, DICTIONARY, plain, SIGMA_PX, plane, NOISE)
-    assert np.flatnonzero(~verified(fits, NOISE)).tolist() == [5]
+    assert np.flatnonzero(~verified(fits, NOISE, DISTANCE)).tolist() == [5]
 
 
 @pytest.mark.parametrize("name", ["photometric", "tracking"])

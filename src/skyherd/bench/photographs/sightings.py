@@ -31,6 +31,10 @@ class Sightings:
     time_ms: float = 0.0
 
 
+REPEATS_TOLD = ("photometric",)
+"""Names of the detectors that report every place of an id if they are asked to."""
+
+
 class Reader:
     """A detector for the images of one set, each taken as the first that it ever sees.
 
@@ -47,6 +51,8 @@ class Reader:
         if unknown := options.keys() - signature(create_detector).parameters.keys():
             raise InputError(f"detector {name}", f"takes no {', '.join(sorted(unknown))}", "usual markers")
         self.name = name
+        if name in REPEATS_TOLD:
+            options = options | {"repeats": True}
         self._detector: Detector = create_detector(name, dictionary=dictionary, **options)
         self._images = 0
 

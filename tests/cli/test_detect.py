@@ -58,7 +58,8 @@ def test_a_picture_leaves_a_table_and_an_annotated_picture(here, capsys) -> None
         assert (row["file"], row["frame"], row["time_s"]) == ("a.png", "", "")
     with Image.open("detections/a/a.png") as picture:
         assert picture.mode == "RGB" and max(picture.size) >= 640
-    assert not [path for path in here.rglob("*") if path.name.startswith(".")]
+    hidden = [path.name for path in here.rglob("*") if path.name.startswith(".")]
+    assert hidden == [".skyherd.json"]
 
 
 def test_json_lines_carry_corners_and_covariance(here, capsys) -> None:
@@ -172,7 +173,7 @@ def test_an_interrupted_video_leaves_no_table_and_no_film(here, capsys, monkeypa
     monkeypatch.setattr(inspector.Inspector, "_look", interrupted)
     code, _, err = call(capsys, "v.mp4")
     assert code == 130 and "interrupted" in err
-    assert not list((here / "detections" / "v").iterdir())
+    assert [path.name for path in here.iterdir()] == ["v.mp4"]
 
 
 def test_a_folder_of_folders_is_told_which_of_them_has_pictures(here, capsys) -> None:

@@ -258,7 +258,7 @@ def test_bad_specs_are_one_line_each_and_leave_nothing(tmp_path, text, capsys):
 
 def test_unknown_specs_and_jobs_are_refused(tmp_path, capsys):
     assert_refused(call(capsys, "dataset", "make", "nothing", "--out", tmp_path / "x"), "small, varied")
-    assert_refused(call(capsys, "dataset", "make", tmp_path / "x.toml"), "x.toml", "No such file")
+    assert_refused(call(capsys, "dataset", "make", tmp_path / "x.toml"), "x.toml", "no such file")
     assert_refused(call(capsys, "dataset", "make", "small", "--jobs", 0), "--jobs")
 
 

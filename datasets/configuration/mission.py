@@ -190,7 +190,8 @@ def _apply_setting(tree: dict[str, Any], setting: str) -> None:
     if not equals or not key.strip():
         raise InputError(f"--set {setting}", "not of the form key=value", "such as --set control.k=0.2")
     try:
-        value = parse_toml(f"value = {text}", f"--set {setting}", "skyherd scenario show star")["value"]
+        parsed = parse_toml(f"value = {text}", f"--set {setting}", "skyherd scenario show star")
+        value = parsed["value"] if len(parsed) == 1 else text
     except InputError:
         value = text
     put_value(tree, key, value, f"--set {setting}")

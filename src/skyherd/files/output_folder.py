@@ -15,6 +15,7 @@ import json
 import os
 import shutil
 import socket
+import sys
 import time
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
@@ -29,10 +30,8 @@ from skyherd.files.atomic import PART, write_text
 from skyherd.files.reading import is_regular, read_json
 from skyherd.version import __version__
 
-try:
+if sys.platform != "win32":  # which has no such locks: there two processes must not be given one folder
     import fcntl
-except ImportError:  # where there are no such locks, two processes must not be given one folder
-    fcntl = None  # type: ignore[assignment]
 
 RECORD = ".skyherd.json"
 """Name of the record in a folder."""
@@ -223,7 +222,7 @@ class OutputFolder:
         Raises:
             InputError: another process holds it; its verb, number and start are named.
         """
-        if fcntl is None:
+        if sys.platform == "win32":
             return
         ends_s = time.monotonic() + self._wait_s
         folder = os.open(self.path, os.O_RDONLY)

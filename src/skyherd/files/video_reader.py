@@ -128,7 +128,7 @@ def _open_container(path: Path) -> Iterator[av.container.InputContainer]:
     """
     with open_regular(path, GIVE_A_VIDEO) as stream:
         try:
-            with av.open(stream, options=OPTIONS) as container:
+            with av.open(stream, "r", options=OPTIONS) as container:
                 yield container
         except (OSError, av.FFmpegError, IndexError, ValueError) as error:
             if isinstance(error, InputError | OutputError):

@@ -181,7 +181,7 @@ class OutputFolder:
                     raise self._foreign(self.path / parent, "is in the way")
             return
         if any(_is_same(path, read) for read in self._inputs):
-            raise self._foreign(path, "is what is read, and would be replaced")
+            raise InputError(str(path), "is what is read, and would be replaced", "choose another --out")
         entry = entries.get(name)
         if entry is None:
             raise self._foreign(path, "was not made by skyherd")

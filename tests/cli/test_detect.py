@@ -208,3 +208,24 @@ def test_bad_input_is_one_line_and_leaves_nothing(here, capsys, arguments, words
     code, _, err = call(capsys, *arguments)
     assert code == 2 and err.count("\n") == 1 and all(word in err for word in words), err
     assert sorted(here.rglob("*")) == before
+
+
+def test_what_turns_out_to_be_unreadable_leaves_nothing(here, capsys) -> None:
+    """A video that opens and has no frame, and a folder of nothing but broken pictures."""
+    frame = np.zeros((48, 64, 3), np.uint8)
+    writer = cv2.VideoWriter("v.avi", cv2.VideoWriter_fourcc(*"MJPG"), 5, (64, 48))
+    writer.write(frame)
+    writer.release()
+    data = (here / "v.avi").read_bytes()
+    (here / "v.avi").write_bytes(data[: data.index(b"movi") + 4])
+    (here / "pics").mkdir()
+    for name in ("a.png", "b.png"):
+        (here / "pics" / name).write_text("no picture")
+    before = sorted(here.rglob("*"))
+    for target, words in (
+        ("v.avi", "cannot be read as a video"),
+        ("pics", "none of its 2 files can be read"),
+    ):
+        code, _, err = call(capsys, target, "--out", "out")
+        assert (code, err.count("\n")) == (2, 1) and words in err
+        assert sorted(here.rglob("*")) == before

@@ -3,6 +3,7 @@
 import contextlib
 import inspect
 import warnings
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -30,6 +31,12 @@ ARRAYS = arrays.arrays(
 
 ANYTHING = SCALARS | ARRAYS | st.lists(SCALARS, max_size=3) | st.dictionaries(SCALARS, SCALARS, max_size=2)
 
+NAMES = st.sampled_from(
+    ["", "x", "4X4_50", "a:b", "os:getcwd", "star", "word:A", "a\0b", "/dev/zero", "n" * 400]
+)
+BY_TYPE = {str: NAMES, Path: NAMES.map(Path), Path | str: NAMES}
+"""What is given where a text or a path is asked for: one of them, since nothing else has its methods."""
+
 CALLED = (
     "Detections", "GoalInboxes", "Hover", "MarkerGains", "MotionGoals", "Rectifier",
     "SafetyRadius", "Template", "UnitReport", "VelocityCommand", "create_detector", "load_mission",
@@ -43,7 +50,7 @@ def calls(draw, target):
     """Arguments for a callable, by name: those that it needs, and some of the others."""
     parameters = inspect.signature(target).parameters.values()
     return {
-        parameter.name: draw(ANYTHING)
+        parameter.name: draw(BY_TYPE.get(parameter.annotation, ANYTHING))
         for parameter in parameters
         if parameter.kind not in (parameter.VAR_POSITIONAL, parameter.VAR_KEYWORD)
         and (parameter.default is parameter.empty or draw(st.booleans()))

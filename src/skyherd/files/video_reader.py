@@ -144,6 +144,8 @@ def open_clip(path: Path) -> Clip:
     """
     with _open_container(path) as container:
         stream = container.streams.video[0]
+        if not hasattr(stream, "width"):  # a stream whose codec is not known
+            raise _unreadable(path, None)
         _check_size(path, stream.width, stream.height)
         rate = stream.average_rate or stream.guessed_rate or USUAL_RATE_HZ
         seconds = float((container.duration or 0) / av.time_base)

@@ -123,8 +123,8 @@ class Inspector:
             One result for each file, in the order of their names.
 
         Raises:
-            InputError: there is nothing to look at, a single file cannot be read, the folder exists, or a
-                file in it would be replaced that was not made by this.
+            InputError: there is nothing to look at, not one file can be read, the folder exists, or a file in
+                it would be replaced that was not made by this.
             OutputError: something cannot be written.
         """
         files = find_files(target)
@@ -138,7 +138,9 @@ class Inspector:
             tables = [self._open(stack, folder / DETECTIONS, DETECTION_COLUMNS)]
             if self.explained:
                 tables.append(self._open(stack, folder / REJECTIONS, REJECTION_COLUMNS))
-            return [self._inspect_file(file, folder / names[file], tables) for file in files]
+            results = [self._inspect_file(file, folder / names[file], tables) for file in files]
+            _check_any_readable(target, results)
+            return results
 
     def _open(self, stack: ExitStack, path: Path, columns: list[str]) -> Table:
         return stack.enter_context(open_table(path.with_suffix(f".{self.kind}"), columns, self.kind))
@@ -202,6 +204,16 @@ class Inspector:
             for row in rejection_rows(place, result.rejections):
                 tables[1].add(row)
         return found
+
+
+def _check_any_readable(target: Path, results: list[FileResult]) -> None:
+    """Refuse what turned out to be unreadable altogether, so that nothing is left of it."""
+    troubles = [result.trouble for result in results if result.trouble is not None]
+    if len(troubles) < len(results):
+        return
+    if len(troubles) == 1:
+        raise troubles[0]
+    raise InputError(str(target), f"none of its {len(results)} files can be read", str(troubles[0]))
 
 
 def _check_readable(file: Path) -> None:

@@ -91,7 +91,7 @@ SETTABLE = (
 """Keys of a scenario, and some that are none."""
 
 
-@fuzzed(12, kind=st.sampled_from(sorted(PICTURES)), data=st.data())
+@fuzzed(6, kind=st.sampled_from(sorted(PICTURES)), data=st.data())
 def pictures(kind, data):
     """`detect`, and a scenario's template image."""
     with playground() as folder:
@@ -100,14 +100,14 @@ def pictures(kind, data):
         assert_well_behaved(folder, "scenario", "check", "star", "--set", f'template.image="a.{kind}"')
 
 
-@fuzzed(6, data=st.data())
+@fuzzed(4, data=st.data())
 def videos(data):
     with playground() as folder:
         Path("a.avi").write_bytes(data.draw(damaged(video())))
         assert_well_behaved(folder, "detect", "a.avi", "--detector", "aruco")
 
 
-@fuzzed(20, name=st.sampled_from(scenario_names()), data=st.data())
+@fuzzed(12, name=st.sampled_from(scenario_names()), data=st.data())
 def scenario_files(name, data):
     text = scenario_text(name).encode()
     with playground() as folder:
@@ -115,13 +115,13 @@ def scenario_files(name, data):
         assert_well_behaved(folder, "scenario", "check", "a.toml")
 
 
-@fuzzed(20, key=st.sampled_from(SETTABLE), value=st.sampled_from(NASTY_VALUES))
+@fuzzed(12, key=st.sampled_from(SETTABLE), value=st.sampled_from(NASTY_VALUES))
 def settings_of_scenarios(key, value):
     with playground() as folder:
         assert_well_behaved(folder, "scenario", "check", "triangle", "--set", f"{key}={value}")
 
 
-@fuzzed(15, data=st.data())
+@fuzzed(8, data=st.data())
 def recordings(data):
     """The reader alone: what it makes of a whole step is a report's, and has its own tests."""
     with playground():
@@ -133,7 +133,7 @@ def recordings(data):
 
 
 @fuzzed(
-    10,
+    5,
     file=st.sampled_from(["spec.json", "truth.csv", "images.csv", "data.yaml", "annotations/train.json"]),
     data=st.data(),
 )
@@ -146,7 +146,7 @@ def tables_of_labelled_sets(file, data):
         assert_well_behaved(folder, "dataset", "check", "set", "--sample", "0")
 
 
-@fuzzed(12, data=st.data())
+@fuzzed(6, data=st.data())
 def specs_of_labelled_sets(data):
     text = spec_text("small").encode()
     with playground() as folder:
@@ -155,7 +155,7 @@ def specs_of_labelled_sets(data):
         assert_well_behaved(folder, "dataset", "make", "a.toml", "--out", "out", "--jobs", "1")
 
 
-@fuzzed(12, data=st.data())
+@fuzzed(6, data=st.data())
 def study_files(data):
     text = SMALL.encode()
     with playground() as folder:
@@ -163,7 +163,7 @@ def study_files(data):
         assert_well_behaved(folder, "study", "a.toml", "--dry-run", "--out", "out")
 
 
-@fuzzed(12, data=st.data())
+@fuzzed(5, data=st.data())
 def parts_of_studies(data):
     with playground() as folder:
         Path("a.toml").write_text(SMALL)

@@ -57,7 +57,7 @@ def calls(draw, target):
     }
 
 
-@fuzzed(60, name=st.sampled_from(CALLED), data=st.data())
+@fuzzed(25, name=st.sampled_from(CALLED), data=st.data())
 def entrance(name, data):
     target = getattr(skyherd, name)
     arguments = data.draw(calls(target))
@@ -74,7 +74,7 @@ def entrance(name, data):
 test_entrance, test_entrance_long = entrance
 
 
-@fuzzed(15, image=ANYTHING, name=st.sampled_from(["photometric", "aruco", "opencv"]))
+@fuzzed(8, image=ANYTHING, name=st.sampled_from(["photometric", "aruco", "opencv"]))
 def images(image, name):
     """`detect(None)`, and arrays that are no grey images."""
     detector = skyherd.create_detector(name)

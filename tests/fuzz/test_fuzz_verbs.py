@@ -69,7 +69,7 @@ def command_lines(draw):
     return [*verb, *arguments, *(["--", draw(options[""])] if "" in options else [])]
 
 
-@fuzzed(40, arguments=command_lines())
+@fuzzed(20, arguments=command_lines())
 def verbs(arguments):
     """A benchmark is never begun: one that is good would take its minutes."""
     if arguments[0] == "bench":
@@ -82,7 +82,7 @@ def verbs(arguments):
 test_verbs, test_verbs_long = verbs
 
 
-@fuzzed(6, seed=NUMERALS, out=st.sampled_from(["out", "mine.txt", ".", "a/b/c", "a\0b", "\udcff", "n" * 300]))
+@fuzzed(3, seed=NUMERALS, out=st.sampled_from(["out", "mine.txt", ".", "a/b/c", "a\0b", "\udcff", "n" * 300]))
 def runs(seed, out):
     """A whole run, of a tenth of a second."""
     short = ["--perception", "ideal", "--no-video", "--set", "duration_s=0.1"]
@@ -97,7 +97,7 @@ IDS = st.sampled_from(["0", "0-49", "0-99999999999", "5-1", "0,0", "-1", "9" * 5
 SIDES = st.sampled_from(["3cm", "1e-320m", "1e308m", "nanm", "infmm", "-3cm", "0.001mm", "9" * 400 + "m"])
 
 
-@fuzzed(15, ids=TEXTS | IDS, side=TEXTS | SIDES)
+@fuzzed(6, ids=TEXTS | IDS, side=TEXTS | SIDES)
 def sheets(ids, side):
     with playground() as folder:
         assert_well_behaved(folder, "markers", "--ids", ids, "--side", side, "--out", "a.pdf")

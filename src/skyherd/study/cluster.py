@@ -152,8 +152,8 @@ def _interrupts_delayed() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, mask)
         for number, handler in handlers.items():
             signal.signal(number, handler)
-    for number in delayed[:1]:
-        signal.raise_signal(number)
+    if delayed:
+        signal.raise_signal(delayed[0])
 
 
 def _local_cluster(jobs: int) -> LocalCluster:

@@ -100,7 +100,8 @@ def test_report_films_again_from_recorded_images(tmp_path, capsys):
     out = tmp_path / "run"
     call(capsys, "run", "triangle", "--out", out, "--set", "duration_s=0.5", "--no-video", "--record-images")
     assert not (out / "video.mp4").exists()
-    call(capsys, "report", out)
+    code, _, err = call(capsys, "report", out)
+    assert (code, err) == (0, "")
     assert (out / "video.mp4").stat().st_size > 10_000
 
 

@@ -14,6 +14,7 @@ import pytest
 from distributed import Client, Security
 from study_runs import SLOW_ENOUGH, conduct_here, run_in_process
 
+from skyherd.study.cluster import open_client
 from skyherd.study.conduct import missing_runs
 from skyherd.study.plan import make_plan
 from skyherd.study.spec import load_study
@@ -147,7 +148,7 @@ def test_a_run_that_kills_its_workers_is_recorded_and_the_others_are_made(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """A run's key stands in for the run: Python that the worker carries out."""
-    from skyherd.study.cluster import open_client, run_missions
+    from skyherd.study.cluster import run_missions
 
     monkeypatch.setattr("skyherd.study.cluster.measure", eval)
     bad = "__import__('os')._exit(1)"

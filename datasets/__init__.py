@@ -36,7 +36,7 @@ from skyherd.datasets.configuration.toml_files import (
     get_value,
     parse_toml,
     put_value,
-    read_text,
+    read_toml_text,
 )
 from skyherd.datasets.configuration.unit_models import FlightModel, UnitModel
 from skyherd.datasets.labelled.ranges import draw_integer, draw_number
@@ -126,7 +126,7 @@ __all__ = [
     "random_mission",
     "read_dataset",
     "read_scenario",
-    "read_text",
+    "read_toml_text",
     "scenario_names",
     "scenario_text",
     "shape_points",

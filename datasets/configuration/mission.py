@@ -1,6 +1,5 @@
 """Scenarios are read from TOML, checked, and completed into missions: with a template and a start."""
 
-import tomllib
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
@@ -23,11 +22,12 @@ from skyherd.datasets.configuration.toml_files import (
     first_error,
     parse_toml,
     put_value,
-    read_text,
+    read_toml_text,
 )
 from skyherd.datasets.shapes.shapes import shape_points
 from skyherd.errors import DegenerateSetError, InputError
 from skyherd.files.images import Grey, read_grey
+from skyherd.files.reading import is_regular
 from skyherd.geometry import Array, IntArray, to_points
 from skyherd.markers.dictionary import dictionary_size
 from skyherd.random_streams import RunStream, generator
@@ -135,9 +135,9 @@ def read_scenario(name_or_file: str) -> ScenarioSource:
         InputError: there is no such scenario or file, or it is no TOML.
     """
     path = Path(name_or_file)
-    is_file = path.suffix == ".toml" or path.is_file()
+    is_file = path.suffix == ".toml" or is_regular(path)
     where = str(path) if is_file else f"scenario {name_or_file}"
-    text = read_text(path, "scenario") if is_file else scenario_text(name_or_file)
+    text = read_toml_text(path, "scenario") if is_file else scenario_text(name_or_file)
     tree = parse_toml(text, where, "skyherd scenario show star")
     return ScenarioSource(tree, where, path.parent if is_file else Path())
 
@@ -190,8 +190,9 @@ def _apply_setting(tree: dict[str, Any], setting: str) -> None:
     if not equals or not key.strip():
         raise InputError(f"--set {setting}", "not of the form key=value", "such as --set control.k=0.2")
     try:
-        value = tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
+        parsed = parse_toml(f"value = {text}", f"--set {setting}", "skyherd scenario show star")
+        value = parsed["value"] if len(parsed) == 1 else text
+    except InputError:
         value = text
     put_value(tree, key, value, f"--set {setting}")
 

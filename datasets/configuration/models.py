@@ -165,7 +165,9 @@ class GoalModel(Model):
 class Scenario(Model):
     """A scenario file: all that a run follows from."""
 
-    name: str = Field(pattern=r"^\w[\w .-]*$", description="name of the scenario, and of its output folder")
+    name: str = Field(
+        pattern=r"^\w[\w .-]{0,99}$", description="name of the scenario, and of its output folder"
+    )
     description: str = Field("", description="what it shows, for people")
     seed: Seed = Field(1, description="seed of all random draws; same seed, same run")
     duration_s: Annotated[FiniteFloat, Field(ge=0.0001, le=86400)] = Field(description="s; simulated time")

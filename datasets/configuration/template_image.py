@@ -2,12 +2,14 @@
 
 from pathlib import Path
 
-import numpy as np
-from PIL import Image, UnidentifiedImageError
-
 from skyherd.control import Template
 from skyherd.errors import InputError
+from skyherd.files.images import read_grey
 from skyherd.vision import create_detector, explain_mirrored
+
+MOST_PIXELS = 50_000_000
+"""Pixels of the largest picture that a template is read from. *Chosen*: larger than usual cameras'; the
+markers are looked for when the scenario is checked, which should take seconds."""
 
 
 def read_template_image(path: Path, dictionary: str) -> Template:
@@ -16,13 +18,7 @@ def read_template_image(path: Path, dictionary: str) -> Template:
     Raises:
         InputError: the file cannot be read, or fewer than two markers are found in it.
     """
-    try:
-        with Image.open(path) as image:
-            grey = np.array(image.convert("L"))
-    except FileNotFoundError:
-        raise InputError(str(path), "no such file", "a PNG with every robot's marker in it") from None
-    except (UnidentifiedImageError, OSError) as error:
-        raise InputError(str(path), f"not a readable image ({error})", "a PNG with markers") from None
+    grey = read_grey(path, most_pixels=MOST_PIXELS)
     detector = create_detector("aruco", dictionary=dictionary)
     found = detector.detect(grey)
     why = explain_mirrored(grey, dictionary)

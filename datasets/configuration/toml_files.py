@@ -1,5 +1,6 @@
 """TOML files that users write: read from a file or built in, and refused in one line where they are wrong."""
 
+import re
 import tomllib
 from copy import deepcopy
 from importlib.resources import files
@@ -9,6 +10,23 @@ from typing import Any
 from pydantic import ValidationError
 
 from skyherd.errors import InputError
+from skyherd.files.reading import read_text
+from skyherd.text import shorten
+
+MOST_BYTES = 2**18
+"""Size of the largest TOML file that is read. *Chosen*: places of a thousand robots, each with its own line,
+take a fifth of it; it is parsed in about a second."""
+
+MOST_LEVELS = 32
+"""Levels of tables and lists in a TOML file. *Chosen*: scenarios have six."""
+
+MOST_SHOWN = 60
+"""Characters of a value that a complaint shows. *Chosen*: a number, a name or a short list."""
+
+_STRINGS = re.compile(
+    r"\"{3}(?:\\.|[^\\])*?\"{3}|'{3}.*?'{3}|\"(?:\\.|[^\"\\\n])*\"|'[^'\n]*'|#[^\n]*", re.DOTALL
+)
+_BRACKETS, _BETWEEN_KEYS = re.compile(r"[\[\]{}]"), re.compile(r"[^\w.-]+")
 
 
 def built_in_names(package: str) -> list[str]:
@@ -39,18 +57,13 @@ def built_in_text(package: str, name: str, noun: str) -> str:
     return files(package).joinpath(f"{name}.toml").read_text("utf-8")
 
 
-def read_text(path: Path, noun: str) -> str:
-    """Text of a file; `noun` is what it is called in the complaint.
+def read_toml_text(path: Path, noun: str) -> str:
+    """Text of a TOML file; `noun` is what it is called in the complaint.
 
     Raises:
-        InputError: it cannot be read, or is no text.
+        InputError: it cannot be read, is larger than `MOST_BYTES`, or is no text.
     """
-    try:
-        return path.read_text("utf-8")
-    except UnicodeDecodeError:
-        raise InputError(str(path), "not a text file", f"a {noun} in TOML, UTF-8") from None
-    except OSError as error:
-        raise InputError(str(path), error.strerror or str(error), f"a readable {noun} in TOML") from None
+    return read_text(path, f"a readable {noun} in TOML, UTF-8", MOST_BYTES)
 
 
 def parse_toml(text: str, where: str, example: str) -> dict[str, Any]:
@@ -62,12 +75,29 @@ def parse_toml(text: str, where: str, example: str) -> dict[str, Any]:
         example: the command that shows a good one.
 
     Raises:
-        InputError: it is no TOML.
+        InputError: it is no TOML, or nested more deeply than `MOST_LEVELS`.
     """
+    if depth(text) > MOST_LEVELS:
+        raise InputError(where, f"nested more than {MOST_LEVELS} deep", f"see `{example}` for a good one")
     try:
         return tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+    except (ValueError, RecursionError) as error:  # integers of very many digits are no TOMLDecodeError
         raise InputError(where, f"malformed TOML: {error}", f"see `{example}` for a good one") from None
+
+
+def depth(text: str) -> int:
+    """Levels of a TOML text, at most: of brackets within each other, or of names in a dotted key.
+
+    Looked at before the text is parsed, since the parser takes the stack for each level of brackets, and time
+    in proportion to the square of the names in a key. A text that is no TOML has some number, too.
+    """
+    plain = _STRINGS.sub(lambda found: "" if found[0].startswith("#") else "s", text)
+    level = deepest = 0
+    for bracket in _BRACKETS.findall(plain):
+        level += 1 if bracket in "[{" else -1
+        deepest = max(deepest, level)
+    keys = _BETWEEN_KEYS.split(plain.replace(" ", "").replace("\t", ""))
+    return max(deepest, 1 + max(key.count(".") for key in keys))
 
 
 def put_value(tree: dict[str, Any], key: str, value: Any, where: str) -> None:
@@ -77,6 +107,8 @@ def put_value(tree: dict[str, Any], key: str, value: Any, where: str) -> None:
         InputError: the key leads nowhere.
     """
     *parents, last = key.strip().split(".")
+    if len(parents) >= MOST_LEVELS:
+        raise InputError(where, f"more than {MOST_LEVELS} names", "see `skyherd scenario schema`")
     nodes: list[Any] = [tree]
     for part in parents:
         nodes = [child for node in nodes for child in _children(node, part, where)]
@@ -104,10 +136,18 @@ def _indices(node: Any, part: str, where: str) -> list[int]:
     if isinstance(node, list):
         if part == "*":
             return list(range(len(node)))
-        if part.isascii() and part.isdecimal() and int(part) < len(node):
+        if part.isascii() and part.isdecimal() and len(part) < MOST_SHOWN and int(part) < len(node):
             return [int(part)]
     allowed = f"0 to {len(node) - 1}, or *" if isinstance(node, list) else "see `skyherd scenario schema`"
     raise InputError(where, f"nothing there called {part!r}", allowed)
+
+
+def _shown(value: Any) -> str:
+    """A value in a complaint, shortened."""
+    try:
+        return shorten(repr(value), MOST_SHOWN)
+    except ValueError:
+        return "an integer of very many digits"
 
 
 def first_error(error: ValidationError, where: str, noun: str, *, see: str | None = None) -> InputError:
@@ -120,12 +160,12 @@ def first_error(error: ValidationError, where: str, noun: str, *, see: str | Non
         see: another command to name in place of `skyherd NOUN schema`.
     """
     first, *others = error.errors()
-    key = ".".join(str(part) for part in first["loc"]) or noun
+    key = shorten(".".join(str(part) for part in first["loc"]) or noun, MOST_SHOWN)
     value = first["input"]
     shown = (
         ""
         if isinstance(value, dict | list) and first["type"] != "extra_forbidden"
-        else f" (given: {value!r})"
+        else f" (given: {_shown(value)})"
     )
     allowed = f"{first['msg']}{shown}"
     more = f" — and {len(others)} more" if others else ""

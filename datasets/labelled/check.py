@@ -9,6 +9,7 @@ import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import zip_longest
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -22,9 +23,10 @@ from skyherd.datasets.labelled.labels import Labels, make_labels
 from skyherd.datasets.labelled.read import Dataset, LabelledImage, read_dataset
 from skyherd.datasets.labelled.sampling import make_scene
 from skyherd.datasets.labelled.scenes import Scene
-from skyherd.datasets.labelled.truth_table import label_table
+from skyherd.datasets.labelled.truth_table import image_row, label_table
 from skyherd.datasets.labelled.yolo import folder_yaml, yolo_text
 from skyherd.errors import InputError
+from skyherd.files.reading import MOST_JSON_BYTES, read_bytes
 
 MOST_SHOWN = 60
 """Characters of a JSON value that a complaint shows. *Chosen*: a number or a name, and still one line."""
@@ -37,6 +39,11 @@ The table itself is written to 1e-9."""
 PIXEL_TOLERANCE = 1.0
 """Mean difference, grey levels, allowed between an image and the one that its seed gives. *Chosen*: versions
 of OpenCV interpolate the ground differently by less; noise drawn from another seed alone makes as much."""
+
+PATCH_PX, PATCH_TOLERANCE = 16, 8.0
+"""Side, px, of a square patch of an image, and the mean difference, grey levels, allowed in the worst patch.
+*Chosen*: a patch is smaller than any marker that can be read. A marker, or any object, painted over changes
+it by some tens; versions of OpenCV differ by less than one."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +74,13 @@ def check_dataset(path: Path, *, sample: int = 24) -> Verdict:
         dataset = read_dataset(path)
     except InputError as error:
         return Verdict(problems=[str(error)], images=folder.spec.images, markers=0, agreement=None)
-    problems = [*_check_images(dataset), *_check_coco(folder, dataset), *_check_yolo(folder, dataset)]
+    problems = [
+        *_check_strangers(folder),
+        *_check_table(dataset),
+        *_check_images(dataset),
+        *_check_coco(folder, dataset),
+        *_check_yolo(folder, dataset),
+    ]
     count = min(sample, len(dataset))
     chosen = [int(k) for k in np.arange(count) * len(dataset) // max(count, 1)]
     if same_version(path):
@@ -76,6 +89,36 @@ def check_dataset(path: Path, *, sample: int = 24) -> Verdict:
     return Verdict(
         problems=problems + doubts, images=len(dataset), markers=dataset.markers, agreement=agreement
     )
+
+
+def _check_strangers(folder: Folder) -> Iterator[str]:
+    """No file lies where trainers look for files of the set but those of the set."""
+    indices = range(folder.spec.images)
+    known = {
+        *map(folder.image, indices),
+        *map(folder.yolo, indices),
+        *map(folder.coco, folder.splits()),
+    }
+    for kind in ("images", "labels", "annotations"):
+        for path in sorted((folder.path / kind).rglob("*")):
+            if path not in known and not path.is_dir():
+                yield f"{path}: is no file of the set; trainers would take it for one"
+
+
+def _check_table(dataset: Dataset) -> Iterator[str]:
+    """No number of the table of images is infinite or none at all."""
+    for image in dataset:
+        for column, text in image.taken.items():
+            if not isfinite(_number(text)):
+                yield f"{dataset.path / 'images.csv'}: {image.name}: {column} is {text}"
+
+
+def _number(text: str) -> float:
+    """The number that a text is; 0 if it is none, as names are."""
+    try:
+        return float(text)
+    except ValueError:
+        return 0.0
 
 
 def _check_images(dataset: Dataset) -> Iterator[str]:
@@ -110,9 +153,9 @@ def _check_yolo(folder: Folder, dataset: Dataset) -> Iterator[str]:
 def _compare(file: Path, wanted: str, source: str, explain: Callable[[str, str], str]) -> Iterator[str]:
     """A complaint if a file cannot be read, or is not the text that a source makes: the first difference."""
     try:
-        found = file.read_bytes()
-    except OSError as error:
-        yield f"{file}: {error.strerror}"
+        found = read_bytes(file, "make it again", MOST_JSON_BYTES)
+    except InputError as error:
+        yield str(error)
         return
     if found != wanted.encode():
         difference = explain(found.decode(errors="replace"), wanted)
@@ -164,8 +207,11 @@ def _check_seed(dataset: Dataset, chosen: list[int]) -> Iterator[str]:
         image, scene = dataset[index], make_scene(dataset.spec, index)
         if complaint := _differs(image.labels, make_labels(scene)):
             yield f"{table}: {image.name}: {complaint}"
-        if scene.station.ground.image is None and _repainted(image, scene):
-            yield f"{image.path}: its pixels are not those of its seed"
+        wanted = image_row(image.name, image.split, scene)
+        if column := next((name for name in wanted if _is_other(image.taken.get(name), wanted[name])), None):
+            yield f"{dataset.path / 'images.csv'}: {image.name}: {column} is not as its seed gives it"
+        if scene.station.ground.image is None and (complaint := _repainted(image, scene)):
+            yield f"{image.path}: {complaint}"
 
 
 def _differs(found: Labels, wanted: Labels) -> str | None:
@@ -176,10 +222,29 @@ def _differs(found: Labels, wanted: Labels) -> str | None:
     return f"markers {wanted.ids[far].tolist()} are not as its seed puts them" if far.any() else None
 
 
-def _repainted(image: LabelledImage, scene: Scene) -> bool:
-    """Whether an image that can be read differs from what its seed gives."""
+def _is_other(found: str | None, wanted: object) -> bool:
+    """Whether a text of the table of images is not the value wanted, numbers within the tolerance."""
+    if isinstance(wanted, int | float) and found is not None:
+        try:
+            return abs(float(found) - wanted) > TABLE_TOLERANCE
+        except ValueError:
+            return found != str(wanted)  # such as True
+    return found != ("" if wanted is None else str(wanted))
+
+
+def _repainted(image: LabelledImage, scene: Scene) -> str | None:
+    """How an image that can be read differs from what its seed gives, if it does."""
     try:
         found, wanted = image.read(), scene.render(Path())
     except InputError:
-        return False  # `_check_images` complains of it
-    return found.shape == wanted.shape and float(cv2.absdiff(found, wanted).mean()) > PIXEL_TOLERANCE
+        return None  # `_check_images` complains of it
+    if found.shape != wanted.shape:
+        return None
+    difference = cv2.absdiff(found, wanted).astype(np.float32)
+    if float(difference.mean()) > PIXEL_TOLERANCE:
+        return "its pixels are not those of its seed"
+    patches = cv2.blur(difference, (PATCH_PX, PATCH_PX))
+    v, u = np.unravel_index(int(patches.argmax()), patches.shape)
+    return (
+        f"its pixels around ({u}, {v}) are not those of its seed" if patches[v, u] > PATCH_TOLERANCE else None
+    )

@@ -9,6 +9,8 @@ preview.png
 """
 
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -20,9 +22,17 @@ from skyherd.datasets.configuration.toml_files import first_error
 from skyherd.datasets.labelled.spec import DatasetSpec, SpecFile
 from skyherd.errors import InputError
 from skyherd.files.atomic import write_text
+from skyherd.files.output_folder import OutputFolder, is_directory
+from skyherd.files.reading import read_json
 
 TRAIN, VAL = "train", "val"
 """Names of the splits: images for training, and those kept for validation."""
+
+RECORD = "spec.json"
+"""File that says from which spec the set is made."""
+
+VERB = "dataset make"
+"""Verb by which the record of output folders (`skyherd.files.output_folder`) knows the files of a set."""
 
 SPLITS = (TRAIN, VAL)
 """All splits, in the order in which they are written."""
@@ -108,26 +118,34 @@ def same_version(path: Path) -> bool:
     return bool(_read_record(path)[1].get("skyherd") == version("skyherd"))
 
 
-def claim_folder(path: Path, file: SpecFile) -> Folder:
-    """Make a folder for a set, or go on with one that was begun from the same spec.
+@contextmanager
+def open_output(path: Path, file: SpecFile) -> Iterator[tuple[Folder, OutputFolder]]:
+    """Open the folder of a set to write into it: a new one, or one that was begun from the same spec.
 
     Raises:
-        InputError: it holds something else.
+        InputError: it holds something else, or a file that would be replaced and was not made as a part of
+            the set; or another process writes into it.
         OutputError: it cannot be made.
     """
-    if path.exists() and not path.is_dir():
-        raise InputError(str(path), "is a file", "a folder to make; choose another --out")
     folder = Folder(path, file.spec)
-    if path.is_dir() and any(path.iterdir()):
+    files = (
+        folder.data_yaml,
+        folder.truth,
+        folder.images,
+        folder.preview,
+        *map(folder.coco, folder.splits()),
+    )
+    names = [RECORD, *(str(name.relative_to(path)) for name in files), "images/", "labels/"]
+    if is_directory(path) and any(path.iterdir()):
         _check_same(path, file)
-        return folder
-    path.mkdir(parents=True, exist_ok=True)
-    write_text(_record(path), json.dumps(_contents(file), indent=2) + "\n")
-    return folder
+    with OutputFolder(path, VERB, names, resume=True) as output:
+        if not (path / RECORD).exists():
+            write_text(path / RECORD, json.dumps(_contents(file), indent=2) + "\n")
+        yield folder, output
 
 
 def _record(path: Path) -> Path:
-    return path / "spec.json"
+    return path / RECORD
 
 
 def _contents(file: SpecFile) -> dict[str, Any]:
@@ -154,11 +172,11 @@ def _check_same(path: Path, file: SpecFile) -> None:
 def _read_record(path: Path) -> tuple[DatasetSpec, dict[str, Any]]:
     file, made = _record(path), "the folder of a data set that `skyherd dataset make` made"
     try:
-        record = json.loads(file.read_text("utf-8"))
+        record = read_json(file, made)
         return DatasetSpec.model_validate_json(json.dumps(record["spec"])), record
-    except OSError as error:
-        raise InputError(str(file), error.strerror or "cannot be read", made) from None
     except ValidationError as error:
         raise first_error(error, str(file), "dataset") from None
+    except InputError:
+        raise
     except (ValueError, TypeError, KeyError):
         raise InputError(str(file), "damaged", made) from None

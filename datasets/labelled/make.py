@@ -1,7 +1,7 @@
 """Makes a labelled image set, in parallel, and goes on with one that was interrupted.
 
-An image and its labels follow from spec and number alone. Images that are there are left as they are, and
-labels are drawn again, so that an interrupted set that is made again is the same to the byte.
+An image and its labels follow from spec and number alone. Images and labels that are there are left as they
+are, so that an interrupted set that is made again is the same to the byte.
 """
 
 import signal
@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from skyherd.datasets.labelled.coco import coco_text
-from skyherd.datasets.labelled.folder import Folder, claim_folder
+from skyherd.datasets.labelled.folder import Folder, open_output
 from skyherd.datasets.labelled.labels import Labels, make_labels
 from skyherd.datasets.labelled.preview import write_preview
 from skyherd.datasets.labelled.read import Dataset, read_dataset
@@ -48,24 +48,23 @@ def make_dataset(file: SpecFile, path: Path, *, jobs: int = 1, progress: Progres
         InputError: the folder holds something else.
         OutputError: something cannot be written.
     """
-    folder = claim_folder(path, file)
-    for part in path.rglob(".*.part"):  # of a process that was killed
-        part.unlink(missing_ok=True)
-    for split in folder.splits():
-        for kind in ("images", "labels"):
-            (path / kind / split).mkdir(parents=True, exist_ok=True)
-    made: dict[int, Made] = {}
-    for batch, results in _run(file, folder, jobs):
-        made |= dict(zip(batch, results, strict=True))
-        progress.update("images", len(made), file.spec.images)
-    _write_tables(folder, made)
-    dataset = read_dataset(path)
-    write_preview(dataset, folder.preview)
-    return dataset
+    with open_output(path, file) as (folder, output):
+        for split in folder.splits():
+            for kind in ("images", "labels"):
+                (path / kind / split).mkdir(parents=True, exist_ok=True)
+        made: dict[int, Made] = {}
+        for batch, results in _run(file, folder, jobs):
+            output.keep()
+            made |= dict(zip(batch, results, strict=True))
+            progress.update("images", len(made), file.spec.images)
+        _write_tables(folder, made)
+        dataset = read_dataset(path)
+        write_preview(dataset, folder.preview)
+        return dataset
 
 
 def make_images(file: SpecFile, folder: Folder, indices: Sequence[int]) -> list[Made]:
-    """Write the images with the numbers given, unless they are there, and their YOLO labels.
+    """Write the images with the numbers given, and their YOLO labels, unless they are there.
 
     Returns:
         The labels and the table row of each image, in their order.
@@ -76,7 +75,8 @@ def make_images(file: SpecFile, folder: Folder, indices: Sequence[int]) -> list[
 def _make_image(file: SpecFile, folder: Folder, index: int) -> Made:
     scene = make_scene(file.spec, index)
     labels, target = make_labels(scene), folder.image(index)
-    write_text(folder.yolo(index), yolo_text(labels, file.spec.size_px))
+    if not folder.yolo(index).exists():
+        write_text(folder.yolo(index), yolo_text(labels, file.spec.size_px))
     if not target.exists():
         _, data = cv2.imencode(".png", scene.render(file.folder))
         write_whole(target, lambda part: part.write_bytes(data.tobytes()))

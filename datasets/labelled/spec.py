@@ -30,10 +30,11 @@ from skyherd.datasets.configuration.toml_files import (
     built_in_text,
     first_error,
     parse_toml,
-    read_text,
+    read_toml_text,
 )
 from skyherd.datasets.labelled.ranges import Span
-from skyherd.files.images import read_grey
+from skyherd.files.images import MAX_BYTES, read_grey
+from skyherd.files.reading import is_regular, read_bytes
 from skyherd.markers.dictionary import card_side, dictionary_size
 
 BUILT_IN = "skyherd.datasets.specs"
@@ -261,7 +262,8 @@ class SpecFile:
     def pictures(self) -> dict[str, str]:
         """SHA-256 of each picture that the spec names, since the images follow from these as well."""
         return {
-            name: sha256((self.folder / name).read_bytes()).hexdigest() for name in self.spec.ground.images
+            name: sha256(read_bytes(self.folder / name, "a picture", MAX_BYTES)).hexdigest()
+            for name in self.spec.ground.images
         }
 
 
@@ -286,10 +288,10 @@ def load_spec(name_or_file: str, *, seed: int | None = None, images: int | None 
         InputError: in one line, the file, the key, the value, and what is allowed.
     """
     path = Path(name_or_file)
-    is_file = path.suffix == ".toml" or path.is_file()
+    is_file = path.suffix == ".toml" or is_regular(path)
     where = str(path) if is_file else f"dataset {name_or_file}"
     tree = parse_toml(
-        read_text(path, "dataset spec") if is_file else spec_text(name_or_file),
+        read_toml_text(path, "dataset spec") if is_file else spec_text(name_or_file),
         where,
         "skyherd dataset show small",
     )

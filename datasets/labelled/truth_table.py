@@ -9,6 +9,7 @@ import csv
 import io
 from collections import defaultdict
 from collections.abc import Iterable, Mapping
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ import numpy as np
 from skyherd.datasets.labelled.labels import KEYPOINTS, Labels
 from skyherd.datasets.labelled.scenes import Scene
 from skyherd.errors import InputError
+from skyherd.files.reading import read_text
 from skyherd.geometry import Array
 from skyherd.inspection import CORNERS
 
@@ -36,6 +38,12 @@ TRUTH_COLUMNS = ["image", "id", *NUMBERS]
 
 DIGITS = 9
 """Decimals of the numbers of `images.csv`. *Chosen*: as those of labels."""
+
+MOST_BYTES = 2**30
+"""Size of the largest table that is read. *Chosen*: rows of some millions of markers."""
+
+MOST_IDS = 2**31
+"""Ids of markers are below this. *Chosen*: far above the largest dictionary."""
 
 Row = dict[str, Any]
 """Values of a row by column."""
@@ -129,17 +137,17 @@ def read_table(path: Path, needed: Iterable[str]) -> list[dict[str, str]]:
     Raises:
         InputError: it cannot be read, or a column of `needed` is not there.
     """
+    allowed = "a table that `skyherd dataset make` wrote"
+    text = read_text(path, allowed, MOST_BYTES)
     try:
-        with path.open(encoding="utf-8", newline="") as stream:
-            reader = csv.DictReader(stream, strict=True)
-            rows, columns = list(reader), reader.fieldnames or []
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        why = error.strerror if isinstance(error, OSError) else error
-        raise InputError(
-            str(path), f"cannot be read: {why}", "a table that `skyherd dataset make` wrote"
-        ) from None
+        reader = csv.DictReader(io.StringIO(text, newline=""), strict=True)
+        rows, columns = list(reader), reader.fieldnames or []
+    except csv.Error as error:
+        raise InputError(str(path), f"cannot be read: {error}", allowed) from None
     if absent := [column for column in needed if column not in columns]:
-        raise InputError(str(path), f"no column {absent[0]}", "a table that `skyherd dataset make` wrote")
+        raise InputError(str(path), f"no column {absent[0]}", allowed)
+    if any(None in row or None in row.values() for row in rows):
+        raise InputError(str(path), "a row is longer or shorter than the first line", allowed)
     return rows
 
 
@@ -152,11 +160,14 @@ def read_labels(path: Path) -> dict[str, Labels]:
     numbers: dict[str, list[list[float]]] = defaultdict(list)
     for line, row in enumerate(read_table(path, TRUTH_COLUMNS), start=2):
         try:
-            numbers[row["image"]].append([float(row[column]) for column in ("id", *NUMBERS)])
-        except (TypeError, ValueError):
-            raise InputError(
-                f"{path}: line {line}", "not all of its values are numbers", "a whole row"
-            ) from None
+            values = [float(row[column]) for column in ("id", *NUMBERS)]
+        except ValueError:
+            values = [float("nan")]
+        if not all(map(isfinite, values)):
+            raise InputError(f"{path}: line {line}", "not all of its values are numbers", "a whole row")
+        if not 0 <= values[0] < MOST_IDS or values[0] != int(values[0]):
+            raise InputError(f"{path}: line {line}", f"id is {row['id']}", "a marker's number")
+        numbers[row["image"]].append(values)
     return {image: _labels(np.array(values)) for image, values in numbers.items()}
 
 

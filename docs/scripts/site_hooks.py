@@ -1,7 +1,7 @@
 """Hooks of MkDocs: pages made from the code, and pages that lie outside of `docs/`.
 
 The references of the command line, of scenario files and of the library are made while the site is built, so
-that they cannot be out of date. `ARCHITECTURE.md`, `CONTRIBUTING.md` and `CHANGELOG.md` lie at the root of
+that they cannot be out of date. `ARCHITECTURE.md`, `CONTRIBUTING.md` and its like lie at the root of
 the repository, where people look for them; they become pages of the site, their links changed to the site's.
 """
 
@@ -22,6 +22,7 @@ ROOT_PAGES = {
     "architecture.md": "ARCHITECTURE.md",
     "contributing.md": "CONTRIBUTING.md",
     "changelog.md": "CHANGELOG.md",
+    "security.md": "SECURITY.md",
 }
 PARTS = ("control", "datasets", "render", "vision")
 _temporary: list[Path] = []

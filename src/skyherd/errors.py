@@ -1,5 +1,11 @@
 """Every error that skyherd raises on purpose. They have one root, so that a caller can catch them all."""
 
+from skyherd.text import shorten
+
+MOST_CHARACTERS = 470
+"""Characters of an InputError's three parts together. Chosen: the line on the terminal stays below 500
+whatever was given, and nearly all lists of allowed values fit."""
+
 
 class SkyherdError(Exception):
     """Root of all errors that skyherd raises on purpose.
@@ -12,7 +18,7 @@ class SkyherdError(Exception):
 
 
 class InputError(SkyherdError, ValueError):
-    """An input of the user is wrong; the message is one line, `where: what; allowed`.
+    """An input of the user is wrong; the message is one line, `where: what; allowed`, of few characters.
 
     Args:
         where: the file, key or argument.
@@ -23,8 +29,18 @@ class InputError(SkyherdError, ValueError):
     exit_code = 2
 
     def __init__(self, where: str, what: str, allowed: str) -> None:
-        self.where, self.what, self.allowed = where, what, allowed
-        super().__init__(f"{where}: {what}; {allowed}")
+        self.where, self.what, self.allowed = _fitted(where, what, allowed)
+        super().__init__(f"{self.where}: {self.what}; {self.allowed}")
+
+
+def _fitted(*parts: str) -> list[str]:
+    """The parts, the longest of them shortened to one length, so that all have `MOST_CHARACTERS` together."""
+    most = next(
+        length
+        for length in range(MOST_CHARACTERS, 0, -1)
+        if sum(min(len(part), length) for part in parts) <= MOST_CHARACTERS
+    )
+    return [shorten(part, most) for part in parts]
 
 
 class MessageError(SkyherdError, ValueError):

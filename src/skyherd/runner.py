@@ -20,12 +20,14 @@ from skyherd.analysis.history import make_history
 from skyherd.analysis.summary import summarize
 from skyherd.datasets import Mission
 from skyherd.errors import InputError
-from skyherd.files.atomic import refuse_existing, write_text
+from skyherd.files.atomic import write_text
+from skyherd.files.output_folder import OutputFolder
 from skyherd.loop import Step, run_steps
 from skyherd.messages import TIME_TOLERANCE_S
-from skyherd.plots.panels import PANELS, write_figures
+from skyherd.plots import panels
+from skyherd.plots.panels import write_figures
 from skyherd.progress import NO_PROGRESS, Progress
-from skyherd.recording.reader import read_recording, read_steps
+from skyherd.recording.reader import Recording, read_recording, read_steps
 from skyherd.recording.survey import describe_flaws
 from skyherd.recording.writer import McapRecorder, Recorder
 from skyherd.report.run_page import PAGE, VIDEO, write_page
@@ -34,33 +36,28 @@ from skyherd.video.recorder import VideoRecorder
 RECORDING, SUMMARY, FIGURES = "run.mcap", "summary.json", "figures"
 """Names of the recording, of the summary, and of the folder of figures, in a run's folder."""
 
+VERB = "run"
+"""Verb by which a folder's record knows the files of a run, those that `skyherd report` makes again among
+them."""
+
 FREE_BYTES = 100 * 2**20
 """Least free space on the disk, in bytes, to begin a run with. Chosen: more than the files of a mission of
 some minutes without recorded images; half of it would let long runs fill the disk, twice as much would refuse
 disks that are large enough."""
 
 
-def prepare_folder(folder: Path) -> None:
-    """Make an output folder and remove what an earlier run left in it; other files are left alone.
+def output_names() -> list[str]:
+    """Names of all files that a run leaves in its folder, relative to it."""
+    figures = [f"{FIGURES}/{panel.name}{kind}" for panel in panels.PANELS for kind in (".png", ".svg")]
+    return [RECORDING, VIDEO, SUMMARY, PAGE, *figures]
 
-    Raises:
-        InputError: it cannot be written to, or the disk has less than `FREE_BYTES` left.
-    """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        probe = folder / ".skyherd-probe"
-        probe.write_bytes(b"")
-        probe.unlink()
-    except OSError as error:
-        raise InputError(
-            str(folder), error.strerror or str(error), "a folder that can be written to"
-        ) from None
-    free = shutil.disk_usage(folder).free
+
+def _check_free_space(folder: Path) -> None:
+    """Refuse a disk that has less than `FREE_BYTES` left; the folder need not be there yet."""
+    there = next((place for place in (folder, *folder.absolute().parents) if place.is_dir()), Path())
+    free = shutil.disk_usage(there).free
     if free < FREE_BYTES:
         raise InputError(str(folder), f"{free // 2**20} MiB free", f"at least {FREE_BYTES // 2**20} MiB")
-    figures = [folder / FIGURES / f"{panel.name}{kind}" for panel in PANELS for kind in (".png", ".svg")]
-    for path in (*(folder / name for name in (RECORDING, VIDEO, SUMMARY, PAGE)), *figures):
-        path.unlink(missing_ok=True)
 
 
 def run_mission(
@@ -77,12 +74,13 @@ def run_mission(
     """Run a mission into a folder, and make its report.
 
     The first step is taken before the folder is touched, so that an error in the mission's input leaves the
-    results of an earlier run whole.
+    results of an earlier run whole. A run that is interrupted, or whose disk is full, leaves its recording,
+    of which `make_report` makes a report; one that is refused later leaves nothing.
 
     Args:
         mission: what to run.
         folder: where results go.
-        force: write into a folder that exists, and remove what an earlier run left there.
+        force: write into a folder that exists, and remove what an earlier run left there, and nothing else.
         video: make a video.
         record_images: keep the cameras' images in the recording, as JPEG.
         recorders: further ones beside the recording and the video; they are entered and left here.
@@ -93,26 +91,33 @@ def run_mission(
         the run's summary, as `skyherd.analysis.summary.summarize` makes it.
 
     Raises:
-        InputError: the folder exists without `force` or cannot be used, or an image that the mission names
-            cannot be read.
+        InputError: the folder exists without `force`, holds a file that a run would replace and did not make,
+            or cannot be used; or an image that the mission names cannot be read.
     """
-    refuse_existing(folder, force=force)
+    output = OutputFolder(folder, VERB, output_names(), force=force)
+    output.check()
     started_s = perf_counter()
     steps = run_steps(mission)
     first = next(steps)
-    prepare_folder(folder)
-    recording = McapRecorder(folder / RECORDING, mission, images=record_images)
-    with ExitStack() as stack:
-        stack.enter_context(recording)
-        films = [VideoRecorder(mission, folder / VIDEO)] if video else []
-        entered: list[Recorder] = [recording, *map(stack.enter_context, (*films, *recorders))]
-        for step in chain([first], steps):
-            for recorder in entered:
-                recorder.write(step)
-            on_step(step)
-            _report_step(progress, mission, step)
-        recording.finish(step.time_s, perf_counter() - started_s)
-    return make_report(folder, film=False)
+    _check_free_space(folder)
+    with output:
+        try:
+            recording = McapRecorder(folder / RECORDING, mission, images=record_images)
+            with ExitStack() as stack:
+                stack.enter_context(recording)
+                films = [VideoRecorder(mission, folder / VIDEO)] if video else []
+                entered: list[Recorder] = [recording, *map(stack.enter_context, (*films, *recorders))]
+                for step in chain([first], steps):
+                    for recorder in entered:
+                        recorder.write(step)
+                    output.keep()
+                    on_step(step)
+                    _report_step(progress, mission, step)
+                recording.finish(step.time_s, perf_counter() - started_s)
+            return _write_report(folder, read_recording(folder / RECORDING))
+        except InputError:
+            output.discard()
+            raise
 
 
 def _report_step(progress: Progress, mission: Mission, step: Step) -> None:
@@ -136,14 +141,24 @@ def make_report(folder: Path, *, film: bool = True) -> dict[str, Any]:
         film: make the video anew as well, if the recording has the cameras' images.
 
     Raises:
-        InputError: the folder holds no readable recording.
+        InputError: the folder holds no readable recording, or a file that the report would replace and that
+            skyherd did not make.
         OutputError: a file could not be written.
     """
     recording = read_recording(folder / RECORDING)
-    if film and recording.has_images:
-        with VideoRecorder(recording.mission, folder / VIDEO) as recorder:
-            for step in read_steps(folder / RECORDING):
-                recorder.write(step)
+    names = [name for name in output_names() if name not in (RECORDING, VIDEO)]
+    filmed = film and recording.has_images
+    output = OutputFolder(folder, VERB, [*names, *([VIDEO] if filmed else [])], resume=True)
+    with output:
+        if filmed:
+            with VideoRecorder(recording.mission, folder / VIDEO) as recorder:
+                for step in read_steps(folder / RECORDING):
+                    recorder.write(step)
+        return _write_report(folder, recording)
+
+
+def _write_report(folder: Path, recording: Recording) -> dict[str, Any]:
+    """Write figures, summary and page of a recording into its folder, and return the summary."""
     history = make_history(recording.mission, recording.steps)
     summary = summarize(history, recording.wall_s)
     if recording.flaws:

@@ -58,7 +58,8 @@ def test_a_picture_leaves_a_table_and_an_annotated_picture(here, capsys) -> None
         assert (row["file"], row["frame"], row["time_s"]) == ("a.png", "", "")
     with Image.open("detections/a/a.png") as picture:
         assert picture.mode == "RGB" and max(picture.size) >= 640
-    assert not [path for path in here.rglob("*") if path.name.startswith(".")]
+    hidden = [path.name for path in here.rglob("*") if path.name.startswith(".")]
+    assert hidden == [".skyherd.json"]
 
 
 def test_json_lines_carry_corners_and_covariance(here, capsys) -> None:
@@ -172,7 +173,7 @@ def test_an_interrupted_video_leaves_no_table_and_no_film(here, capsys, monkeypa
     monkeypatch.setattr(inspector.Inspector, "_look", interrupted)
     code, _, err = call(capsys, "v.mp4")
     assert code == 130 and "interrupted" in err
-    assert not list((here / "detections" / "v").iterdir())
+    assert [path.name for path in here.iterdir()] == ["v.mp4"]
 
 
 def test_a_folder_of_folders_is_told_which_of_them_has_pictures(here, capsys) -> None:
@@ -207,3 +208,24 @@ def test_bad_input_is_one_line_and_leaves_nothing(here, capsys, arguments, words
     code, _, err = call(capsys, *arguments)
     assert code == 2 and err.count("\n") == 1 and all(word in err for word in words), err
     assert sorted(here.rglob("*")) == before
+
+
+def test_what_turns_out_to_be_unreadable_leaves_nothing(here, capsys) -> None:
+    """A video that opens and has no frame, and a folder of nothing but broken pictures."""
+    frame = np.zeros((48, 64, 3), np.uint8)
+    writer = cv2.VideoWriter("v.avi", cv2.VideoWriter_fourcc(*"MJPG"), 5, (64, 48))
+    writer.write(frame)
+    writer.release()
+    data = (here / "v.avi").read_bytes()
+    (here / "v.avi").write_bytes(data[: data.index(b"movi") + 4])
+    (here / "pics").mkdir()
+    for name in ("a.png", "b.png"):
+        (here / "pics" / name).write_text("no picture")
+    before = sorted(here.rglob("*"))
+    for target, words in (
+        ("v.avi", "cannot be read as a video"),
+        ("pics", "none of its 2 files can be read"),
+    ):
+        code, _, err = call(capsys, target, "--out", "out")
+        assert (code, err.count("\n")) == (2, 1) and words in err
+        assert sorted(here.rglob("*")) == before

@@ -95,7 +95,7 @@ def top_imports(path: Path) -> set[str]:
 
 @pytest.mark.parametrize("path", sorted((PACKAGE / "cli").glob("*.py")), ids=lambda path: path.name)
 def test_a_verb_imports_at_its_top_only_what_is_light(path):
-    light = ("typer", "skyherd.errors", "skyherd.version", "skyherd.cli")
+    light = ("typer", "skyherd.errors", "skyherd.text", "skyherd.version", "skyherd.cli")
     heavy = {name for name in top_imports(path) if not name.startswith(light)} - sys.stdlib_module_names
     assert {name for name in heavy if name.split(".")[0] not in sys.stdlib_module_names} == set()
 

@@ -73,7 +73,7 @@ def test_free_overlaps_name_their_breaches_and_are_exit_code_1(tmp_path, capsys)
         ("absent.mcap", "a.png", "No such file"),
         (".", "a.png", "no run.mcap"),
         ("star", "a.txt", ".png or .svg"),
-        ("star", "no/such/folder/a.png", "cannot be written"),
+        ("star", "no/such/folder/a.png", "no folder no/such/folder"),
     ],
 )
 def test_bad_input_is_one_line_and_leaves_nothing(tmp_path, capsys, monkeypatch, source, out, said) -> None:

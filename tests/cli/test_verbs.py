@@ -68,7 +68,7 @@ def test_a_run_leaves_all_it_promises(tmp_path, capsys):
     assert code == 1  # a second is not enough to reach the shape
     assert "NOT reached" in said
     assert {entry.name for entry in out.iterdir()} == {
-        "run.mcap", "video.mp4", "figures", "summary.json", "report.html",
+        ".skyherd.json", "run.mcap", "video.mp4", "figures", "summary.json", "report.html",
     }  # fmt: skip
     assert len(list((out / "figures").iterdir())) == 2 * 2
     summary = json.loads((out / "summary.json").read_text())
@@ -100,7 +100,8 @@ def test_report_films_again_from_recorded_images(tmp_path, capsys):
     out = tmp_path / "run"
     call(capsys, "run", "triangle", "--out", out, "--set", "duration_s=0.5", "--no-video", "--record-images")
     assert not (out / "video.mp4").exists()
-    call(capsys, "report", out)
+    code, _, err = call(capsys, "report", out)
+    assert (code, err) == (0, "")
     assert (out / "video.mp4").stat().st_size > 10_000
 
 
@@ -130,7 +131,7 @@ def test_a_full_disk_is_refused_before_the_run(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(runner.shutil, "disk_usage", lambda path: usage._replace(free=5 * 2**20))
     out = tmp_path / "run"
     assert_refused(call(capsys, "run", "star", "--out", out, *SHORT), "5 MiB free", "100 MiB")
-    assert not list(out.iterdir())
+    assert not out.exists()
 
 
 def test_a_disk_that_fills_up_in_mid_run_is_one_line(tmp_path, capsys, monkeypatch):
@@ -143,7 +144,25 @@ def test_a_disk_that_fills_up_in_mid_run_is_one_line(tmp_path, capsys, monkeypat
         call(capsys, "run", "star", "--out", out, "--perception", "ideal", "--set", "duration_s=1.0"),
         "No space left",
     )
-    assert {entry.name for entry in out.iterdir()} == {"run.mcap"}
+    assert not out.exists()  # not one step was recorded
+
+
+@pytest.mark.usefixtures("few_figures")
+def test_a_disk_that_fills_up_later_leaves_what_was_recorded(tmp_path, capsys, monkeypatch):
+    write, steps = McapRecorder.write, []
+
+    def full(self, step):
+        steps.append(step)
+        if len(steps) == 5:
+            raise OSError(errno.ENOSPC, "No space left on device", "run.mcap")
+        write(self, step)
+
+    monkeypatch.setattr(McapRecorder, "write", full)
+    out = tmp_path / "run"
+    assert_refused(call(capsys, "run", "star", "--out", out, *SHORT), "No space left")
+    assert {entry.name for entry in out.iterdir()} == {".skyherd.json", "run.mcap"}
+    assert call(capsys, "report", out)[0] == 0
+    assert json.loads((out / "summary.json").read_text())["steps"] == 4
 
 
 @pytest.mark.parametrize(

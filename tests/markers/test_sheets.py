@@ -123,7 +123,7 @@ def test_ids_and_lengths() -> None:
         (["--ids", "0", "--side", "3cm", "--paper", "B4"], ["'B4'", "Letter"]),
         (["--ids", "0", "--side", "3cm", "--dictionary", "X"], ["'X'", "4X4_50", "7X7_8000"]),
         (["--ids", "0", "--side", "3cm", "--out", "a.png"], ["a.png", ".pdf"]),
-        (["--ids", "0", "--side", "3cm", "--out", "no/a.pdf"], ["no/a.pdf", "cannot be written"]),
+        (["--ids", "0", "--side", "3cm", "--out", "no/a.pdf"], ["no/a.pdf", "no folder no"]),
     ],
 )
 def test_what_cannot_be_made_is_one_line_and_leaves_nothing(

@@ -11,8 +11,10 @@ from typing import Any
 
 import psutil
 import pytest
+from distributed import Client, Security
 from study_runs import SLOW_ENOUGH, conduct_here, run_in_process
 
+from skyherd.study.cluster import open_client
 from skyherd.study.conduct import missing_runs
 from skyherd.study.plan import make_plan
 from skyherd.study.spec import load_study
@@ -146,7 +148,7 @@ def test_a_run_that_kills_its_workers_is_recorded_and_the_others_are_made(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """A run's key stands in for the run: Python that the worker carries out."""
-    from skyherd.study.cluster import open_client, run_missions
+    from skyherd.study.cluster import run_missions
 
     monkeypatch.setattr("skyherd.study.cluster.measure", eval)
     bad = "__import__('os')._exit(1)"
@@ -159,15 +161,31 @@ def test_a_run_that_kills_its_workers_is_recorded_and_the_others_are_made(
     assert outcomes == dict.fromkeys(range(6))
 
 
+def test_nobody_else_gets_into_the_local_cluster() -> None:
+    """Without the run's certificate neither plain text nor TLS gets an answer; the run itself does."""
+    with open_client(jobs=1) as client:
+        assert client.submit(sum, [1, 2]).result() == 3
+        address = client.scheduler.address
+        assert address.startswith("tls://127.0.0.1:")
+        assert all(worker.startswith("tls://127.0.0.1:") for worker in client.nthreads())
+        for other, security in (
+            (address.replace("tls:", "tcp:"), None),
+            (address, Security.temporary()),
+        ):
+            with pytest.raises(OSError, match=r"Timed out|reset|closed|SSL|TLS"):
+                Client(other, security=security, timeout=1)
+
+
 @pytest.mark.slow
-def test_an_interrupt_leaves_a_whole_folder(write_study: Any, tmp_path: Path) -> None:
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupt_leaves_a_whole_folder(write_study: Any, tmp_path: Path, number: int) -> None:
     path, out = write_study(SLOW_ENOUGH.replace("6.0", "20.0")), tmp_path / "out"
     process = start(path, out, "--jobs", "2")
     wait_for_parts(process, out, 1)
-    process.send_signal(signal.SIGINT)
+    process.send_signal(number)
     _, err = process.communicate(timeout=600)
-    assert process.returncode == 130
+    assert process.returncode == 128 + number
     assert err.count("\n") == 1 and "goes on from here" in err
     assert len(Store(out).keys()) >= 1
     assert not (out / TABLE).exists()
-    assert not list((out / PARTS).glob(".*"))
+    assert not list(out.rglob("*.part"))

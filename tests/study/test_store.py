@@ -4,6 +4,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from study_runs import SMALL, conduct_here
 
@@ -115,7 +117,7 @@ def test_a_part_that_was_never_whole_does_not_count(tmp_path: Path) -> None:
     with open_store(out, "{}") as store:
         store.append([{"key": "a", "error": None}])
     whole = next((out / PARTS).iterdir()).read_bytes()
-    torn = out / PARTS / ".00000002.parquet.part"
+    torn = out / PARTS / ".skyherd-0123456789abcdef.part"
     torn.write_bytes(whole[: len(whole) // 2])
     assert Store(out).keys() == {"a"}
     with open_store(out, "{}") as store:
@@ -136,7 +138,7 @@ def test_a_folder_serves_one_study_at_a_time_and_nothing_else(tmp_path: Path) ->
     out = tmp_path / "out"
     with (
         open_store(out, "{}"),
-        pytest.raises(InputError, match="another study is at work"),
+        pytest.raises(InputError, match=r"`skyherd study` writes into it \(process \d+"),
         open_store(out, "{}"),
     ):
         pass
@@ -172,3 +174,58 @@ def test_a_failing_run_is_recorded_and_the_study_goes_on(
     table, report = conduct_here(write_study(), out, retry=True)
     assert report.made == 2
     assert table["error"].null_count == 6
+
+
+def _no_columns(part: Path) -> None:
+    pq.write_table(pa.table({"x": [1]}), part)
+
+
+def _keys_of_numbers(part: Path) -> None:
+    pq.write_table(pa.table({"key": [1], "error": pa.array([None], pa.string())}), part)
+
+
+def _no_key(part: Path) -> None:
+    pq.write_table(pa.table({"key": pa.array([None], pa.string()), "error": ["x"]}), part)
+
+
+def _no_parquet(part: Path) -> None:
+    part.write_text("hello")
+
+
+def _empty(part: Path) -> None:
+    part.write_bytes(b"")
+
+
+def _folder(part: Path) -> None:
+    part.unlink()
+    part.mkdir()
+
+
+@pytest.mark.parametrize("damage", [_no_columns, _keys_of_numbers, _no_key, _no_parquet, _empty, _folder])
+def test_a_part_that_no_store_wrote_is_refused_in_one_line(tmp_path: Path, damage: Any) -> None:
+    with open_store(tmp_path / "out", "{}") as store:
+        store.append([{"key": "a", "error": None}])
+        damage(next((tmp_path / "out" / PARTS).iterdir()))
+        with pytest.raises(
+            InputError, match=r"00000001\.parquet: (damaged|is a folder).*remove it"
+        ) as refused:
+            store.keys()
+    assert "\n" not in str(refused.value) and len(str(refused.value)) < 500
+
+
+def test_parts_that_do_not_go_together_are_refused_in_one_line(tmp_path: Path) -> None:
+    with open_store(tmp_path / "out", "{}") as store:
+        store.append([{"key": "a", "error": None, "x": 1.0}])
+        store.append([{"key": "b", "error": None, "x": "text"}])
+        with pytest.raises(InputError, match="do not go together"):
+            store.read()
+
+
+def test_other_files_among_the_parts_are_left_alone(tmp_path: Path) -> None:
+    with open_store(tmp_path / "out", "{}") as store:
+        store.append([{"key": "a", "error": None}])
+        (tmp_path / "out" / PARTS / "1-mine.parquet").write_text("mine")
+        store.append([{"key": "b", "error": None}])
+        store.compact()
+        assert store.keys() == {"a", "b"}
+    assert (tmp_path / "out" / PARTS / "1-mine.parquet").read_text() == "mine"

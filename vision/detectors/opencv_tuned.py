@@ -51,10 +51,12 @@ class ArucoDetector:
         corrected: if False, the biases are left in and covariances are zero, which is how the table is
             measured.
 
-    `detect` raises InputError if there is no such dictionary.
+    Raises:
+        InputError: there is no such dictionary.
     """
 
     def __init__(self, dictionary: str = "4X4_50", *, corrected: bool = True) -> None:
+        load_dictionary(dictionary)
         self.dictionary = dictionary
         self._accuracy: DetectorAccuracy | None = load_accuracy("aruco") if corrected else None
         self._detectors: dict[int, cv2.aruco.ArucoDetector] = {}
@@ -63,7 +65,7 @@ class ArucoDetector:
         """Return the markers in a grey image (height, width) of 8 bits, in ascending order of id.
 
         Raises:
-            InputError: the image is not a grey one of 8 bits, or there is no such dictionary.
+            InputError: the image is not a grey one of 8 bits.
         """
         image = check_grey(image)
         ids, corners = self._find(image)

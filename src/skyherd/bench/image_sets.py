@@ -23,7 +23,7 @@ import numpy.typing as npt
 from pydantic import Field, ValidationError, field_validator
 
 from skyherd.bench.boards.layout import BoardModel
-from skyherd.datasets import Model, first_error, parse_toml, read_text
+from skyherd.datasets import Model, first_error, parse_toml, read_toml_text
 from skyherd.errors import InputError
 from skyherd.files.images import SUFFIXES, read_grey
 from skyherd.files.video_reader import VIDEO_SUFFIXES, is_video, open_clip, read_clip
@@ -115,7 +115,7 @@ def load_image_sets(
     if not folder.is_dir():
         raise InputError(str(folder), "no such folder", f"a folder of images with a {SETS_FILE} in it")
     path = sets_file or folder / SETS_FILE
-    tables = parse_toml(read_text(path, "file of image sets"), str(path), EXAMPLE)
+    tables = parse_toml(read_toml_text(path, "file of image sets"), str(path), EXAMPLE)
     if unknown := [name for name in only if name not in tables]:
         raise InputError(str(path), f"no set {', '.join(unknown)}", f"one of {', '.join(tables)}")
     sets = []

@@ -2,14 +2,20 @@
 
 from pathlib import Path
 
-from skyherd.bench.plots import write_plots
-from skyherd.bench.result import Result
+from skyherd.bench.plots import PLOTS, write_plots
+from skyherd.bench.result import RESULT, Result
 from skyherd.bench.tables import Table, make_tables, markdown_page, plain_text, short
 from skyherd.files.atomic import write_text
 from skyherd.report.pages import Tile, figure_card, render_page
 
 PAGE, MARKDOWN = "bench.html", "bench.md"
 """File names in the result's folder."""
+
+
+def output_names() -> list[str]:
+    """Names of all files that a benchmark may leave in its folder, relative to it."""
+    figures = [f"figures/{plot.name}{kind}" for plot in PLOTS for kind in (".png", ".svg")]
+    return [RESULT, MARKDOWN, PAGE, *figures]
 
 
 def write_outputs(result: Result, folder: Path) -> Path:

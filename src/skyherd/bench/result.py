@@ -13,6 +13,7 @@ from skyherd.bench.design import EMPTY, GRID, Cell, Sweep
 from skyherd.bench.entrants import is_ours
 from skyherd.errors import InputError
 from skyherd.files.atomic import write_text
+from skyherd.files.reading import read_json
 
 RESULT = "bench.json"
 """File name of a result in its folder."""
@@ -80,11 +81,9 @@ def read_result(folder: Path) -> Result:
     """Read `bench.json` of a folder; InputError if it is not there or is no result."""
     path = folder / RESULT
     try:
-        content = json.loads(path.read_text("utf-8"))
+        content = read_json(path, f"a {RESULT} of `skyherd bench`, in its output folder")
         return Result(content["environment"], content["rows"], content["timing"])
-    except FileNotFoundError:
-        raise InputError(str(folder), f"no {RESULT} in it", "the output folder of `skyherd bench`") from None
-    except (ValueError, KeyError, TypeError) as error:
+    except (KeyError, TypeError) as error:
         raise InputError(str(path), f"cannot be read: {error}", f"a {RESULT} of `skyherd bench`") from None
 
 

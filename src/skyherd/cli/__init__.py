@@ -8,15 +8,24 @@ Exit codes: 0 done; 1 the run did not reach its goal, `detect --require` found a
 output; 130 interrupted.
 """
 
+import io
 import sys
 from typing import Any, cast
 
 import typer
+from typer.core import TyperGroup
 
 from skyherd.cli.bench import bench_app
 from skyherd.cli.console import complain
 from skyherd.cli.dataset import dataset_app
 from skyherd.cli.detect import detect
+from skyherd.cli.interrupts import (
+    NOTHING_LEFT,
+    Interrupted,
+    describe,
+    signals_as_interrupts,
+    telling_of_interrupts,
+)
 from skyherd.cli.markers import markers
 from skyherd.cli.report import report
 from skyherd.cli.run import run
@@ -29,8 +38,19 @@ from skyherd.version import __version__
 UsageError: type[Exception] = typer.BadParameter.__base__ or typer.BadParameter
 """Root of what Typer raises for wrong arguments: click's, or that of its own copy of click."""
 
+
+class Verbs(TyperGroup):
+    """The verbs, whose interrupts pass: Typer would end the program before anything is said of them."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Carry out the verb that was asked for; Interrupted if it was interrupted."""
+        with telling_of_interrupts(NOTHING_LEFT):
+            return super().invoke(ctx)
+
+
 app = typer.Typer(
     name="skyherd",
+    cls=Verbs,
     help="Steer a team of ground robots into a shape with nothing but what uncalibrated flying cameras see.",
     rich_markup_mode=None,
 )
@@ -65,8 +85,12 @@ def _options(
 
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line and exit with its code; what a user got wrong is one line on stderr."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # a terminal without UTF-8 shows what it lacks escaped
+            stream.reconfigure(errors="backslashreplace")
     try:
-        code = app(arguments, standalone_mode=False, prog_name="skyherd")
+        with signals_as_interrupts():
+            code = app(arguments, standalone_mode=False, prog_name="skyherd")
     except UsageError as error:
         complain(f"{cast(Any, error).format_message()}; see `skyherd --help`")
         code = 2
@@ -76,7 +100,10 @@ def main(arguments: list[str] | None = None) -> None:
     except OSError as error:
         complain(f"{error.filename or 'output'}: {error.strerror or error}; nothing after this was written")
         code = 2
-    except (KeyboardInterrupt, typer.Abort):
-        complain("interrupted; what was recorded can be seen with `skyherd report DIR`")
-        code = 130
+    except MemoryError:
+        complain("not enough memory; give a smaller input, or fewer --jobs")
+        code = 2
+    except (Interrupted, KeyboardInterrupt, typer.Abort) as error:
+        said, code = describe(error)
+        complain(said)
     sys.exit(code or 0)

@@ -8,6 +8,7 @@ import typer
 
 from skyherd.cli.choices import complete_dictionary
 from skyherd.cli.console import ProgressReporter, say, say_table, warn
+from skyherd.cli.interrupts import NOTHING_LEFT, telling_of_interrupts
 from skyherd.errors import InputError
 
 if TYPE_CHECKING:
@@ -18,8 +19,13 @@ bench_app = typer.Typer(help="Measure parts of skyherd, and their peers.", rich_
 
 FULL_FRAMES, FULL_BUDGET_S = 300, 5.0
 QUICK_FRAMES, QUICK_BUDGET_S = 20, 0.4
-PROBE = ".writable"
+MOST_SEED = 2**63
+"""Seeds are below this. Chosen: what 64 bits with a sign hold, so that every format can keep it."""
+
 QUICK_SIZES_PX = ((640, 480), (1280, 960))
+
+
+Force = Annotated[bool, typer.Option("--force", help="Write the results of an earlier call there anew.")]
 
 
 @bench_app.callback()
@@ -52,6 +58,7 @@ def detectors(
     uncorrected: Annotated[
         bool, typer.Option("--uncorrected", help="Leave in the peers' constant biases and corner order.")
     ] = False,
+    force: Force = False,
 ) -> int:
     """Measure marker detectors on the same frames, against the Cramér–Rao bound.
 
@@ -60,26 +67,32 @@ def detectors(
     from skyherd.bench.design import full_design, quick_design
     from skyherd.bench.entrants import default_entrants, missing_libraries
     from skyherd.bench.execution import Plan, measure_cells
-    from skyherd.bench.page import write_outputs
+    from skyherd.bench.page import output_names, write_outputs
     from skyherd.bench.result import Result, environment
     from skyherd.bench.timing import measure_times, timing_cells
+    from skyherd.files.output_folder import OutputFolder
 
     chosen = _split(names) or default_entrants()
-    _check(chosen, jobs, clutter_images)
+    _check(chosen, jobs, clutter_images, seed)
     if names is None and (missing := missing_libraries()):
         warn(f"{', '.join(missing)} left out: pip install skyherd[peers]")
     images = {} if clutter_images is None else {"clutter_images": clutter_images}
     cells = quick_design(**images) if quick else full_design(**images)
     timed = timing_cells(QUICK_FRAMES, QUICK_SIZES_PX) if quick else timing_cells(FULL_FRAMES)
     plan = Plan(tuple(chosen), dictionary, seed, corrected=not uncorrected)
-    _check_writable(out_dir)
-    with ProgressReporter() as progress:
-        rows = measure_cells(plan, cells, jobs=jobs or os.cpu_count() or 1, progress=progress)
-        times = measure_times(plan, timed, QUICK_BUDGET_S if quick else FULL_BUDGET_S, progress=progress)
-    measured_on = environment(quick=quick, dictionary=dictionary, seed=seed, corrected=not uncorrected)
-    result = Result(measured_on, rows, times)
-    result.write(out_dir)
-    say(f"see {write_outputs(result, out_dir)}")
+    with (
+        telling_of_interrupts(NOTHING_LEFT),
+        OutputFolder(out_dir, "bench detectors", output_names(), force=force) as output,
+    ):
+        with ProgressReporter() as progress:
+            rows = measure_cells(plan, cells, jobs=jobs or os.cpu_count() or 1, progress=progress)
+            times = measure_times(plan, timed, QUICK_BUDGET_S if quick else FULL_BUDGET_S, progress=progress)
+        measured_on = environment(quick=quick, dictionary=dictionary, seed=seed, corrected=not uncorrected)
+        result = Result(measured_on, rows, times)
+        result.write(out_dir)
+        output.keep()
+        page = write_outputs(result, out_dir)
+    say(f"see {page}")
     return 0
 
 
@@ -103,6 +116,7 @@ def photographs(
     names: Names = None,
     only: Only = None,
     out_dir: Annotated[Path, typer.Option("--out", help="Folder for results.")] = Path("runs/photographs"),
+    force: Force = False,
 ) -> int:
     """Count which markers detectors find on photographs, of those that two of them confirm.
 
@@ -112,20 +126,27 @@ def photographs(
     """
     from skyherd.bench.image_sets import load_image_sets
     from skyherd.bench.photographs.measurement import measure_photographs
-    from skyherd.bench.photographs.page import write_page
+    from skyherd.bench.photographs.page import OUTPUT_NAMES, write_page
     from skyherd.bench.photographs.result import PhotographsResult
     from skyherd.bench.photographs.tables import set_tables
     from skyherd.bench.result import environment
+    from skyherd.files.output_folder import OutputFolder
 
     chosen, judges = _chosen_and_judges(names)
     image_sets = load_image_sets(folder, sets_file, only=tuple(_split(only)))
-    _check_writable(out_dir)
-    with ProgressReporter() as progress:
-        measured = measure_photographs(image_sets, chosen, judges, progress=progress)
-    result = PhotographsResult(environment(confirmed_by=judges), measured.rows, measured.refused)
-    result.write_all(out_dir, measured.missed, measured.unconfirmed)
-    _say_result(result, set_tables(result))
-    say(f"see {write_page(result, measured, out_dir)}")
+    inputs = [file for image_set in image_sets for file in image_set.files]
+    with (
+        telling_of_interrupts(NOTHING_LEFT),
+        OutputFolder(out_dir, "bench photographs", OUTPUT_NAMES, force=force, inputs=inputs) as output,
+    ):
+        with ProgressReporter() as progress:
+            measured = measure_photographs(image_sets, chosen, judges, progress=progress)
+        result = PhotographsResult(environment(confirmed_by=judges), measured.rows, measured.refused)
+        result.write_all(out_dir, measured.missed, measured.unconfirmed)
+        output.keep()
+        _say_result(result, set_tables(result))
+        page = write_page(result, measured, out_dir)
+    say(f"see {page}")
     return 0
 
 
@@ -136,6 +157,7 @@ def boards(
     names: Names = None,
     only: Only = None,
     out_dir: Annotated[Path, typer.Option("--out", help="Folder for results.")] = Path("runs/boards"),
+    force: Force = False,
 ) -> int:
     """Measure detectors on photographs of calibration boards, leaving one marker out at a time.
 
@@ -143,20 +165,26 @@ def boards(
     boards.html, boards.md and figures.
     """
     from skyherd.bench.boards.measurement import measure_boards
-    from skyherd.bench.boards.page import write_outputs
+    from skyherd.bench.boards.page import OUTPUT_NAMES, write_outputs
     from skyherd.bench.boards.tables import set_tables
     from skyherd.bench.image_sets import load_image_sets
     from skyherd.bench.result import environment
     from skyherd.bench.set_result import SetResult
+    from skyherd.files.output_folder import OutputFolder
 
     chosen, judges = _chosen_and_judges(names)
     image_sets = load_image_sets(folder, sets_file, only=tuple(_split(only)))
-    _check_writable(out_dir)
-    with ProgressReporter() as progress:
-        measured = measure_boards(image_sets, chosen, judges, progress=progress)
-    result = SetResult(environment(confirmed_by=judges), measured.rows, measured.refused)
-    _say_result(result, set_tables(result))
-    say(f"see {write_outputs(result, measured, out_dir)}")
+    inputs = [file for image_set in image_sets for file in image_set.files]
+    with (
+        telling_of_interrupts(NOTHING_LEFT),
+        OutputFolder(out_dir, "bench boards", OUTPUT_NAMES, force=force, inputs=inputs),
+    ):
+        with ProgressReporter() as progress:
+            measured = measure_boards(image_sets, chosen, judges, progress=progress)
+        result = SetResult(environment(confirmed_by=judges), measured.rows, measured.refused)
+        _say_result(result, set_tables(result))
+        page = write_outputs(result, measured, out_dir)
+    say(f"see {page}")
     return 0
 
 
@@ -190,15 +218,7 @@ def _split(names: str | None) -> list[str]:
     return [name.strip() for name in (names or "").split(",") if name.strip()]
 
 
-def _check_writable(folder: Path) -> None:
-    """Make a folder and write into it: an error now is better than one after a quarter of an hour."""
-    from skyherd.files.atomic import write_text
-
-    folder.mkdir(parents=True, exist_ok=True)
-    write_text(folder / PROBE, "").unlink()
-
-
-def _check(chosen: list[str], jobs: int | None, clutter_images: int | None) -> None:
+def _check(chosen: list[str], jobs: int | None, clutter_images: int | None, seed: int = 0) -> None:
     """Check the options.
 
     Raises:
@@ -208,5 +228,7 @@ def _check(chosen: list[str], jobs: int | None, clutter_images: int | None) -> N
         raise InputError("--detectors", f"{', '.join(repeated)} named twice", "each detector once")
     if jobs is not None and jobs < 1:
         raise InputError("--jobs", str(jobs), "1 or more")
+    if not 0 <= seed < MOST_SEED:
+        raise InputError("--seed", str(seed), "0 or more, and below 2 to the power of 63")
     if clutter_images is not None and clutter_images < 0:
         raise InputError("--clutter-images", str(clutter_images), "0 or more")

@@ -6,20 +6,29 @@ from typing import Self
 
 import typer
 
+from skyherd.text import printable, shorten
+
+MOST_CHARACTERS = 480
+"""Characters of a line on stderr, without its first word. Chosen: six lines of a terminal."""
+
 
 def say(text: str, *, bold: bool = False) -> None:
-    """Print a line of results on stdout."""
-    typer.secho(text, bold=bold)
+    """Print a line of results on stdout; what a terminal would obey is escaped."""
+    typer.secho(printable(text), bold=bold)
 
 
 def complain(text: str) -> None:
-    """Print an error on stderr, as one line whatever the text."""
-    typer.echo(f"error: {' '.join(text.split())}", err=True)
+    """Print an error on stderr, as one line of less than 500 characters whatever the text."""
+    typer.echo(f"error: {_one_line(text)}", err=True)
 
 
 def warn(text: str) -> None:
-    """Print a warning on stderr, as one line."""
-    typer.echo(f"warning: {text}", err=True)
+    """Print a warning on stderr, as one line of less than 500 characters whatever the text."""
+    typer.echo(f"warning: {_one_line(text)}", err=True)
+
+
+def _one_line(text: str) -> str:
+    return shorten(printable(" ".join(text.split())), MOST_CHARACTERS)
 
 
 def say_table(
@@ -40,7 +49,7 @@ def say_table(
     for column in header:
         table.add_column(column, justify="right" if column in right_aligned else "left")
     for row in rows:
-        table.add_row(*(Text(cell) for cell in row))
+        table.add_row(*(Text(printable(cell, keep="\n")) for cell in row))
     if table.row_count:
         Console(highlight=False, soft_wrap=True).print(table)
 
@@ -96,7 +105,7 @@ class ProgressReporter:
         """
         if name != self._name:
             self._progress.remove_task(self._bar)
-            self._name, self._bar = name, self._progress.add_task(name, total=None, state="")
+            self._name, self._bar = name, self._progress.add_task(printable(name), total=None, state="")
         counted = f"{done:g}/{'?' if total is None else format(total, 'g')}"
         self._progress.update(
             self._bar, completed=done, total=total, state=counted if state is None else state

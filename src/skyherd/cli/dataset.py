@@ -9,6 +9,7 @@ import typer
 
 from skyherd.cli.choices import complete_spec
 from skyherd.cli.console import ProgressReporter, complain, say, say_table
+from skyherd.cli.interrupts import telling_of_interrupts
 from skyherd.errors import InputError
 
 if TYPE_CHECKING:
@@ -39,12 +40,11 @@ def make(
         raise InputError("--jobs", str(jobs), "1 or more")
     file = load_spec(spec, seed=seed, images=images)
     folder = out_dir or Path("labelled") / Path(spec).stem
-    try:
-        with ProgressReporter() as progress:
-            dataset = make_dataset(file, folder, jobs=jobs or os.cpu_count() or 1, progress=progress)
-    except KeyboardInterrupt:
-        complain("interrupted; images that are there are whole, and the same command goes on from here")
-        return 130
+    with (
+        telling_of_interrupts("images that are there are whole, and the same command goes on from here"),
+        ProgressReporter() as progress,
+    ):
+        dataset = make_dataset(file, folder, jobs=jobs or os.cpu_count() or 1, progress=progress)
     say(f"{folder}: {len(dataset)} images, {dataset.markers} markers; see {folder / 'preview.png'}")
     return 0
 

@@ -1,5 +1,6 @@
 """`skyherd detect`: find markers in pictures and videos, and say why others were not found."""
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -13,6 +14,7 @@ from skyherd.cli.choices import (
     complete_format,
 )
 from skyherd.cli.console import ProgressReporter, complain, say, say_table, warn
+from skyherd.cli.interrupts import telling_of_interrupts
 from skyherd.errors import InputError
 
 if TYPE_CHECKING:
@@ -55,11 +57,11 @@ def detect(
 
     Exit code 0 when done, 1 with --require if a file has none, 2 for bad input.
     """
-    from skyherd.inspection import DETECTIONS, Inspector
+    from skyherd.inspection import DETECTIONS, Inspector, output_name
 
     if kind not in TABLE_FORMATS:
         raise InputError("--format", f"no format {kind!r}", f"one of {', '.join(TABLE_FORMATS)}")
-    folder = out_dir or Path("detections") / (target.resolve().stem or "root")
+    folder = out_dir or Path("detections") / output_name(Path(os.path.abspath(target)).stem)
     with ProgressReporter() as progress:
         inspector = Inspector(
             detector,
@@ -68,11 +70,8 @@ def detect(
             kind="jsonl" if kind == "jsonl" else "csv",
             progress=progress,
         )
-        try:
+        with telling_of_interrupts("nothing is left of it"):
             results = inspector.inspect(target, folder, force=force)
-        except KeyboardInterrupt:
-            complain("interrupted; annotated files that are there are whole, the table was not written")
-            return 130
     _say_results(results)
     say(f"see {folder / DETECTIONS}.{kind}  {_pictures(results, folder)}")
     if any(result.trouble for result in results):

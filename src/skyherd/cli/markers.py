@@ -21,9 +21,12 @@ def markers(
         str,
         typer.Option(help="Marker dictionary, such as APRILTAG_36h11.", autocompletion=complete_dictionary),
     ] = "4X4_50",
-    force: Annotated[bool, typer.Option("--force", help="Write an existing file anew.")] = False,
+    force: Annotated[
+        bool, typer.Option("--force", help="Write a file of sheets that is there anew.")
+    ] = False,
 ) -> int:
     """Print markers at true size, with quiet zone, id, forward arrow, cut marks and a ruler."""
+    from skyherd.files.output_folder import OutputFile
     from skyherd.markers.dictionary import load_dictionary
     from skyherd.markers.sheet_layout import PAPERS_MM, parse_ids, parse_length_mm
     from skyherd.markers.sheets import write_sheets
@@ -31,12 +34,13 @@ def markers(
     load_dictionary(dictionary)
     if out_file.suffix.lower() != ".pdf":
         raise InputError("--out", f"{str(out_file)!r} is no PDF", "a name that ends in .pdf")
-    if out_file.exists() and not force:
-        raise InputError(str(out_file), "exists", "another --out, or --force to write it anew")
+    output = OutputFile(out_file, "markers", force=force)
+    output.check()
     wanted = parse_ids(ids, dictionary)
     known = {name.lower(): name for name in PAPERS_MM}
     side_mm, sheet = parse_length_mm(side, "--side"), known.get(paper.lower(), paper)
-    layout = write_sheets(out_file, wanted, side_mm, dictionary=dictionary, paper=sheet)
+    with output:
+        layout = write_sheets(out_file, wanted, side_mm, dictionary=dictionary, paper=sheet)
     pages = -(-len(wanted) // layout.per_page)
     say(
         f"{out_file}: {len(wanted)} markers of {layout.side_mm:g} mm, cards of {layout.card_mm:.4g} mm, on "

@@ -1,5 +1,6 @@
 """`skyherd report`: make figures, summary and page again from a recording."""
 
+import os
 from pathlib import Path
 from typing import Annotated
 
@@ -19,7 +20,7 @@ def report(
     from skyherd.report.run_page import PAGE
     from skyherd.runner import RECORDING, make_report
 
-    if not (folder / RECORDING).is_file():
+    if not os.path.isfile(folder / RECORDING):
         raise InputError(str(folder), f"no {RECORDING} in it", "the output folder of `skyherd run`")
     summary = make_report(folder)
     if "recording" in summary:

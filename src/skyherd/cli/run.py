@@ -7,6 +7,7 @@ import typer
 
 from skyherd.cli.choices import complete_perception, complete_scenario
 from skyherd.cli.console import ProgressReporter, say, warn
+from skyherd.cli.interrupts import telling_of_interrupts
 
 if TYPE_CHECKING:
     from skyherd.datasets import Mission
@@ -49,7 +50,10 @@ def run(
     mission = load_mission(scenario, chosen, seed=seed)
     folder = out_dir or Path("runs") / mission.scenario.name
     _warn_of_slow_cameras(mission)
-    with ProgressReporter() as progress:
+    with (
+        telling_of_interrupts("what was recorded can be seen with `skyherd report DIR`"),
+        ProgressReporter() as progress,
+    ):
         summary = run_mission(
             mission,
             folder,

@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from skyherd.cli.choices import complete_study
-from skyherd.cli.console import ProgressReporter, complain, say
+from skyherd.cli.console import ProgressReporter, say
+from skyherd.cli.interrupts import telling_of_interrupts
 from skyherd.errors import InputError
 
 if TYPE_CHECKING:
     from skyherd.study.plan import Plan
 
-EXTRA = ("dask", "distributed", "pyarrow", "locket")
+EXTRA = ("dask", "distributed", "pyarrow", "cryptography")
 """Modules that the extra `study` installs."""
 
 
@@ -107,12 +108,11 @@ def _conduct(plan: "Plan", folder: Path, scheduler: str | None, jobs: int | None
     """Make the runs that are missing, and say where the results are."""
     from skyherd.study.conduct import conduct, runs_per_s
 
-    try:
-        with ProgressReporter() as progress:
-            report = conduct(plan, folder, progress, scheduler=scheduler, jobs=jobs, retry=retry)
-    except KeyboardInterrupt:
-        complain("interrupted; runs that are done are kept, and the same command goes on from here")
-        return 130
+    with (
+        telling_of_interrupts("runs that are done are kept, and the same command goes on from here"),
+        ProgressReporter() as progress,
+    ):
+        report = conduct(plan, folder, progress, scheduler=scheduler, jobs=jobs, retry=retry)
     failed = (
         f", {report.failed} failed: see {folder / 'table.md'}; --retry makes them again"
         if report.failed

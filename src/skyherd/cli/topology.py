@@ -1,5 +1,6 @@
 """`skyherd topology`: who controls whom, which of TC1-TC5 hold and why not, and how fast that converges."""
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -42,24 +43,34 @@ def topology(
         Path | None,
         typer.Option("--out", help="PNG or SVG; topology.png in the run's folder, or NAME-topology.png."),
     ] = None,
+    force: Annotated[
+        bool, typer.Option("--force", help="Write a picture anew that is where --out says.")
+    ] = False,
 ) -> int:
     """Show who controls whom: of a scenario after deployment, of a run at its end.
 
     Exit code 0 if TC1-TC5 hold, 1 if one is violated, 2 for bad input.
     """
     from skyherd.analysis.topology_report import judge_topology
+    from skyherd.files.output_folder import OutputFile
 
+    if picture is not None:
+        if picture.suffix not in PICTURES:
+            allowed = f"a name that ends in {' or '.join(PICTURES)}"
+            raise InputError(str(picture), "no kind of picture", allowed)
+        OutputFile(picture, "topology", force=force).check()
     history, default, is_run = _open(source)
     path = picture or default
-    if path.suffix not in PICTURES:
-        raise InputError(str(path), "no kind of picture", f"a name that ends in {' or '.join(PICTURES)}")
+    output = OutputFile(path, "topology", force=force or picture is None)
+    output.check()
     report = judge_topology(_living_sets(history), history.shape)
     _say_graph(report, history)
     _say_conditions(report)
     _say_prediction(report, history, is_run=is_run)
     if is_run:
         _say_changes(history)
-    _draw(report, history, path)
+    with output:
+        _draw(report, history, path)
     say(f"see {path}")
     return 0 if report.conditions.in_p else 1
 
@@ -73,7 +84,7 @@ def _open(source: str) -> tuple["History", Path, bool]:
     from skyherd.runner import RECORDING
 
     path = Path(source)
-    if path.is_dir():
+    if os.path.isdir(path):
         if not (path / RECORDING).is_file():
             allowed = "a scenario, or the output folder of `skyherd run`"
             raise InputError(source, f"no {RECORDING} in it", allowed)

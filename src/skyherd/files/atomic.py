@@ -1,10 +1,43 @@
 """Writes files so that they are there whole or not at all."""
 
 import os
-from collections.abc import Callable
+import re
+import secrets
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
-from skyherd.errors import InputError, OutputError
+from skyherd.errors import OutputError
+
+PART = re.compile(r"\.skyherd-[0-9a-f]{16}\.part")
+"""Names of the files that are being written; no file of a user has such a name."""
+
+
+def part_of(path: Path) -> Path:
+    """A new temporary name in the folder of a file, under which the file is written until it is whole."""
+    return path.with_name(f".skyherd-{secrets.token_hex(8)}.part")
+
+
+@contextmanager
+def whole_file(path: Path) -> Iterator[Path]:
+    """Give a temporary name to write to, and rename that file to `path` if the body of the `with` ends well.
+
+    Raises:
+        OutputError: it could not be written; nothing is left of it, as after any other exception.
+    """
+    part = part_of(path)
+    try:
+        yield part
+        os.replace(part, path)
+    except OutputError:
+        raise
+    except (OSError, UnicodeEncodeError) as error:
+        why = getattr(error, "strerror", None) or error
+        raise OutputError(
+            f"{path}: cannot be written: {why}; free some space or choose another folder"
+        ) from None
+    finally:
+        part.unlink(missing_ok=True)
 
 
 def write_whole(path: Path, write: Callable[[Path], object]) -> Path:
@@ -15,17 +48,8 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> Path:
     Raises:
         OutputError: it could not be written; nothing is left of it.
     """
-    part = path.with_name(f".{path.name}.part")
-    try:
+    with whole_file(path) as part:
         write(part)
-        os.replace(part, path)
-    except OSError as error:
-        why = error.strerror or error
-        raise OutputError(
-            f"{path}: cannot be written: {why}; free some space or choose another folder"
-        ) from None
-    finally:
-        part.unlink(missing_ok=True)
     return path
 
 
@@ -36,15 +60,3 @@ def write_text(path: Path, text: str) -> Path:
         OutputError: it could not be written; nothing is left of it.
     """
     return write_whole(path, lambda part: part.write_text(text, "utf-8"))
-
-
-def refuse_existing(folder: Path, *, force: bool) -> None:
-    """Refuse an output folder that exists, unless `force`; nothing is touched.
-
-    Raises:
-        InputError: it is a file, or it exists and `force` is not given.
-    """
-    if folder.exists() and not folder.is_dir():
-        raise InputError(str(folder), "is a file", "a folder to make; choose another --out")
-    if folder.exists() and not force:
-        raise InputError(str(folder), "exists", "another --out, or --force to write it anew")

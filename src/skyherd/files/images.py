@@ -19,6 +19,7 @@ import numpy.typing as npt
 from PIL import Image, UnidentifiedImageError
 
 from skyherd.errors import InputError
+from skyherd.files.reading import read_bytes
 
 Grey = npt.NDArray[np.uint8]
 """Grey levels of 8 bits, (height, width)."""
@@ -27,8 +28,15 @@ MAX_PIXELS = 400_000_000
 """Pixels of the largest picture that is read. *Chosen*: beyond any camera; a small damaged file may claim any
 size, and would fill the memory."""
 
+MAX_BYTES = 2**30
+"""Size of the largest picture file that is read. *Chosen*: beyond any camera's; it has to fit the memory."""
+
 FORMATS = "a PNG, JPEG, TIFF, BMP, WebP or GIF picture"
 """Kinds of pictures that can be read, as complaints name them."""
+
+DECODERS = ("PNG", "JPEG", "TIFF", "BMP", "WEBP", "GIF", "PPM")
+"""The decoders of Pillow that a file may reach, whatever its name says. *Chosen*: the formats of cameras.
+Pillow has some forty others, of which one, for EPS, starts another program."""
 
 BIT_DEPTHS = (8, 10, 12, 14, 16)
 """Bits a pixel that cameras have. *Chosen*: see the module."""
@@ -48,21 +56,25 @@ SUFFIXES = frozenset(
 """How the names of picture files end, by which a folder is searched."""
 
 
-def read_grey(path: Path) -> Grey:
+def read_grey(path: Path, *, most_pixels: int | None = None) -> Grey:
     """Read a picture file as grey levels (height, width), upright.
+
+    Args:
+        path: the file.
+        most_pixels: pixels of the largest picture that is accepted; `MAX_PIXELS` if None.
 
     Raises:
         InputError: there is no such file, or it is no whole picture, or it is too large.
     """
-    data = _read_bytes(path)
+    data, most = _read_bytes(path), MAX_PIXELS if most_pixels is None else most_pixels
     with _quiet_pillow():
         try:
-            with Image.open(io.BytesIO(data)) as picture:
-                if picture.width * picture.height > MAX_PIXELS:
+            with Image.open(io.BytesIO(data), formats=DECODERS) as picture:
+                if picture.width * picture.height > most:
                     raise _refuse(
                         path,
                         f"{picture.width * picture.height / 1e6:.0f} megapixels",
-                        "at most 400 can be read",
+                        f"at most {most / 1e6:.0f} can be read",
                     )
                 deep = _is_deep(picture)
                 picture.load()
@@ -82,14 +94,7 @@ def _refuse(path: Path, what: str, allowed: str) -> InputError:
 
 
 def _read_bytes(path: Path) -> bytes:
-    try:
-        data = path.read_bytes()
-    except FileNotFoundError:
-        raise _refuse(path, "no such file", f"give {FORMATS}") from None
-    except IsADirectoryError:
-        raise _refuse(path, "is a folder", f"give {FORMATS}") from None
-    except OSError as error:
-        raise _refuse(path, f"cannot be read: {error.strerror}", f"give {FORMATS}") from None
+    data = read_bytes(path, f"give {FORMATS}", MAX_BYTES)
     if not data:
         raise _refuse(path, "the file is empty", f"give {FORMATS}")
     return data

@@ -5,6 +5,7 @@ for them: cameras and phones do not keep an even rate.
 """
 
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -14,8 +15,9 @@ import av
 import numpy as np
 import numpy.typing as npt
 
-from skyherd.errors import InputError
-from skyherd.files.images import SUFFIXES
+from skyherd.errors import InputError, OutputError
+from skyherd.files.images import MAX_PIXELS, SUFFIXES
+from skyherd.files.reading import is_regular, open_regular
 
 DEEPER = ("*/*", "*/*/*")
 """Where pictures are looked for, to name their folder, if there are none in the folder itself."""
@@ -33,6 +35,17 @@ VIDEO_SUFFIXES = frozenset(
     {".mp4", ".m4v", ".mov", ".avi", ".mkv", ".webm", ".mpg", ".mpeg", ".ts", ".mts", ".wmv"}
 )
 """How the names of video files end; any other file is taken as a picture."""
+
+
+CONTAINERS = ("mov", "mp4", "avi", "matroska", "webm", "mpeg", "mpegvideo", "mpegts", "asf", "h264", "hevc")
+"""Formats of FFmpeg that a video file may have, whatever its name says. *Chosen*: those of `VIDEO_SUFFIXES`.
+FFmpeg has hundreds, some of which (playlists) open other files and addresses."""
+
+OPTIONS = {"format_whitelist": ",".join(CONTAINERS), "protocol_whitelist": "file"}
+"""What FFmpeg is told when it opens a video."""
+
+GIVE_A_VIDEO = "give one that plays, such as an MP4"
+"""What complaints about videos advise."""
 
 
 @dataclass(frozen=True)
@@ -77,14 +90,17 @@ def find_files(target: Path) -> list[Path]:
     Raises:
         InputError: there is no such file or folder, or no picture in the folder.
     """
-    if not target.exists():
+    if not is_regular(target) and not _is_there(target):
         raise InputError(
             str(target), "no such file or folder", "give a picture, a folder of them, or a video"
         )
     if not target.is_dir():
         return [target]
     known = SUFFIXES | VIDEO_SUFFIXES
-    found = [file for file in target.iterdir() if file.is_file() and file.suffix.lower() in known]
+    try:
+        found = [file for file in target.iterdir() if is_regular(file) and file.suffix.lower() in known]
+    except OSError as error:
+        raise InputError(str(target), f"cannot be read: {error.strerror}", "a folder of pictures") from None
     if not found:
         deeper = {
             file.parent for level in DEEPER for file in target.glob(level) if file.suffix.lower() in known
@@ -96,20 +112,50 @@ def find_files(target: Path) -> list[Path]:
     return sorted(found, key=lambda file: file.name)
 
 
+def _is_there(path: Path) -> bool:
+    try:
+        return path.exists()
+    except (OSError, ValueError):
+        return False
+
+
+@contextmanager
+def _open_container(path: Path) -> Iterator[av.container.InputContainer]:
+    """A video opened from a regular file, whose name FFmpeg does not see: it would obey some names.
+
+    Raises:
+        InputError: it is no video that can be read, now or in the body of the `with`.
+    """
+    with open_regular(path, GIVE_A_VIDEO) as stream:
+        try:
+            with av.open(stream, "r", options=OPTIONS) as container:
+                yield container
+        except (OSError, av.FFmpegError, IndexError, ValueError) as error:
+            if isinstance(error, InputError | OutputError):
+                raise
+            raise _unreadable(path, error) from None
+
+
 def open_clip(path: Path) -> Clip:
     """Open a video to find its rate and length; nothing stays open.
 
     Raises:
         InputError: it is not a video that can be read.
     """
-    try:
-        with av.open(str(path)) as container:
-            stream = container.streams.video[0]
-            rate = stream.average_rate or stream.guessed_rate or USUAL_RATE_HZ
-            seconds = float((container.duration or 0) / av.time_base)
-            return Clip(path, Fraction(rate), stream.frames or round(seconds * float(rate)))
-    except (OSError, av.FFmpegError, IndexError) as error:
-        raise _unreadable(path, error) from None
+    with _open_container(path) as container:
+        stream = container.streams.video[0]
+        if not hasattr(stream, "width"):  # a stream whose codec is not known
+            raise _unreadable(path, None)
+        _check_size(path, stream.width, stream.height)
+        rate = stream.average_rate or stream.guessed_rate or USUAL_RATE_HZ
+        seconds = float((container.duration or 0) / av.time_base)
+        return Clip(path, Fraction(rate), stream.frames or round(seconds * float(rate)))
+
+
+def _check_size(path: Path, width: int, height: int) -> None:
+    if width * height > MAX_PIXELS:
+        what = f"{width}x{height} px a picture"
+        raise InputError(str(path), what, f"at most {MAX_PIXELS / 1e6:.0f} megapixels can be read")
 
 
 def read_clip(clip: Clip) -> Iterator[Frame]:
@@ -120,19 +166,17 @@ def read_clip(clip: Clip) -> Iterator[Frame]:
     """
     index = 0
     time_s = 0.0
-    try:
-        with av.open(str(clip.path)) as container:
-            for picture in container.decode(video=0):
-                own_s: Any = picture.time
-                if own_s is not None:
-                    time_s = float(own_s)
-                elif index:
-                    time_s += float(1 / clip.rate_hz)
-                grey = np.asarray(picture.to_ndarray(format="gray"), dtype=np.uint8)
-                yield Frame(index, time_s, np.ascontiguousarray(_upright(grey, picture)))
-                index += 1
-    except (OSError, av.FFmpegError, IndexError) as error:
-        raise _unreadable(clip.path, error) from None
+    with _open_container(clip.path) as container:
+        for picture in container.decode(video=0):
+            _check_size(clip.path, picture.width, picture.height)
+            own_s: Any = picture.time
+            if own_s is not None:
+                time_s = float(own_s)
+            elif index:
+                time_s += float(1 / clip.rate_hz)
+            grey = np.asarray(picture.to_ndarray(format="gray"), dtype=np.uint8)
+            yield Frame(index, time_s, np.ascontiguousarray(_upright(grey, picture)))
+            index += 1
     if not index:
         raise _unreadable(clip.path, None)
 
@@ -158,4 +202,4 @@ def _unreadable(path: Path, error: Exception | None) -> InputError:
         if error is None
         else " ".join(str(getattr(error, "strerror", None) or error).split())
     )
-    return InputError(str(path), f"cannot be read as a video ({why})", "give one that plays, such as an MP4")
+    return InputError(str(path), f"cannot be read as a video ({why})", GIVE_A_VIDEO)

@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from skyherd.errors import OutputError
+from skyherd.files.atomic import part_of
 
 Image = npt.NDArray[np.uint8]
 """RGB image (height, width, 3)."""
@@ -47,7 +48,7 @@ time base."""
 class VideoSink:
     """H.264 video of RGB frames: `with VideoSink(path, (1600, 1000), 10) as sink: sink.write(frame)`.
 
-    Frames go to `<path>.part`, which takes the place of `path` only when it is whole: closed, read
+    Frames go to a temporary file, `part`, which takes the place of `path` only when it is whole: closed, read
     again, and found to hold as many frames as were written. If the body raises, nothing is left behind.
 
     Attributes:
@@ -80,7 +81,7 @@ class VideoSink:
         self.rate_hz = _checked_rate(self.path, rate_hz)
         self.frames, self.timed = 0, timed
         self._first_s, self._last_tick = 0.0, -1
-        self.part = self.path.with_name(self.path.name + ".part")
+        self.part = part_of(self.path)
         self._claim_target()
         self._container = av.open(str(self.part), "w", format="mp4", options={"movflags": "+faststart"})
         self._stream = self._add_stream()
@@ -172,6 +173,7 @@ class VideoSink:
             self.part.write_bytes(b"")
             is_folder = self.path.is_dir()
         except OSError as error:
+            self.part.unlink(missing_ok=True)
             raise OutputError(f"{self.path}: cannot be written: {error.strerror}") from None
         if is_folder:
             self.part.unlink()

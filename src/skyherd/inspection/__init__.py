@@ -5,7 +5,7 @@ pictures (`Annotator`) in a folder.
 """
 
 from skyherd.inspection.annotator import Annotator
-from skyherd.inspection.inspector import DETECTIONS, REJECTIONS, FileResult, Inspector
+from skyherd.inspection.inspector import DETECTIONS, REJECTIONS, FileResult, Inspector, output_name
 from skyherd.inspection.table import (
     CORNERS,
     FORMATS,
@@ -28,5 +28,6 @@ __all__ = [
     "Place",
     "detection_rows",
     "open_table",
+    "output_name",
     "rejection_rows",
 ]

@@ -14,14 +14,14 @@ import numpy.typing as npt
 from PIL import Image
 
 from skyherd.errors import InputError
-from skyherd.files.atomic import refuse_existing, write_whole
+from skyherd.files.atomic import write_whole
 from skyherd.files.images import read_grey
+from skyherd.files.output_folder import OutputFolder
 from skyherd.files.video_reader import find_files, is_video, open_clip, read_clip
 from skyherd.files.video_writer import VideoSink
 from skyherd.inspection.annotator import Annotator
 from skyherd.inspection.table import (
     DETECTION_COLUMNS,
-    FORMATS,
     REJECTION_COLUMNS,
     Format,
     Place,
@@ -33,6 +33,7 @@ from skyherd.inspection.table import (
 from skyherd.markers.dictionary import load_dictionary
 from skyherd.messages import Detections
 from skyherd.progress import NO_PROGRESS, Progress
+from skyherd.text import printable
 from skyherd.vision import Detector, Rejection, create_detector, explain, suggest
 
 DETECTIONS = "detections"
@@ -40,6 +41,13 @@ DETECTIONS = "detections"
 
 REJECTIONS = "rejected"
 """Name of the table of rejected candidates, without its ending."""
+
+VERB = "detect"
+"""Verb by which a folder's record knows what was made here."""
+
+MOST_STEM_BYTES = 200
+"""Bytes of a file's name that the annotated file's name takes over. *Chosen*: with an ending and a number it
+stays below 255, the most that file systems have."""
 
 FEW = 3
 """With fewer detections in a picture a hint is looked for, since something is likely to be wrong with it.
@@ -109,29 +117,30 @@ class Inspector:
         Args:
             target: the file or folder.
             folder: where tables and annotated files are written; made if it is not there.
-            force: whether `folder` may exist.
+            force: whether `folder` may exist; what was made in it before is then removed, and nothing else.
 
         Returns:
             One result for each file, in the order of their names.
 
         Raises:
-            InputError: there is nothing to look at, a single file cannot be read, or the folder exists.
+            InputError: there is nothing to look at, not one file can be read, the folder exists, or a file in
+                it would be replaced that was not made by this.
             OutputError: something cannot be written.
         """
         files = find_files(target)
-        refuse_existing(folder, force=force)
-        with ExitStack() as stack:
-            if not target.is_dir():
-                _check_readable(target)
-            folder.mkdir(parents=True, exist_ok=True)
-            for name in (DETECTIONS, REJECTIONS):
-                for kind in FORMATS:
-                    (folder / f"{name}.{kind}").unlink(missing_ok=True)
+        names = _picture_names(files)
+        table_names = [f"{DETECTIONS}.{self.kind}", f"{REJECTIONS}.{self.kind}"][: 2 if self.explained else 1]
+        output = OutputFolder(folder, VERB, [*table_names, *names.values()], force=force, inputs=files)
+        output.check()
+        if not target.is_dir():
+            _check_readable(target)
+        with output, ExitStack() as stack:
             tables = [self._open(stack, folder / DETECTIONS, DETECTION_COLUMNS)]
             if self.explained:
                 tables.append(self._open(stack, folder / REJECTIONS, REJECTION_COLUMNS))
-            names = _picture_names(files)
-            return [self._inspect_file(file, folder / names[file], tables) for file in files]
+            results = [self._inspect_file(file, folder / names[file], tables) for file in files]
+            _check_any_readable(target, results)
+            return results
 
     def _open(self, stack: ExitStack, path: Path, columns: list[str]) -> Table:
         return stack.enter_context(open_table(path.with_suffix(f".{self.kind}"), columns, self.kind))
@@ -197,6 +206,16 @@ class Inspector:
         return found
 
 
+def _check_any_readable(target: Path, results: list[FileResult]) -> None:
+    """Refuse what turned out to be unreadable altogether, so that nothing is left of it."""
+    troubles = [result.trouble for result in results if result.trouble is not None]
+    if len(troubles) < len(results):
+        return
+    if len(troubles) == 1:
+        raise troubles[0]
+    raise InputError(str(target), f"none of its {len(results)} files can be read", str(troubles[0]))
+
+
 def _check_readable(file: Path) -> None:
     """Refuse a file that cannot be read before a folder is made for it."""
     if is_video(file):
@@ -205,13 +224,30 @@ def _check_readable(file: Path) -> None:
         read_grey(file)
 
 
+def output_name(name: str) -> str:
+    """A name for an output, made of the name of a file that may be anything: printable, and not too long."""
+    plain = "".join("_" if char in '\\/:*?"<>|' else char for char in printable(name)).lstrip(".") or "_"
+    return plain.encode()[:MOST_STEM_BYTES].decode(errors="ignore")
+
+
 def _picture_names(files: list[Path]) -> dict[Path, str]:
     """Names of the annotated files: the originals', with their whole names where two would be alike."""
     ends = {file: ".mp4" if is_video(file) else ".png" for file in files}
-    often = Counter(file.stem + ends[file] for file in files)
-    return {
-        file: (file.stem if often[file.stem + ends[file]] == 1 else file.name) + ends[file] for file in files
+    stems = {file: output_name(file.stem) for file in files}
+    often = Counter(stems[file] + ends[file] for file in files)
+    named = {
+        file: stems[file] if often[stems[file] + ends[file]] == 1 else output_name(file.name)
+        for file in files
     }
+    taken: set[str] = set()
+    names = {}
+    for file, stem in named.items():
+        tries = (
+            f"{stem}{number}{ends[file]}" for number in ("", *(f"-{k}" for k in range(2, len(files) + 2)))
+        )
+        names[file] = next(name for name in tries if name not in taken)
+        taken.add(names[file])
+    return names
 
 
 def _even(picture: Grey) -> Grey:

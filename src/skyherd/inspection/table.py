@@ -8,7 +8,6 @@ does not state them; and the corners, the first two ahead. JSON lines have the c
 
 import csv
 import json
-import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -17,8 +16,9 @@ from typing import Any, Literal, TextIO, get_args
 
 import numpy as np
 
-from skyherd.errors import OutputError
+from skyherd.files.atomic import whole_file
 from skyherd.messages import Detections
+from skyherd.text import printable, table_cell
 from skyherd.vision import Rejection
 
 Format = Literal["csv", "jsonl"]
@@ -117,16 +117,23 @@ class Table:
         """Write one row; keys that are no columns are left out of CSV, and kept in JSON lines."""
         if self._kind == "csv":
             corners = dict(zip(CORNERS, np.ravel(row["corners_px"]), strict=True))
-            self._writer.writerow({key: _short(value) for key, value in (row | corners).items()})
+            self._writer.writerow({key: _cell(value) for key, value in (row | corners).items()})
         else:
             plain = {key: _short(value) for key, value in row.items()}
             self._stream.write(json.dumps(plain, ensure_ascii=False) + "\n")
 
 
+def _cell(value: Any) -> Any:
+    """A value of CSV: texts harmless to spreadsheets, such as the name of a file, which may be anything."""
+    return table_cell(value) if isinstance(value, str) else _short(value)
+
+
 def _short(value: Any) -> Any:
-    """Numbers rounded to a ten-thousandth or, if small, to five figures; arrays as lists."""
+    """Numbers rounded to a ten-thousandth or, if small, to five figures; arrays as lists; texts printable."""
     if isinstance(value, np.ndarray):
         return [_short(item) for item in value]
+    if isinstance(value, str):
+        return printable(value)
     if isinstance(value, float):
         return round(float(value), 4) if abs(value) >= 0.1 else float(f"{value:.5g}")
     return value
@@ -146,14 +153,5 @@ def open_table(path: Path, columns: list[str], kind: Format) -> Iterator[Table]:
     Raises:
         OutputError: it cannot be written.
     """
-    part = path.with_name(f".{path.name}.part")
-    try:
-        with part.open("w", encoding="utf-8", newline="") as stream:
-            yield Table(stream, columns, kind)
-        os.replace(part, path)
-    except OutputError:
-        raise
-    except OSError as error:
-        raise OutputError(f"{path}: cannot be written: {error.strerror or error}") from None
-    finally:
-        part.unlink(missing_ok=True)
+    with whole_file(path) as part, part.open("w", encoding="utf-8", newline="") as stream:
+        yield Table(stream, columns, kind)

@@ -87,7 +87,7 @@ def parse_ids(text: str, dictionary: str) -> list[int]:
     last = dictionary_size(dictionary) - 1
     ids: dict[int, None] = {}
     for part in text.split(","):
-        match = re.fullmatch(r"\s*(\d+)\s*(?:-\s*(\d+)\s*)?", part)
+        match = re.fullmatch(r"\s*(\d{1,9})\s*(?:-\s*(\d{1,9})\s*)?", part)
         if match is None:
             raise InputError("--ids", f"{part.strip()!r} in {text!r}", "ids and ranges such as 0-15,20")
         first, end = int(match[1]), int(match[2] or match[1])

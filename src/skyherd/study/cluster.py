@@ -1,11 +1,14 @@
 """Runs on many processes through Dask: those of this machine, or those of a cluster that exists already.
 
 A worker makes one run at a time on one thread, without any file (`skyherd.study.measure`), and sends back its
-outcome. Local workers listen to this machine alone and have no dashboard.
+outcome. Local workers listen to this machine alone and have no dashboard. Whoever reaches a worker can let it
+run anything, and every user of a machine reaches its ports: local workers and their scheduler therefore speak
+TLS, with a certificate that is made for the run, stays in memory, and that all of them ask each other for.
 """
 
 import logging
 import signal
+import ssl
 import threading
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -15,13 +18,16 @@ from typing import Any
 
 import dask
 from dask.system import CPU_COUNT
-from distributed import Client, LocalCluster, as_completed
+from distributed import Client, LocalCluster, Security, as_completed
 from distributed.scheduler import KilledWorker
 
 from skyherd.datasets import Mission
 from skyherd.errors import InputError, OutputError
 from skyherd.study.measure import Outcome, failure, measure
 from skyherd.version import __version__
+
+PROTOCOLS = ("tcp://", "tls://")
+"""How the address of a scheduler begins."""
 
 WINDOW = 4
 """Runs that are submitted at a time for each thread of the cluster. Chosen: with 1 threads wait between two
@@ -128,7 +134,7 @@ def _interrupts_delayed() -> Iterator[None]:
     """Delay an interrupt (Ctrl-C) until workers have started, since half-started ones cannot be closed.
 
     Workers inherit the signal mask of this thread, also those that are started later: only this process
-    reacts to an interrupt.
+    reacts to an interrupt. SIGTERM is delayed too, but not masked: by it workers are ended.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -136,18 +142,22 @@ def _interrupts_delayed() -> Iterator[None]:
     delayed: list[int] = []
     resource_tracker.ensure_running()  # started later, it would take the mask away
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    handler = signal.signal(signal.SIGINT, lambda number, frame: delayed.append(number))
+    handlers = {
+        number: signal.signal(number, lambda number, frame: delayed.append(number))
+        for number in (signal.SIGINT, signal.SIGTERM)
+    }
     try:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-        signal.signal(signal.SIGINT, handler)
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
     if delayed:
-        raise KeyboardInterrupt
+        signal.raise_signal(delayed[0])
 
 
 def _local_cluster(jobs: int) -> LocalCluster:
-    """Start workers of one thread that listen to this machine alone, without a dashboard."""
+    """Start workers of one thread that listen to this machine alone, by TLS, without a dashboard."""
     try:
         return LocalCluster(
             n_workers=jobs,
@@ -155,6 +165,8 @@ def _local_cluster(jobs: int) -> LocalCluster:
             processes=True,
             host="127.0.0.1",
             scheduler_port=0,
+            protocol="tls://",
+            security=Security.temporary(),
             scheduler_kwargs={"dashboard": False, "dashboard_address": "127.0.0.1:0"},
             silence_logs=logging.CRITICAL,
         )
@@ -166,11 +178,19 @@ def _local_cluster(jobs: int) -> LocalCluster:
 
 @contextmanager
 def _connect(address: str) -> Iterator[Client]:
+    allowed = "such as tcp://192.168.1.2:8786, or tls:// with certificates in Dask's configuration"
+    if not address.startswith(PROTOCOLS):
+        raise InputError(f"--scheduler {address}", "not an address", allowed)
     try:
         client = Client(address, timeout=TIMEOUT_S)
-    except (OSError, ValueError) as error:
-        why = "not an address" if isinstance(error, ValueError) else "no scheduler answers there"
-        raise InputError(f"--scheduler {address}", why, "such as tcp://192.168.1.2:8786") from None
+    except ssl.SSLError as error:
+        raise InputError(f"--scheduler {address}", f"TLS fails: {error.reason}", allowed) from None
+    except OSError:
+        raise InputError(f"--scheduler {address}", "no scheduler answers there", allowed) from None
+    except TypeError:  # of a TLS address without certificates
+        raise InputError(f"--scheduler {address}", "no certificates for TLS", allowed) from None
+    except (ValueError, RuntimeError):
+        raise InputError(f"--scheduler {address}", "not an address", allowed) from None
     with client:
         try:
             client.wait_for_workers(1, timeout=TIMEOUT_S)

@@ -6,7 +6,7 @@ Studies are built of these parts: `spec.py` reads the file, `plan.py` lists the 
 one table, and a function from table to files draws the pages (`PAGES`). The key of a run is the hash of its
 mission. Resuming a study, changing it and repeating it are therefore one question: is the key in the store?
 
-A new kind of pages needs a function in `PAGES`, its name in `skyherd.study.spec.StudySpec.pages`, and, to be
+A new kind of pages needs an entry in `PAGES`, its name in `skyherd.study.spec.StudySpec.pages`, and, to be
 built in, a TOML file in `study/specs/`.
 
 Left in the folder: `study.json`, `parts/` (every outcome there ever was), `table.parquet` (one row a run of
@@ -18,28 +18,41 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from time import monotonic
+from typing import NamedTuple
 
 import pyarrow as pa
 
 from skyherd.progress import NO_PROGRESS, Progress
 from skyherd.study.cluster import open_client, run_missions
-from skyherd.study.figures import write_figure_pages
-from skyherd.study.invariance.page import write_invariance
-from skyherd.study.methods.page import write_methods
+from skyherd.study.figures import figure_names, write_figure_pages
+from skyherd.study.invariance.page import invariance_names, write_invariance
+from skyherd.study.methods.page import methods_names, write_methods
 from skyherd.study.plan import Plan, Run
 from skyherd.study.spec import CURVE, Study
 from skyherd.study.store import ERROR, Store, open_store, write_parquet
 from skyherd.study.table import TABLE, make_table
 from skyherd.version import __version__
 
-PAGES: Mapping[str, Callable[[Study, pa.Table, Path], list[Path]]] = {
-    "figures": write_figure_pages,
-    "invariance": write_invariance,
-    "methods": write_methods,
+
+class Pages(NamedTuple):
+    """What is made of a study's table.
+
+    Attributes:
+        names: a function of the study: the files that `write` may write, relative to the study's folder.
+        write: a function of the study, its table and its folder that writes files and returns the paths of
+            those to look at, first the one to open. It raises OutputError where a file cannot be written.
+    """
+
+    names: Callable[[Study], list[str]]
+    write: Callable[[Study, pa.Table, Path], list[Path]]
+
+
+PAGES: Mapping[str, Pages] = {
+    "figures": Pages(figure_names, write_figure_pages),
+    "invariance": Pages(invariance_names, write_invariance),
+    "methods": Pages(methods_names, write_methods),
 }
-"""What is made of a study's table, by the name that the study's `pages` has: a function of the study, its
-table and its folder that writes files and returns their paths, first the one to open. It raises OutputError
-where a file cannot be written."""
+"""The pages of studies, by the name that a study's `pages` has."""
 
 
 @dataclass(frozen=True)
@@ -91,7 +104,8 @@ def conduct(
         InputError: the folder holds something else, or the scheduler is no good.
         OutputError: something cannot be written, or the cluster is gone.
     """
-    with open_store(folder, study_mark(plan.study)) as store:
+    pages = PAGES[plan.study.spec.pages]
+    with open_store(folder, study_mark(plan.study), [TABLE, *pages.names(plan.study)]) as store:
         missing = missing_runs(plan, store, retry=retry)
         reused = len({run.key for run in plan.runs}) - len(missing)
         state = f"{reused} were there" if reused else "starting …"
@@ -105,7 +119,7 @@ def conduct(
         store.compact()
         return StudyReport(
             table=path,
-            pages=PAGES[plan.study.spec.pages](plan.study, table, folder),
+            pages=pages.write(plan.study, table, folder),
             runs=table.num_rows,
             failed=table.num_rows - table[ERROR].null_count,
             reused=reused,

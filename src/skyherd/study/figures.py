@@ -34,6 +34,11 @@ HEIGHT_IN = 4.2
 """Height of a figure, inches."""
 
 
+def figure_names(study: Study) -> list[str]:
+    """Names of the files that `write_figure_pages` may write into the study's folder."""
+    return [MARKDOWN, *(f"{model.name}.png" for model in study.spec.figures)]
+
+
 def write_figure_pages(study: Study, table: pa.Table, folder: Path) -> list[Path]:
     """Write `table.md`, and a PNG for each figure of the study that has anything to show.
 

@@ -21,6 +21,7 @@ from skyherd.datasets import (
     read_scenario,
 )
 from skyherd.errors import InputError
+from skyherd.files.reading import is_regular
 from skyherd.study.spec import DrawModel, RandomModel, Study, SweepModel
 from skyherd.version import __version__
 
@@ -144,7 +145,7 @@ def _source(study: Study) -> ScenarioSource:
     name = study.spec.scenario
     beside = study.folder / name
     try:
-        return read_scenario(str(beside) if name.endswith(".toml") or beside.is_file() else name)
+        return read_scenario(str(beside) if name.endswith(".toml") or is_regular(beside) else name)
     except InputError as error:
         raise InputError(f"{study.where}: scenario: {error.where}", error.what, error.allowed) from None
 

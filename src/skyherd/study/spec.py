@@ -7,9 +7,10 @@ from pydantic import BeforeValidator, Field, ValidationError, field_validator, m
 
 from skyherd.analysis.history import CURVES
 from skyherd.analysis.summary_fields import GROUPS
-from skyherd.datasets import Model, built_in_names, built_in_text, first_error, parse_toml, read_text
+from skyherd.datasets import Model, built_in_names, built_in_text, first_error, parse_toml, read_toml_text
 from skyherd.datasets.configuration.fields import Coordinate, Positive, Seed
 from skyherd.errors import InputError
+from skyherd.files.reading import is_regular
 
 BUILT_IN = "skyherd.study.specs"
 """Package whose TOML files are the built-in studies."""
@@ -271,9 +272,9 @@ def load_study(name_or_file: str, *, quick: bool = False) -> Study:
         InputError: in one line, the file, the key, the value, and what is allowed.
     """
     path = Path(name_or_file)
-    is_file = path.suffix == ".toml" or path.is_file()
+    is_file = path.suffix == ".toml" or is_regular(path)
     where = str(path) if is_file else f"study {name_or_file}"
-    text = read_text(path, "study") if is_file else study_text(name_or_file)
+    text = read_toml_text(path, "study") if is_file else study_text(name_or_file)
     tree = parse_toml(text, where, f"skyherd study {study_names()[0]} --show")
     if quick:
         if not isinstance(tree.get("quick"), dict):

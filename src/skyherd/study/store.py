@@ -4,22 +4,30 @@ A part is written under another name and then renamed, so that a process that is
 at most what it had not yet written. Parts are numbered, and the last outcome of a run counts.
 """
 
-from collections.abc import Iterator, Sequence
+import re
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import locket
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from skyherd.errors import InputError, OutputError
-from skyherd.files.atomic import write_text, write_whole
+from skyherd.errors import InputError
+from skyherd.files.atomic import PART, write_text, write_whole
+from skyherd.files.output_folder import RECORD, OutputFolder, is_directory
+from skyherd.files.reading import is_regular, open_regular
 from skyherd.study.measure import Outcome
 
-PARTS, LOCK, MARK = "parts", ".lock", "study.json"
-"""Names in a study's folder: the folder of parts, the lock file, and the file that says which study it is."""
+PARTS, MARK = "parts", "study.json"
+"""Names in a study's folder: the folder of parts, and the file that says which study it is."""
+
+PART_NAME = re.compile(r"[0-9]{8}\.parquet")
+"""Names of the parts, which are numbered."""
+
+VERB = "study"
+"""Verb by which the record of output folders (`skyherd.files.output_folder`) knows the files of a study."""
 
 KEY, ERROR = "key", "error"
 """Columns that every outcome has."""
@@ -28,14 +36,16 @@ KEY, ERROR = "key", "error"
 class Store:
     """The outcomes in a study's folder. Only a store from `open_store` may be written to."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, on_append: Callable[[], None] = lambda: None) -> None:
         self.folder = folder / PARTS
+        self._on_append = on_append
 
     def append(self, outcomes: Sequence[Outcome]) -> None:
         """Write outcomes as one part; OutputError if it cannot be written."""
         names = dict.fromkeys(name for outcome in outcomes for name in outcome)
         columns = {name: [_plain(outcome.get(name)) for outcome in outcomes] for name in names}
         self._write(pa.table(columns))
+        self._on_append()
 
     def keys(self, columns: Sequence[str] = (), *, failed: bool = True) -> set[str]:
         """Keys of the runs whose outcome is stored.
@@ -62,7 +72,11 @@ class Store:
         tables = [_read(path) for path in self._paths()]
         if not tables:
             return pa.table({KEY: pa.array([], pa.string()), ERROR: pa.array([], pa.string())})
-        table = pa.concat_tables(tables, promote_options="permissive")
+        try:
+            table = pa.concat_tables(tables, promote_options="permissive")
+        except pa.ArrowException as error:
+            what = f"parts that do not go together: {' '.join(str(error).split())}"
+            raise InputError(str(self.folder), what, "remove it, and all runs are made again") from None
         last = {key: row for row, key in enumerate(table[KEY].to_pylist())}
         return table.take(sorted(last.values()))
 
@@ -80,7 +94,7 @@ class Store:
         write_parquet(table, self.folder / f"{number:08d}.parquet")
 
     def _paths(self) -> list[Path]:
-        return sorted(self.folder.glob("[0-9]*.parquet"))
+        return sorted(path for path in self.folder.glob("*.parquet") if PART_NAME.fullmatch(path.name))
 
 
 def write_parquet(table: pa.Table, path: Path) -> Path:
@@ -89,48 +103,54 @@ def write_parquet(table: pa.Table, path: Path) -> Path:
 
 
 @contextmanager
-def open_store(folder: Path, mark: str) -> Iterator[Store]:
+def open_store(folder: Path, mark: str, names: Sequence[str] = ()) -> Iterator[Store]:
     """Open the store in a folder for one process at a time, and write `mark` to `study.json` beside it.
 
+    If the body of the `with` fails before an outcome is stored in a new folder, nothing is left of it.
+
+    Args:
+        folder: a new folder, or that of a study.
+        mark: content of `study.json`: which study it is.
+        names: further files that will be written into the folder.
+
     Raises:
-        InputError: the folder holds something else, or another process uses it.
+        InputError: the folder holds something else, or a file that would be replaced and that no study made;
+            or another process uses it.
         OutputError: it cannot be written to.
     """
     if _is_foreign(folder):
         raise InputError(str(folder), "holds something else", "a new folder, or that of a study; see --out")
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        lock = locket.lock_file(str(folder / LOCK), timeout=0)
-        lock.acquire()
-    except locket.LockError:
-        raise InputError(
-            str(folder), "another study is at work in it", "wait for it, or another --out"
-        ) from None
-    except OSError as error:
-        raise OutputError(f"{folder}: {error.strerror or error}; choose another --out") from None
-    try:
+    with OutputFolder(folder, VERB, [MARK, f"{PARTS}/", *names], resume=True) as output:
         write_text(folder / MARK, mark)
         (folder / PARTS).mkdir(exist_ok=True)
-        for part in (folder / PARTS).glob(".*.part"):  # of a process that was killed
-            part.unlink(missing_ok=True)
-        yield Store(folder)
-    finally:
-        lock.release()
+        yield Store(folder, on_append=output.keep)
 
 
 def _read(path: Path) -> pa.Table:
+    """A part; InputError if it is not one that `Store.append` wrote."""
+    advice = "remove it, and its runs are made again"
     try:
-        return pq.read_table(path)
-    except (pa.ArrowInvalid, OSError) as error:
-        why = " ".join(str(error).split())[:80]
-        raise InputError(str(path), f"damaged: {why}", "remove it, and its runs are made again") from None
+        with open_regular(path, advice) as stream:
+            table = pq.read_table(stream)
+    except InputError:
+        raise
+    except (pa.ArrowException, OSError, ValueError) as error:
+        raise InputError(str(path), f"damaged: {' '.join(str(error).split())}", advice) from None
+    for name in (KEY, ERROR):
+        if name not in table.column_names:
+            raise InputError(str(path), f"damaged: no column {name}", advice)
+        if not (pa.types.is_string(table[name].type) or pa.types.is_null(table[name].type)):
+            raise InputError(str(path), f"damaged: column {name} is no text", advice)
+    if table[KEY].null_count:
+        raise InputError(str(path), f"damaged: a row without a {KEY}", advice)
+    return table
 
 
 def _is_foreign(folder: Path) -> bool:
     """Whether the folder has content that is not of a study."""
-    if not folder.exists() or (folder / MARK).exists():
+    if not is_directory(folder) or is_regular(folder / MARK):
         return False
-    return not folder.is_dir() or any(entry.name not in {LOCK, f".{MARK}.part"} for entry in folder.iterdir())
+    return any(entry.name != RECORD and not PART.fullmatch(entry.name) for entry in folder.iterdir())
 
 
 def _plain(value: Any) -> Any:

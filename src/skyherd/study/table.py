@@ -52,7 +52,7 @@ def read_table(folder: Path) -> pa.Table:
     """
     try:
         return pq.read_table(folder / TABLE)
-    except (pa.ArrowInvalid, OSError):
+    except (pa.ArrowException, OSError):
         raise InputError(
             str(folder / TABLE), "not there or damaged", "the folder of a finished study"
         ) from None

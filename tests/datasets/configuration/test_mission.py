@@ -125,7 +125,7 @@ def test_what_is_wrong_is_said_in_one_line(tmp_path, case):
 
 
 def test_missing_and_binary_files_are_named(tmp_path):
-    with pytest.raises(InputError, match=r"absent\.toml.*No such file"):
+    with pytest.raises(InputError, match=r"absent\.toml.*no such file"):
         load_mission(str(tmp_path / "absent.toml"))
     with pytest.raises(
         InputError,

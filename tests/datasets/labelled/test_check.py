@@ -1,5 +1,6 @@
 """`skyherd dataset`: its check finds each kind of damage, and what a user gets wrong is one line."""
 
+import csv
 import json
 import shutil
 
@@ -11,6 +12,7 @@ from label_specs import spec_of
 
 from skyherd.datasets.labelled.check import check_dataset
 from skyherd.datasets.labelled.make import make_dataset
+from skyherd.datasets.labelled.truth_table import table_text
 
 IMAGE = "images/train/000000.png"
 
@@ -142,20 +144,71 @@ def _no_number(folder):
     file.write_text("\n".join([lines[0], lines[1] + "x", *lines[2:]]))
 
 
+def _painted_over(folder):
+    """A marker's middle, by a grey square of 20 px: too little for the mean of the image to tell."""
+    with (folder / "truth.csv").open() as stream:
+        rows = [row for row in csv.DictReader(stream) if row["image"] == IMAGE]
+    row = min(rows, key=lambda row: (-float(row["visible_fraction"]), float(row["side_px"])))
+    u, v, half = (float(row[name]) for name in ("u_px", "v_px", "side_px"))
+    image = cv2.imread(str(folder / IMAGE), cv2.IMREAD_GRAYSCALE)
+    half = min(half / 2, 10)
+    corners = [max(0, round(value)) for value in (v - half, v + half, u - half, u + half)]
+    image[corners[0] : corners[1], corners[2] : corners[3]] = 128
+    cv2.imwrite(str(folder / IMAGE), image)
+
+
+def _added_image(folder):
+    shutil.copy(folder / IMAGE, folder / "images/train/holiday.png")
+
+
+def _change_images_table(folder, column, value):
+    with (folder / "images.csv").open() as stream:
+        rows = list(csv.DictReader(stream))
+    rows[0][column] = value
+    (folder / "images.csv").write_text(table_text(rows, rows[0]))
+
+
+def _nan_in_images(folder):
+    _change_images_table(folder, "focal_u_px", "nan")
+
+
+def _another_camera(folder):
+    _change_images_table(folder, "height_sides", "7.0")
+
+
+def _long_row(folder):
+    file = folder / "images.csv"
+    file.write_text(file.read_text().replace("\n", ",1\n").replace(",1\n", "\n", 1))
+
+
+def _nan_in_truth(folder):
+    file = folder / "truth.csv"
+    lines = file.read_text().splitlines()
+    words = lines[1].split(",")
+    words[2] = "nan"
+    file.write_text("\n".join([lines[0], ",".join(words), *lines[2:]]))
+
+
 def _no_table(folder):
     (folder / "images.csv").unlink()
 
 
 DAMAGES = {
+    _painted_over: (IMAGE, "its pixels around"),
+    _added_image: ("holiday.png", "is no file of the set"),
+    _nan_in_images: ("images.csv", "focal_u_px is nan"),
+    _another_camera: ("images.csv", "height_sides is not as its seed gives it"),
+    _long_row: ("images.csv", "longer or shorter"),
+    _nan_in_truth: ("line 2", "not all of its values are numbers"),
     _missing: (IMAGE, "no such file"),
     _truncated: (IMAGE, "damaged or cut short"),
     _wrong_size: (IMAGE, "319x240 px, its spec says 320x240"),
     _another_image: (IMAGE, "not those of its seed"),
     _moved_yolo: ("000000.txt", "line 1, value 2 is 0."),
-    _missing_yolo: ("000000.txt", "No such file"),
+    _missing_yolo: ("000000.txt", "no such file"),
     _short_yolo: ("000000.txt", "lines instead of"),
     _garbled_yolo: ("000000.txt", "line 1, value 2 is a instead of 0."),
-    _no_yaml: ("data.yaml", "No such file"),
+    _no_yaml: ("data.yaml", "no such file"),
     _wrong_yaml: ("data.yaml", "differs from its spec: line 3, value 1 is path: instead of train:"),
     _moved_coco: ("train.json", "annotations.1.keypoints.0 is"),
     _short_coco: ("train.json", "annotations has"),
@@ -165,7 +218,7 @@ DAMAGES = {
     _moved_truth: ("truth.csv", "not as its seed puts them"),
     _short_truth: ("truth.csv", "by its seed"),
     _no_number: ("truth.csv", "line 2: not all of its values are numbers"),
-    _no_table: ("images.csv", "No such file"),
+    _no_table: ("images.csv", "no such file"),
 }
 
 
@@ -258,7 +311,7 @@ def test_bad_specs_are_one_line_each_and_leave_nothing(tmp_path, text, capsys):
 
 def test_unknown_specs_and_jobs_are_refused(tmp_path, capsys):
     assert_refused(call(capsys, "dataset", "make", "nothing", "--out", tmp_path / "x"), "small, varied")
-    assert_refused(call(capsys, "dataset", "make", tmp_path / "x.toml"), "x.toml", "No such file")
+    assert_refused(call(capsys, "dataset", "make", tmp_path / "x.toml"), "x.toml", "no such file")
     assert_refused(call(capsys, "dataset", "make", "small", "--jobs", 0), "--jobs")
 
 

@@ -62,7 +62,7 @@ def test_resumed_equals_uninterrupted(made, tmp_path, jobs):
     assert 0 < len(pictures) < 10 + jobs  # two processes may have been done by then
     assert "truth.csv" not in begun
     # As a killed process leaves it.
-    (tmp_path / "images/train/.000000.png.part").write_bytes(b"\x89PNG")
+    (tmp_path / "images/train/.skyherd-0123456789abcdef.part").write_bytes(b"\x89PNG")
     times = {name: (tmp_path / name).stat().st_mtime_ns for name in pictures}
     make_dataset(spec_of(), tmp_path)
     assert contents(tmp_path) == contents(made.path)

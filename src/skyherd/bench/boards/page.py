@@ -15,6 +15,9 @@ from skyherd.report.pages import Tile, figure_card, render_page
 PAGE, MARKDOWN, RESULT = "boards.html", "boards.md", "boards.json"
 """File names in the result's folder."""
 
+OUTPUT_NAMES = (RESULT, PAGE, MARKDOWN, "figures/")
+"""All that is written into the result's folder, relative to it."""
+
 
 def write_outputs(result: SetResult, measured: Measurement, folder: Path) -> Path:
     """Write JSON, page, Markdown and figures into a folder, and return the path of the page.

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from skyherd.bench.entrants import is_ours
 from skyherd.bench.photographs.contact_sheet import PlaceTile, write_sheet
 from skyherd.bench.photographs.measurement import Measurement
-from skyherd.bench.photographs.result import PhotographsResult
+from skyherd.bench.photographs.result import MISSED, RESULT, UNCONFIRMED, PhotographsResult
 from skyherd.bench.photographs.tables import make_tables
 from skyherd.bench.plots import OTHER_COLORS, OUR_COLORS
 from skyherd.bench.tables import markdown_page, plain_text
@@ -19,6 +19,9 @@ from skyherd.report.pages import Tile, figure_card, render_page
 
 PAGE, MARKDOWN = "photographs.html", "photographs.md"
 """File names in the result's folder."""
+
+OUTPUT_NAMES = (RESULT, MISSED, UNCONFIRMED, PAGE, MARKDOWN, "figures/")
+"""All that is written into the result's folder, relative to it."""
 
 
 def write_page(result: PhotographsResult, measured: Measurement, folder: Path) -> Path:

@@ -10,7 +10,7 @@ from skyherd.files.atomic import write_text
 from skyherd.report.pages import Tile, figure_card, render_page
 from skyherd.study.figures import MARKDOWN, complaints
 from skyherd.study.invariance.measures import IDEAL, RENDERED, Sweep, make_sweeps
-from skyherd.study.invariance.plots import draw_sweeps
+from skyherd.study.invariance.plots import draw_sweeps, figure_name
 from skyherd.study.plan import make_plan
 from skyherd.study.spec import Study
 from skyherd.study.store import ERROR
@@ -43,6 +43,12 @@ SCIENTIFIC = 1e-3
 
 MISSING = "–"
 """What the table has where nothing was measured."""
+
+
+def invariance_names(study: Study) -> list[str]:
+    """Names of the files that `write_invariance` may write into the study's folder."""
+    figures = [figure_name(sweep.name) for sweep in study.spec.all_sweeps]
+    return [PAGE, MARKDOWN, *(f"figures/{name}{kind}" for name in figures for kind in (".png", ".svg"))]
 
 
 def write_invariance(study: Study, table: pa.Table, folder: Path) -> list[Path]:

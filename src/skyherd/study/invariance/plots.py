@@ -1,5 +1,6 @@
 """Figures of a study of cameras: errors of goals, paths and shape over one parameter of the camera."""
 
+import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -60,12 +61,17 @@ def draw_sweeps(sweeps: Iterable[Sweep], folder: Path) -> list[FigureFile]:
             save_figure(
                 draw_sweep(sweep),
                 folder,
-                sweep.name.replace(" ", "-"),
+                figure_name(sweep.name),
                 sweep.name.capitalize(),
                 caption(sweep),
             )
             for sweep in sweeps
         ]
+
+
+def figure_name(sweep: str) -> str:
+    """Name, without ending, of the figure of a sweep, whose own name may be any text."""
+    return re.sub(r"[^\w.-]", "-", sweep).lstrip(".") or "-"
 
 
 def caption(sweep: Sweep) -> str:

@@ -33,6 +33,11 @@ UNKNOWN = "–"
 """What a table has where no run has a value."""
 
 
+def methods_names(study: Study) -> list[str]:
+    """Names of the files that `write_methods` writes into the study's folder."""
+    return [PAGE, MARKDOWN, "figures/methods.png", "figures/methods.svg"]
+
+
 def write_methods(study: Study, table: pa.Table, folder: Path) -> list[Path]:
     """Write page, Markdown and figure of a study of methods into its folder.
 

@@ -1,0 +1,70 @@
+"""Interrupts (Ctrl-C) and requests to end (SIGTERM, SIGHUP): one way out for all, which tidies up.
+
+Each of the three signals becomes a KeyboardInterrupt in the main thread, so that whatever is open is closed
+as after an error. A verb says in `telling_of_interrupts` what is left, and `skyherd.cli.main` prints it.
+"""
+
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import FrameType
+
+CODES = {"SIGINT": 130, "SIGTERM": 143, "SIGHUP": 129}
+"""Exit codes by signal. Defined by shells: 128 and the signal's number."""
+
+
+NOTHING_LEFT = "nothing is left of it"
+"""What is said where a verb says nothing else."""
+
+
+class Interrupted(Exception):
+    """A verb was interrupted; the message says what is left. Typer would catch a KeyboardInterrupt."""
+
+
+class SignalReceived(KeyboardInterrupt):
+    """One of `CODES` was received; `args[0]` is its name."""
+
+
+@contextmanager
+def signals_as_interrupts() -> Iterator[None]:
+    """Let each signal of `CODES` raise SignalReceived in the body; afterwards all is as it was."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    numbers = [getattr(signal, name) for name in CODES if hasattr(signal, name)]
+    before = {number: signal.getsignal(number) for number in numbers}
+    try:
+        for number, handler in before.items():
+            if handler not in (signal.SIG_IGN, None):  # as under nohup
+                signal.signal(number, _raise)
+        yield
+    finally:
+        for number, handler in before.items():
+            if handler is not None:
+                signal.signal(number, handler)
+
+
+def _raise(number: int, frame: FrameType | None) -> None:
+    raise SignalReceived(signal.Signals(number).name)
+
+
+@contextmanager
+def telling_of_interrupts(what_is_left: str) -> Iterator[None]:
+    """Turn an interrupt of the body into Interrupted, with what is left in words."""
+    try:
+        yield
+    except KeyboardInterrupt as error:
+        raise Interrupted(what_is_left, *error.args) from None
+
+
+def describe(error: BaseException) -> tuple[str, int]:
+    """The line to print of an interrupt, and the exit code.
+
+    Args:
+        error: Interrupted, or a KeyboardInterrupt that no verb has put into words.
+    """
+    left, *names = error.args if isinstance(error, Interrupted) else (NOTHING_LEFT, *error.args)
+    name = names[0] if names else "SIGINT"
+    said = "interrupted" if name == "SIGINT" else f"ended by {name}"
+    return f"{said}; {left}", CODES.get(name, CODES["SIGINT"])

@@ -1,0 +1,422 @@
+"""The one owner of output folders: what may be written where, and what `--force` may replace.
+
+A folder that skyherd writes into has a record, `.skyherd.json`: which files in it skyherd made, by which
+verb, and the SHA-256 of each. From it follow the rules that hold for every verb:
+
+- A file that is not in the record, or was changed since, is somebody else's. It is never replaced or removed.
+- `--force` removes what the same verb made there before, and nothing else.
+- Names are claimed in the record before they are written, so that what a killed process left is known.
+- A command that fails removes what it made, a new folder too, unless it kept it for a later command.
+- One process at a time writes into a folder, held by a lock on the folder that ends with the process.
+"""
+
+import hashlib
+import json
+import os
+import shutil
+import socket
+import sys
+import time
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from skyherd.errors import InputError, OutputError
+from skyherd.files.atomic import PART, write_text
+from skyherd.files.reading import is_regular, read_json
+from skyherd.version import __version__
+
+if sys.platform != "win32":  # which has no such locks: there two processes must not be given one folder
+    import fcntl
+
+RECORD = ".skyherd.json"
+"""Name of the record in a folder."""
+
+ABOUT = "What skyherd made in this folder. --force replaces these files and no others."
+"""What the record says of itself."""
+
+WAIT_S, POLL_S = 2.0, 0.05
+"""How long a single file waits for a folder that another process writes into, and how often it asks, s.
+*Chosen*: longer than any single file takes, and short enough for a person."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """What the record says of one file.
+
+    Attributes:
+        maker: the verb that made it.
+        digest: SHA-256 of its content, in hexadecimal digits; None while it is written, and for a folder.
+    """
+
+    maker: str
+    digest: str | None = None
+
+
+class OutputFolder:
+    """A folder that a verb writes into, as a context: locked, its record kept, tidied after a failure.
+
+    ```python
+    with OutputFolder(Path("runs/star"), "run", ["run.mcap", "summary.json"], force=True) as output:
+        ...  # write the files
+    ```
+
+    Args:
+        path: the folder; made if it is not there.
+        verb: who writes, as on the command line: `run`.
+        names: files that will be written, relative to the folder. A name that ends in `/` is a folder that
+            is the verb's throughout. A name that was claimed and is not written in the end is forgotten.
+        force: the folder may exist; what the verb made there before is removed first.
+        resume: the folder may exist; what the verb made there stays until it is written again.
+        inputs: files that are read, none of which may be replaced.
+        wait_s: how long to wait if another process writes into the folder.
+
+    Entering raises InputError, before anything is changed, if the folder exists without `force` or `resume`,
+    is a file, cannot be made, is in use by another process, or holds a file by a claimed name that the verb
+    did not make.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        verb: str,
+        names: Iterable[str],
+        *,
+        force: bool = False,
+        resume: bool = False,
+        inputs: Sequence[Path] = (),
+        wait_s: float = 0.0,
+    ) -> None:
+        self.path, self.verb, self.names = path, verb, list(names)
+        self._force, self._resume, self._inputs, self._wait_s = force, resume, inputs, wait_s
+        self._entries: dict[str, Entry] = {}
+        self._made_folders: list[Path] = []
+        self._new_names: set[str] = set()
+        self._lock: int | None = None
+        self._kept = False
+
+    def check(self) -> None:
+        """Refuse what entering would refuse, as far as it can be told now, and change nothing.
+
+        Raises:
+            InputError: as for entering.
+        """
+        _check_name(self.path)
+        if os.path.lexists(self.path) and not is_directory(self.path):
+            raise InputError(str(self.path), "is a file", "a folder to make; choose another --out")
+        if not os.path.lexists(self.path):
+            return
+        if not (self._force or self._resume):
+            raise InputError(str(self.path), "exists", "another --out, or --force to write it anew")
+        entries = _read_entries(self.path)
+        for name in self.names:
+            self._check_free(name, entries)
+
+    def keep(self) -> None:
+        """From now on leave what is there if the body fails: a later command goes on from it."""
+        self._kept = True
+
+    def discard(self) -> None:
+        """Take `keep` back: what was made is worth nothing."""
+        self._kept = False
+
+    def __enter__(self) -> Self:
+        self.check()
+        try:
+            self._make_folders()
+            self._acquire()
+        except OSError as error:
+            self._remove_made_folders()
+            if isinstance(error, InputError | OutputError):
+                raise
+            what = error.strerror or str(error)
+            raise InputError(str(self.path), what, "a folder that can be written to; see --out") from None
+        try:
+            self.check_claims()
+            if self._force:
+                self._remove_former()
+            self._remove_parts()
+            self._new_names = {name for name in self.names if not os.path.lexists(self.path / name)}
+            self._entries |= {name: Entry(self.verb) for name in self.names}
+            self._write_record(writing=True)
+        except BaseException:
+            self._release()
+            self._remove_made_folders()
+            raise
+        return self
+
+    def check_claims(self) -> None:
+        """Read the record anew, under the lock, and check every name against it."""
+        self._entries = _read_entries(self.path)
+        for name in self.names:
+            self._check_free(name, self._entries)
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            self._remove_parts()
+            if error is not None and not self._kept:
+                self._undo()
+            else:
+                self._finish()
+        except OSError:
+            if error is None:
+                raise
+        finally:
+            self._release()
+            if error is not None and not self._kept:
+                self._remove_made_folders()
+
+    def _check_free(self, name: str, entries: dict[str, Entry]) -> None:
+        """Refuse a name at which there is an input, or anything that this verb did not make."""
+        path = self.path / name
+        if not os.path.lexists(path):
+            for parent in list(path.relative_to(self.path).parents)[:-1]:
+                if os.path.lexists(self.path / parent) and not (self.path / parent).is_dir():
+                    raise self._foreign(self.path / parent, "is in the way")
+            return
+        if any(_is_same(path, read) for read in self._inputs):
+            raise InputError(str(path), "is what is read, and would be replaced", "choose another --out")
+        entry = entries.get(name)
+        if entry is None:
+            raise self._foreign(path, "was not made by skyherd")
+        if entry.maker != self.verb:
+            raise self._foreign(path, f"was made by `skyherd {entry.maker}`")
+        if name.endswith("/"):
+            if path.is_symlink() or not path.is_dir():
+                raise self._foreign(path, "was not made by skyherd")
+        elif path.is_symlink() or not is_regular(path):
+            raise self._foreign(path, "was not made by skyherd")
+        elif entry.digest is not None and entry.digest != _digest(path):
+            raise self._foreign(path, "was changed since skyherd made it")
+
+    def _foreign(self, path: Path, what: str) -> InputError:
+        return InputError(str(path), what, "move it away, or choose another --out")
+
+    def _make_folders(self) -> None:
+        """Make the folder and its parents; remember those that were not there."""
+        missing = [self.path, *self.path.parents]
+        missing = missing[: next((k for k, folder in enumerate(missing) if folder.exists()), len(missing))]
+        for folder in reversed(missing):
+            try:
+                folder.mkdir()
+            except FileExistsError:
+                continue
+            self._made_folders.insert(0, folder)
+        if not os.access(self.path, os.W_OK | os.X_OK):
+            raise PermissionError(13, "Permission denied")
+
+    def _remove_made_folders(self) -> None:
+        for folder in self._made_folders:
+            with suppress(OSError):
+                folder.rmdir()
+
+    def _acquire(self) -> None:
+        """Lock the folder; the lock is the open folder's, and ends with this process at the latest.
+
+        Raises:
+            InputError: another process holds it; its verb, number and start are named.
+        """
+        if sys.platform == "win32":
+            return
+        ends_s = time.monotonic() + self._wait_s
+        folder = os.open(self.path, os.O_RDONLY)
+        while True:
+            try:
+                fcntl.flock(folder, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                if time.monotonic() < ends_s:
+                    time.sleep(POLL_S)
+                    continue
+                os.close(folder)
+                self._made_folders = []  # the other one's now
+                raise InputError(
+                    str(self.path), _writer(self.path), "wait for it, or choose another --out"
+                ) from None
+            except OSError:  # a file system without locks
+                os.close(folder)
+                return
+            self._lock = folder
+            return
+
+    def _release(self) -> None:
+        if self._lock is not None:
+            os.close(self._lock)
+            self._lock = None
+
+    def _remove_former(self) -> None:
+        """Remove what the verb made before and nobody changed, and folders that are empty then."""
+        folders: set[Path] = set()
+        for name, entry in list(self._entries.items()):
+            path = self.path / name
+            if entry.maker != self.verb:
+                continue
+            if not name.endswith("/") and not path.is_symlink() and is_regular(path):
+                if any(_is_same(path, read) for read in self._inputs):
+                    continue
+                if entry.digest in (None, _digest(path)):
+                    path.unlink()
+                    folders |= set(path.relative_to(self.path).parents)
+            del self._entries[name]
+        for folder in sorted(folders - {Path()}, key=lambda path: -len(path.parts)):
+            with suppress(OSError):
+                (self.path / folder).rmdir()
+
+    def _remove_parts(self) -> None:
+        """Remove files that a process began here and did not finish."""
+        folders = {(self.path / name).parent for name in [*self.names, *self._entries, RECORD]}
+        for name in self.names:
+            if name.endswith("/"):
+                folders |= {self.path / name, *(p for p in (self.path / name).rglob("*") if p.is_dir())}
+        for folder in folders:
+            if folder.is_dir():
+                for path in folder.iterdir():
+                    if PART.fullmatch(path.name):
+                        path.unlink(missing_ok=True)
+
+    def _undo(self) -> None:
+        """Remove what was made, and forget it."""
+        for name in self._new_names:
+            path = self.path / name
+            if name.endswith("/"):
+                shutil.rmtree(path, ignore_errors=True)
+            else:
+                path.unlink(missing_ok=True)
+            self._entries.pop(name, None)
+            for parent in list(path.relative_to(self.path).parents)[:-1]:
+                with suppress(OSError):
+                    (self.path / parent).rmdir()
+        self._finish()
+
+    def _finish(self) -> None:
+        """Complete the record: the digest of each claimed file that is there; no record of nothing."""
+        for name in self.names:
+            path = self.path / name
+            if not name.endswith("/") and is_regular(path):
+                self._entries[name] = Entry(self.verb, _digest(path))
+        self._entries = {
+            name: entry for name, entry in self._entries.items() if os.path.lexists(self.path / name)
+        }
+        if self._entries:
+            self._write_record()
+        else:
+            (self.path / RECORD).unlink(missing_ok=True)
+
+    def _write_record(self, *, writing: bool = False) -> None:
+        record: dict[str, Any] = {"about": ABOUT, "skyherd": __version__}
+        if writing:
+            record["writer"] = {
+                "verb": self.verb,
+                "process": os.getpid(),
+                "host": socket.gethostname(),
+                "since": datetime.now().astimezone().isoformat(timespec="seconds"),
+            }
+        record["files"] = {
+            name: {"made_by": entry.maker} | ({"sha256": entry.digest} if entry.digest else {})
+            for name, entry in sorted(self._entries.items())
+        }
+        write_text(self.path / RECORD, json.dumps(record, indent=1) + "\n")
+
+
+class OutputFile:
+    """A single file that a verb writes in the body of a `with`, under the rules of `OutputFolder`.
+
+    Args:
+        path: the file; its folder has to be there.
+        verb: who writes.
+        force: the file may exist, if the verb made it.
+        inputs: files that are read, none of which may be replaced.
+
+    Entering raises InputError as `check` does, or if another process writes into the folder for long.
+    """
+
+    def __init__(self, path: Path, verb: str, *, force: bool = False, inputs: Sequence[Path] = ()) -> None:
+        self.path, self._force = path, force
+        self._folder = OutputFolder(path.parent, verb, [path.name], resume=True, inputs=inputs, wait_s=WAIT_S)
+
+    def check(self) -> None:
+        """Refuse a file that must not be written; change nothing.
+
+        Raises:
+            InputError: its folder is not there, it exists without `force`, or it is not the verb's.
+        """
+        _check_name(self.path)
+        if not self.path.parent.is_dir():
+            raise InputError(str(self.path), f"no folder {self.path.parent}", "make it first")
+        if os.path.lexists(self.path) and not self._force:
+            raise InputError(str(self.path), "exists", "another --out, or --force to write it anew")
+        self._folder.check()
+
+    def __enter__(self) -> Self:
+        self.check()
+        self._folder.__enter__()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._folder.__exit__(kind, error, trace)
+
+
+def is_directory(path: Path) -> bool:
+    """Whether there is a folder, or a link to one, at a path; False for a path that cannot be."""
+    try:
+        return path.is_dir()
+    except (OSError, ValueError):
+        return False
+
+
+def _check_name(path: Path) -> None:
+    """Refuse an output whose name no file can have, or that is no UTF-8 and could not go into the record."""
+    try:
+        str(path).encode("utf-8")
+    except UnicodeEncodeError:
+        raise InputError(str(path), "a name that is no UTF-8", "another --out") from None
+    if "\0" in str(path):
+        raise InputError(str(path), "no file can have this name", "another --out")
+
+
+def _read_entries(folder: Path) -> dict[str, Entry]:
+    """The record of a folder, by name; empty if there is none."""
+    path = folder / RECORD
+    if not os.path.lexists(path):
+        return {}
+    allowed = "remove it: then nothing in the folder counts as skyherd's"
+    record = read_json(path, allowed)
+    try:
+        return {
+            str(name): Entry(str(said["made_by"]), said.get("sha256"))
+            for name, said in record["files"].items()
+        }
+    except (AttributeError, KeyError, TypeError):
+        raise InputError(str(path), "damaged", allowed) from None
+
+
+def _writer(folder: Path) -> str:
+    """Who writes into a folder, in words."""
+    try:
+        writer = read_json(folder / RECORD, "")["writer"]
+        return (
+            f"`skyherd {writer['verb']}` writes into it (process {writer['process']} on {writer['host']}, "
+            f"since {writer['since']})"
+        )
+    except (InputError, KeyError, TypeError):
+        return "another skyherd writes into it"
+
+
+def _digest(path: Path) -> str:
+    """SHA-256 of a file, in hexadecimal digits."""
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def _is_same(path: Path, other: Path) -> bool:
+    try:
+        return path.samefile(other)
+    except (OSError, ValueError):
+        return False

@@ -1,0 +1,122 @@
+"""The one door through which files come in: regular files, no larger than what they are for.
+
+A pipe would make a reader wait for ever, a device has no end, and a file may be larger than the memory. So
+every reader of the package opens files here, and says how large its kind of file may be.
+"""
+
+import json
+import os
+import stat
+from pathlib import Path
+from typing import Any, BinaryIO
+
+from skyherd.errors import InputError
+
+MIB = 2**20
+"""Bytes of a mebibyte, in which limits are said."""
+
+MOST_JSON_BYTES = 64 * MIB
+"""Size of the largest JSON file that is read. *Chosen*: the largest that the package writes, the COCO file of
+ten thousand images, has some 30 MiB."""
+
+KINDS = (
+    (stat.S_ISDIR, "is a folder"),
+    (stat.S_ISFIFO, "is a pipe"),
+    (stat.S_ISCHR, "is a device"),
+    (stat.S_ISBLK, "is a device"),
+    (stat.S_ISSOCK, "is a socket"),
+)
+"""What a path may be that is no regular file, as complaints name it."""
+
+
+def open_regular(path: Path, allowed: str, most_bytes: int | None = None) -> BinaryIO:
+    """Open a regular file for reading; a pipe or a device is refused without waiting for it.
+
+    Args:
+        path: the file; a symbolic link is followed.
+        allowed: what to give instead, as the complaint says it.
+        most_bytes: size of the largest file that is accepted; None for any.
+
+    Raises:
+        InputError: there is no such file, it cannot be opened, it is no regular file, or it is too large.
+    """
+    try:
+        _check_kind(path, os.stat(path).st_mode, allowed)
+        stream = open(os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0)), "rb")  # noqa: SIM115
+    except InputError:
+        raise
+    except FileNotFoundError:
+        raise InputError(str(path), "no such file", allowed) from None
+    except OSError as error:
+        raise InputError(str(path), f"cannot be read: {error.strerror}", allowed) from None
+    except ValueError:
+        raise InputError(str(path), "no file can have this name", allowed) from None
+    try:
+        found = os.fstat(stream.fileno())
+        _check_kind(path, found.st_mode, allowed)
+        if most_bytes is not None and found.st_size > most_bytes:
+            raise _too_large(path, found.st_size, most_bytes)
+    except InputError:
+        stream.close()
+        raise
+    return stream
+
+
+def read_bytes(path: Path, allowed: str, most_bytes: int) -> bytes:
+    """Read a regular file of at most `most_bytes`; arguments and errors are those of `open_regular`."""
+    with open_regular(path, allowed, most_bytes) as stream:
+        try:
+            data = stream.read(most_bytes + 1)
+        except OSError as error:
+            raise InputError(str(path), f"cannot be read: {error.strerror}", allowed) from None
+    if len(data) > most_bytes:
+        raise _too_large(path, len(data), most_bytes)
+    return data
+
+
+def read_text(path: Path, allowed: str, most_bytes: int) -> str:
+    """Read a text file in UTF-8 of at most `most_bytes`; arguments are those of `open_regular`.
+
+    Raises:
+        InputError: it cannot be read as `open_regular` says, or is no text in UTF-8.
+    """
+    try:
+        return read_bytes(path, allowed, most_bytes).decode("utf-8")
+    except UnicodeDecodeError:
+        raise InputError(str(path), "not a text file in UTF-8", allowed) from None
+
+
+def read_json(path: Path, allowed: str, most_bytes: int = MOST_JSON_BYTES) -> Any:
+    """Read a JSON file as dictionaries, lists and plain values.
+
+    Raises:
+        InputError: it cannot be read as `open_regular` says, or is no JSON that makes sense.
+    """
+    try:
+        return json.loads(read_text(path, allowed, most_bytes))
+    except RecursionError:
+        raise InputError(str(path), "damaged: nested too deeply", allowed) from None
+    except InputError:
+        raise
+    except ValueError as error:
+        raise InputError(str(path), f"damaged: {error}", allowed) from None
+
+
+def is_regular(path: Path) -> bool:
+    """Whether there is a regular file, or a link to one, at a path; False for a path that cannot be."""
+    try:
+        return stat.S_ISREG(os.stat(path).st_mode)
+    except (OSError, ValueError):
+        return False
+
+
+def _check_kind(path: Path, mode: int, allowed: str) -> None:
+    if not stat.S_ISREG(mode):
+        what = next((name for test, name in KINDS if test(mode)), "is no regular file")
+        raise InputError(str(path), what, allowed)
+
+
+def _too_large(path: Path, found_bytes: int, most_bytes: int) -> InputError:
+    return InputError(
+        str(path), f"has {found_bytes / MIB:.3g} MiB or more", f"at most {most_bytes / MIB:.3g} MiB are read"
+    )

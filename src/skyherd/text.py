@@ -1,0 +1,60 @@
+"""Texts that come from outside (names of files, values that a user gave), made harmless to show.
+
+A file's name may hold line breaks, escape sequences of the terminal, marks that turn the direction of
+writing, and bytes that are no UTF-8, which Python keeps as lone surrogates. `printable` shows all of these
+escaped, and `shorten` shows a long text by its beginning and its end.
+"""
+
+import unicodedata
+
+SURROGATES = range(0xDC80, 0xDD00)
+"""Code points that stand for bytes, 0x80 to 0xff, of a name that is no UTF-8. *Defined* by Python's error
+handler `surrogateescape`."""
+
+HIDDEN = frozenset({"Cc", "Cf", "Cs", "Zl", "Zp"})
+"""Unicode categories that are escaped: control and format characters, surrogates, separators of lines and
+paragraphs. *Chosen*: all that a terminal obeys or does not show."""
+
+FORMULA_STARTS = ("=", "+", "-", "@")
+"""What a text begins with that spreadsheets take for a formula. *Defined* by the spreadsheets."""
+
+
+def printable(text: str, keep: str = "") -> str:
+    r"""Return a text with all that a terminal would obey or hide escaped, such as `\x1b`; the rest stays.
+
+    A byte that is no UTF-8 is shown as that byte, such as `\xff`. What is returned can always be encoded.
+
+    Args:
+        text: any text.
+        keep: characters that are left as they are, such as a line break.
+    """
+    if text.isascii() and text.isprintable():
+        return text
+    return "".join(char if char in keep else _escaped(char) for char in text)
+
+
+def _escaped(char: str) -> str:
+    if unicodedata.category(char) not in HIDDEN:
+        return char
+    code = ord(char)
+    if code in SURROGATES:
+        return f"\\x{code - 0xDC00:02x}"
+    return f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}" if code < 0x10000 else f"\\U{code:08x}"
+
+
+def shorten(text: str, most: int) -> str:
+    """Return a text of at most `most` characters: a longer one by its beginning, an ellipsis, and its end."""
+    if len(text) <= most:
+        return text
+    tail = (most - 1) // 3
+    return f"{text[: most - 1 - tail]}…{text[len(text) - tail :]}"
+
+
+def table_cell(text: str) -> str:
+    """Return a text as it goes into a table for people and spreadsheets: printable, and never a formula.
+
+    A text that a spreadsheet would take for a formula gets an apostrophe before it, which spreadsheets show
+    as the mark of a plain text.
+    """
+    text = printable(text)
+    return f"'{text}" if text.startswith(FORMULA_STARTS) else text

@@ -1,0 +1,177 @@
+"""No verb replaces or removes a file that it did not make, whatever --out and --force say."""
+
+import hashlib
+import os
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from command_line import assert_refused, call
+
+from skyherd.plots import panels
+
+QUICK = ["--perception", "ideal", "--no-video", "--set", "duration_s=0.3"]
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(panels, "PANELS", panels.PANELS[:1])
+    return tmp_path
+
+
+def hashes(folder: Path) -> dict[str, str]:
+    """SHA-256 of every file below a folder."""
+    files = sorted(path for path in folder.rglob("*") if path.is_file())
+    return {str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
+
+
+def photograph(path: Path, grey: int = 90) -> None:
+    path.parent.mkdir(exist_ok=True)
+    cv2.imwrite(str(path), np.full((40, 60), grey, np.uint8))
+
+
+def assert_untouched(folder: Path, capsys, *arguments) -> None:
+    before = hashes(folder)
+    assert_refused(call(capsys, *arguments))
+    assert hashes(folder) == before
+
+
+def test_detect_never_replaces_a_photograph(here, capsys):
+    """Line 1 of the issue."""
+    photograph(here / "photos" / "one.png")
+    photograph(here / "photos" / "two.png", 30)
+    photograph(here / "one.png")
+    photograph(here / "q" / "a.jpg")
+    photograph(here / "q" / "a.png", 200)
+    assert_untouched(here, capsys, "detect", "photos", "--out", "photos", "--force")
+    assert_untouched(here, capsys, "detect", "one.png", "--out", ".", "--force")
+    assert_untouched(here, capsys, "detect", "one.png", "--out", ".")
+    assert_untouched(here, capsys, "detect", "q/a.jpg", "--out", "q", "--force")
+
+
+def test_detect_never_replaces_its_own_picture_that_is_looked_at(here, capsys):
+    photograph(here / "a.png")
+    assert call(capsys, "detect", "a.png", "--out", "found")[0] == 0
+    assert_untouched(here, capsys, "detect", "found/a.png", "--out", "found", "--force")
+
+
+def test_detect_never_removes_a_table_that_it_did_not_make(here, capsys):
+    """Line 3, its second half."""
+    photograph(here / "a.png")
+    for name in ("detections.csv", "rejected.jsonl"):
+        (here / "mine").mkdir(exist_ok=True)
+        (here / "mine" / name).write_text("precious")
+    before = hashes(here / "mine")
+    assert_refused(call(capsys, "detect", "a.png", "--out", "mine", "--force"), "detections.csv", "not made")
+    (here / "mine" / "detections.csv").rename(here / "mine" / "old.csv")
+    assert call(capsys, "detect", "a.png", "--out", "mine", "--force")[0] == 0
+    after = hashes(here / "mine")
+    assert set(before.values()) <= set(after.values())
+
+
+def test_topology_overwrites_no_file_unasked_and_none_that_is_not_its_own(here, capsys):
+    """Line 2."""
+    (here / "pic.png").write_bytes(b"a photograph")
+    assert_untouched(here, capsys, "topology", "triangle", "--out", "pic.png")
+    assert_untouched(here, capsys, "topology", "triangle", "--out", "pic.png", "--force")
+    (here / "triangle-topology.png").write_bytes(b"a photograph")
+    assert_untouched(here, capsys, "topology", "triangle")
+    (here / "triangle-topology.png").unlink()
+    for _ in range(2):  # its own picture, by its own name, it makes again
+        assert call(capsys, "topology", "triangle")[0] in (0, 1)
+    assert_untouched(here, capsys, "topology", "triangle", "--out", "triangle-topology.png")
+    assert call(capsys, "topology", "triangle", "--out", "triangle-topology.png", "--force")[0] in (0, 1)
+
+
+@pytest.mark.parametrize("name", ["video.mp4", "summary.json", "report.html", "run.mcap"])
+def test_run_never_removes_what_is_of_no_run(here, capsys, name):
+    """Line 3."""
+    (here / "mine").mkdir()
+    (here / "mine" / name).write_text("precious")
+    assert_untouched(here, capsys, "run", "triangle", "--out", "mine", "--force", *QUICK)
+
+
+def test_run_and_report_replace_their_own_and_leave_the_rest(here, capsys):
+    assert call(capsys, "run", "triangle", "--out", "out", *QUICK)[0] == 1
+    (here / "out" / "notes.txt").write_text("precious")
+    assert call(capsys, "run", "triangle", "--out", "out", "--force", *QUICK)[0] == 1
+    assert call(capsys, "report", "out")[0] == 0
+    (here / "out" / "summary.json").write_text("edited by hand")
+    assert_untouched(here, capsys, "report", "out")
+    assert_untouched(here, capsys, "run", "triangle", "--out", "out", "--force", *QUICK)
+    assert (here / "out" / "notes.txt").read_text() == "precious"
+
+
+def test_report_makes_no_file_over_one_of_another(here, capsys):
+    """A recording that was sent, in a folder with other things."""
+    call(capsys, "run", "triangle", "--out", "out", *QUICK)
+    (here / "sent").mkdir()
+    (here / "out" / "run.mcap").rename(here / "sent" / "run.mcap")
+    (here / "sent" / "report.html").write_text("a letter")
+    assert_untouched(here, capsys, "report", "sent")
+    (here / "sent" / "report.html").unlink()
+    assert call(capsys, "report", "sent")[0] == 0
+
+
+def test_markers_replaces_no_other_pdf(here, capsys):
+    arguments = ["markers", "--ids", "0", "--side", "3cm", "--out", "thesis.pdf"]
+    (here / "thesis.pdf").write_bytes(b"%PDF years of work")
+    assert_untouched(here, capsys, *arguments, "--force")
+    (here / "thesis.pdf").unlink()
+    assert call(capsys, *arguments)[0] == 0
+    assert_untouched(here, capsys, *arguments)
+    assert call(capsys, *arguments, "--force")[0] == 0
+
+
+def test_dataset_make_keeps_out_of_other_folders(here, capsys):
+    (here / "mine").mkdir()
+    (here / "mine" / "preview.png").write_bytes(b"mine")
+    assert_untouched(here, capsys, "dataset", "make", "small", "--out", "mine")
+    (here / "spec.json").write_text("{}")
+    assert_untouched(here, capsys, "dataset", "make", "small", "--out", ".")
+
+
+def test_bench_needs_force_for_its_own_and_takes_nothing_else(here, capsys):
+    (here / "mine").mkdir()
+    (here / "mine" / "bench.json").write_text("precious")
+    assert_untouched(here, capsys, "bench", "detectors", "--quick", "--out", "mine")
+    assert_untouched(here, capsys, "bench", "detectors", "--quick", "--out", "mine", "--force")
+
+
+def test_study_replaces_no_table_of_another(here, capsys, write_study, without_cluster):
+    study = write_study()
+    (here / "out").mkdir()
+    (here / "out" / "study.json").write_text("{}")
+    (here / "out" / "table.md").write_text("precious")
+    assert_untouched(here, capsys, "study", study, "--out", "out")
+    assert call(capsys, "study", study, "--out", "new")[0] == 0
+    assert call(capsys, "study", study, "--out", "new")[0] == 0
+    (here / "new" / "table.md").write_text("edited by hand")
+    assert_untouched(here, capsys, "study", study, "--out", "new")
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["run", "triangle", "--out", "new/out", "--seed", str(2**70)],
+        ["run", "triangle", "--out", "new/out", "--set", "units.0.camera.mirrored=true"],
+        ["detect", "text.png", "--out", "new/out"],
+        ["detect", "pipe", "--out", "new/out"],
+        ["topology", "triangle", "--out", "new/out.png"],
+        ["markers", "--ids", "0", "--side", "9m", "--out", "new.pdf"],
+        ["dataset", "make", "small", "--out", "new/out", "--seed", "-1"],
+        ["bench", "detectors", "--out", "new/out", "--detectors", "nonsense"],
+        ["bench", "detectors", "--out", "new/out", "--seed", "-1"],
+        ["study", "noise", "--quick", "--out", "new/out", "--scheduler", "tls://127.0.0.1:1"],
+        ["study", "noise", "--quick", "--out", "new/out", "--scheduler", "tcp://127.0.0.1:1"],
+    ],
+    ids=lambda arguments: " ".join(arguments)[:50],
+)  # fmt: skip
+def test_what_fails_leaves_no_new_folder(here, capsys, arguments):
+    (here / "text.png").write_text("no picture")
+    os.mkfifo(here / "pipe")
+    before = sorted(here.rglob("*"))
+    assert_refused(call(capsys, *arguments))
+    assert sorted(here.rglob("*")) == before

@@ -1,0 +1,193 @@
+"""Every reader of files, given damaged ones through the verbs: a result or one line, and nothing else."""
+
+import functools
+import io
+import os
+import tempfile
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from fuzzing import NASTY_VALUES, assert_well_behaved, damaged, fuzzed, nonsense, playground
+from hypothesis import strategies as st
+from label_specs import spec_of
+from PIL import Image
+from study_runs import SMALL
+
+from skyherd.datasets import load_mission, scenario_names, scenario_text
+from skyherd.datasets.labelled.make import make_dataset
+from skyherd.datasets.labelled.spec import spec_text
+from skyherd.errors import SkyherdError
+from skyherd.loop import run_steps
+from skyherd.recording.reader import read_recording
+from skyherd.recording.writer import McapRecorder
+from skyherd.study.store import open_store
+
+PICTURES = {
+    "png": "png",
+    "jpg": "jpeg",
+    "tif": "tiff",
+    "bmp": "bmp",
+    "gif": "gif",
+    "webp": "webp",
+    "ppm": "ppm",
+}
+"""Pillow's names of formats, by the ending of a file's name."""
+
+
+@functools.cache
+def picture(kind: str) -> bytes:
+    stream = io.BytesIO()
+    grey = np.add.outer(np.arange(24), 2 * np.arange(32)).astype(np.uint8)
+    Image.fromarray(grey).save(stream, format=PICTURES[kind])
+    return stream.getvalue()
+
+
+@functools.cache
+def video() -> bytes:
+    with tempfile.TemporaryDirectory() as folder:
+        path = f"{folder}/a.avi"
+        writer = cv2.VideoWriter(path, cv2.VideoWriter_fourcc(*"MJPG"), 5, (64, 48))
+        for k in range(3):
+            writer.write(np.full((48, 64, 3), 40 * k, np.uint8))
+        writer.release()
+        return Path(path).read_bytes()
+
+
+@functools.cache
+def recording() -> bytes:
+    with tempfile.TemporaryDirectory() as folder:
+        mission = load_mission("triangle", ["perception=ideal", "duration_s=0.5"])
+        path = Path(folder, "run.mcap")
+        with McapRecorder(path, mission) as recorder:
+            for step in run_steps(mission):
+                recorder.write(step)
+            recorder.finish(step.time_s, 1.0)
+        return path.read_bytes()
+
+
+@functools.cache
+def labelled_set() -> dict[str, bytes]:
+    with tempfile.TemporaryDirectory() as folder:
+        path = make_dataset(spec_of(images=1), Path(folder, "set")).path
+        return {str(file.relative_to(path)): file.read_bytes() for file in path.rglob("*") if file.is_file()}
+
+
+@functools.cache
+def study_part() -> bytes:
+    with tempfile.TemporaryDirectory() as folder, open_store(Path(folder, "out"), "{}") as store:
+        store.append([{"key": "a", "error": None, "x": 1.0}, {"key": "b", "error": "broke"}])
+        return next(Path(folder, "out", "parts").iterdir()).read_bytes()
+
+
+SETTABLE = (
+    "seed", "duration_s", "step_s", "control.k", "control.b_th", "units.0.yaw_deg", "units.*.height_m",
+    "units.0.frame_rate_hz", "units.0.camera.size_px", "units.0.camera.half_angle_deg", "marker.side_m",
+    "marker.dictionary", "robots.timeout_s", "robots.scatter", "network.frame_loss", "template.shape", "name",
+    "selection.kind", "ground.kind", "ground.image", "template.image", "detector", "units.9", "a.b.c",
+    "units.-1",
+)  # fmt: skip
+"""Keys of a scenario, and some that are none."""
+
+
+@fuzzed(6, kind=st.sampled_from(sorted(PICTURES)), data=st.data())
+def pictures(kind, data):
+    """`detect`, and a scenario's template image."""
+    with playground() as folder:
+        Path(f"a.{kind}").write_bytes(data.draw(damaged(picture(kind))))
+        assert_well_behaved(folder, "detect", f"a.{kind}", "--detector", "aruco")
+        assert_well_behaved(folder, "scenario", "check", "star", "--set", f'template.image="a.{kind}"')
+
+
+@fuzzed(4, data=st.data())
+def videos(data):
+    with playground() as folder:
+        Path("a.avi").write_bytes(data.draw(damaged(video())))
+        assert_well_behaved(folder, "detect", "a.avi", "--detector", "aruco")
+
+
+@fuzzed(12, name=st.sampled_from(scenario_names()), data=st.data())
+def scenario_files(name, data):
+    text = scenario_text(name).encode()
+    with playground() as folder:
+        Path("a.toml").write_bytes(data.draw(damaged(text) | nonsense(text)))
+        assert_well_behaved(folder, "scenario", "check", "a.toml")
+
+
+@fuzzed(12, key=st.sampled_from(SETTABLE), value=st.sampled_from(NASTY_VALUES))
+def settings_of_scenarios(key, value):
+    with playground() as folder:
+        assert_well_behaved(folder, "scenario", "check", "triangle", "--set", f"{key}={value}")
+
+
+@fuzzed(8, data=st.data())
+def recordings(data):
+    """The reader alone: what it makes of a whole step is a report's, and has its own tests."""
+    with playground():
+        Path("run.mcap").write_bytes(data.draw(damaged(recording())))
+        try:
+            assert len(read_recording(Path("run.mcap")).steps) >= 1
+        except SkyherdError as error:
+            assert len(str(error)) < 500 and "\n" not in str(error)
+
+
+@fuzzed(
+    5,
+    file=st.sampled_from(["spec.json", "truth.csv", "images.csv", "data.yaml", "annotations/train.json"]),
+    data=st.data(),
+)
+def tables_of_labelled_sets(file, data):
+    with playground() as folder:
+        for name, content in labelled_set().items():
+            Path("set", name).parent.mkdir(parents=True, exist_ok=True)
+            Path("set", name).write_bytes(content)
+        Path("set", file).write_bytes(data.draw(damaged(labelled_set()[file])))
+        assert_well_behaved(folder, "dataset", "check", "set", "--sample", "0")
+
+
+@fuzzed(6, data=st.data())
+def specs_of_labelled_sets(data):
+    text = spec_text("small").encode()
+    with playground() as folder:
+        Path("a.toml").write_bytes(data.draw(damaged(text) | nonsense(text)))
+        Path("out").write_text("a file in the way, so that a spec that is good is refused as well")
+        assert_well_behaved(folder, "dataset", "make", "a.toml", "--out", "out", "--jobs", "1")
+
+
+@fuzzed(6, data=st.data())
+def study_files(data):
+    text = SMALL.encode()
+    with playground() as folder:
+        Path("a.toml").write_bytes(data.draw(damaged(text) | nonsense(text)))
+        assert_well_behaved(folder, "study", "a.toml", "--dry-run", "--out", "out")
+
+
+@fuzzed(5, data=st.data())
+def parts_of_studies(data):
+    with playground() as folder:
+        Path("a.toml").write_text(SMALL)
+        Path("out/parts").mkdir(parents=True)
+        Path("out/study.json").write_text("{}")
+        Path("out/parts/00000001.parquet").write_bytes(data.draw(damaged(study_part())))
+        assert_well_behaved(folder, "study", "a.toml", "--dry-run", "--out", "out")
+
+
+test_pictures, test_pictures_long = pictures
+test_videos, test_videos_long = videos
+test_scenario_files, test_scenario_files_long = scenario_files
+test_settings, test_settings_long = settings_of_scenarios
+test_recordings, test_recordings_long = recordings
+test_tables_of_labelled_sets, test_tables_of_labelled_sets_long = tables_of_labelled_sets
+test_specs_of_labelled_sets, test_specs_of_labelled_sets_long = specs_of_labelled_sets
+test_study_files, test_study_files_long = study_files
+test_parts_of_studies, test_parts_of_studies_long = parts_of_studies
+
+
+@pytest.mark.parametrize("verb", [["run"], ["topology"], ["study"], ["dataset", "make"]], ids=" ".join)
+def test_a_pipe_or_a_device_is_no_file_of_any_verb(verb):
+
+    with playground() as folder:
+        os.mkfifo("a.toml")
+        for name in ("a.toml", "/dev/zero", "."):
+            assert assert_well_behaved(folder, *verb, name) == 2

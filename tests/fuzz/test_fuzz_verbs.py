@@ -1,0 +1,106 @@
+"""Every verb, given options that mean nothing: a result or one line, and nothing else."""
+
+from pathlib import Path
+
+import pytest
+from fuzzing import assert_well_behaved, fuzzed, playground
+from hypothesis import strategies as st
+
+from skyherd.plots import panels
+
+NUMBERS = ("0", "-1", "1", "2", str(2**63), str(2**70), "-" + "9" * 400, "nan", "1e3", "", "x")
+WORDS = (
+    "", " ", "x", "=cmd()", "[red]", "\x1b[2J", "a\nb", "gpj\u202e", "\udcff", "a\0b", "n" * 3000, "../..",
+    ".", "/", "/dev/zero", "/dev/null", "mine.txt", "mine.txt/below", "4X4_50", "photometric", "os:getcwd",
+    "os:nothing", "a:b:c", ":", "http://x/", "tls://127.0.0.1:1", "tcp://127.0.0.1:1", "ucx://x", "A4", "csv",
+)  # fmt: skip
+"""Values of options that take texts."""
+
+TEXTS = st.sampled_from(WORDS) | st.text(st.characters(codec=None), max_size=12)
+NUMERALS = st.sampled_from(NUMBERS)
+
+VERBS = {
+    ("scenario", "check"): ({"": TEXTS, "--set": TEXTS}, ()),
+    ("scenario", "show"): ({"": TEXTS}, ()),
+    ("run",): ({"": TEXTS, "--seed": NUMERALS, "--set": TEXTS, "--perception": TEXTS, "--out": TEXTS}, ()),
+    ("report",): ({"": TEXTS}, ()),
+    ("topology",): ({"": TEXTS, "--out": TEXTS}, ("--force",)),
+    ("detect",): (
+        {"": TEXTS, "--dictionary": TEXTS, "--detector": TEXTS, "--out": TEXTS, "--format": TEXTS},
+        ("--explain", "--require", "--force"),
+    ),
+    ("markers",): (
+        {"--ids": TEXTS, "--side": TEXTS, "--out": TEXTS, "--paper": TEXTS, "--dictionary": TEXTS},
+        ("--force",),
+    ),
+    ("dataset", "make"): (
+        {"": TEXTS, "--out": TEXTS, "--jobs": NUMERALS, "--seed": NUMERALS, "--images": NUMERALS}, ()
+    ),
+    ("dataset", "check"): ({"": TEXTS, "--sample": NUMERALS}, ()),
+    ("dataset", "show"): ({"": TEXTS}, ()),
+    ("study",): (
+        {"": TEXTS, "--out": TEXTS, "--jobs": NUMERALS}, ("--quick", "--retry", "--dry-run", "--show"),
+    ),
+    ("bench", "detectors"): (
+        {"--detectors": TEXTS, "--dictionary": TEXTS, "--seed": NUMERALS, "--jobs": NUMERALS, "--out": TEXTS,
+         "--clutter-images": NUMERALS},
+        ("--quick", "--force"),
+    ),
+}  # fmt: skip
+"""Of each verb its argument (without a name) and options, with what they may be given; and its flags."""
+
+
+@pytest.fixture(scope="module", autouse=True)
+def few_figures():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(panels, "PANELS", panels.PANELS[:1])
+        yield
+
+
+@st.composite
+def command_lines(draw):
+    """A verb with an argument and one to three options; the last that it needs are never all good."""
+    verb = draw(st.sampled_from(sorted(VERBS)))
+    options, flags = VERBS[verb]
+    names = [name for name in options if name]
+    chosen = draw(st.lists(st.sampled_from(names), unique=True, max_size=3)) if names else []
+    arguments = [part for name in chosen for part in (name, draw(options[name]))]
+    arguments += draw(st.lists(st.sampled_from(flags), unique=True)) if flags else []
+    return [*verb, *arguments, *(["--", draw(options[""])] if "" in options else [])]
+
+
+@fuzzed(20, arguments=command_lines())
+def verbs(arguments):
+    """A benchmark is never begun: one that is good would take its minutes."""
+    if arguments[0] == "bench":
+        arguments += ["--detectors", "no-such-detector"]
+    with playground() as folder:
+        Path("taken").mkdir()
+        assert_well_behaved(folder, *arguments)
+
+
+test_verbs, test_verbs_long = verbs
+
+
+@fuzzed(3, seed=NUMERALS, out=st.sampled_from(["out", "mine.txt", ".", "a/b/c", "a\0b", "\udcff", "n" * 300]))
+def runs(seed, out):
+    """A whole run, of a tenth of a second."""
+    short = ["--perception", "ideal", "--no-video", "--set", "duration_s=0.1"]
+    with playground() as folder:
+        assert_well_behaved(folder, "run", "triangle", "--seed", seed, "--out", out, *short)
+
+
+test_runs, test_runs_long = runs
+
+
+IDS = st.sampled_from(["0", "0-49", "0-99999999999", "5-1", "0,0", "-1", "9" * 5000])
+SIDES = st.sampled_from(["3cm", "1e-320m", "1e308m", "nanm", "infmm", "-3cm", "0.001mm", "9" * 400 + "m"])
+
+
+@fuzzed(6, ids=TEXTS | IDS, side=TEXTS | SIDES)
+def sheets(ids, side):
+    with playground() as folder:
+        assert_well_behaved(folder, "markers", "--ids", ids, "--side", side, "--out", "a.pdf")
+
+
+test_sheets, test_sheets_long = sheets

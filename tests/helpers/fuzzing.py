@@ -1,0 +1,159 @@
+"""What the fuzzing suite shares: inputs damaged at random, and what the command line must never do to them.
+
+Each check is run twice: with few examples that are always the same among the fast tests, and with many that
+are always others behind `-m slow` (`SKYHERD_FUZZ_EXAMPLES` times as many, 1 if it is not set).
+"""
+
+import contextlib
+import hashlib
+import io
+import os
+import re
+import tempfile
+import warnings
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from skyherd.cli import main
+
+MOST_CHARACTERS = 500
+"""Length of the longest line that a refusal may have."""
+
+MANY = 200 * int(os.environ.get("SKYHERD_FUZZ_EXAMPLES", "1"))
+"""Examples of each check among the slow tests."""
+
+NASTY_VALUES = (
+    "0", "-1", "1e308", "-1e308", "1e-320", "1e-9", "nan", "inf", "-inf", "9223372036854775808", "1e999",
+    "9" * 400, "9" * 5000, "true", '""', '"a"', '"\\u0000"', '"../../x"', "[]", "[[]]", "{}", "[1]",
+    "[nan, nan]", "[1e308, -1e308]", "[1, 2, 3]", '"' + "x" * 3000 + '"', "1979-05-27", "0.5", "1", "2", "3",
+    "1000000",
+)  # fmt: skip
+"""TOML values that mean nothing, or too much, somewhere."""
+
+NUMBER = re.compile(rb"(?<== )[^\n]+|-?\d+(\.\d+)?")
+"""Values of a TOML file, whole or a number of a list."""
+
+
+@st.composite
+def damaged(draw: Any, data: bytes) -> bytes:
+    """A file's bytes with bits flipped, and parts cut out, repeated, exchanged or put in."""
+    for _ in range(draw(st.integers(1, 4))):
+        at = int(draw(st.floats(0, 1, exclude_max=True)) * max(len(data), 1))
+        length = draw(st.integers(1, 80))
+        head, middle, tail = data[:at], data[at : at + length], data[at + length :]
+        match draw(st.sampled_from(["flip", "cut", "end", "repeat", "insert", "move"])):
+            case "flip":
+                data = head + bytes([(middle or b"x")[0] ^ (1 << draw(st.integers(0, 7)))]) + data[at + 1 :]
+            case "cut":
+                data = head + tail
+            case "end":
+                data = head
+            case "repeat":
+                data = head + middle * draw(st.integers(2, 50)) + tail
+            case "insert":
+                data = head + draw(st.binary(max_size=20)) + data[at:]
+            case "move":
+                data = tail + middle + head
+    return data
+
+
+@st.composite
+def nonsense(draw: Any, text: bytes) -> bytes:
+    """A TOML file with some of its values replaced by nasty ones, and some lines gone or there twice."""
+    for _ in range(draw(st.integers(1, 3))):
+        values = list(NUMBER.finditer(text))
+        if values:
+            found = values[draw(st.integers(0, len(values) - 1))]
+            text = text[: found.start()] + draw(st.sampled_from(NASTY_VALUES)).encode() + text[found.end() :]
+        if draw(st.integers(0, 4)) == 0:
+            lines = text.splitlines(keepends=True)
+            k = draw(st.integers(0, len(lines) - 1))
+            text = b"".join(lines[:k] + lines[k : k + 1] * draw(st.sampled_from([0, 2])) + lines[k + 1 :])
+    return text
+
+
+def fuzzed(
+    fast: int, slow: int = MANY, **strategies: Any
+) -> Callable[[Callable[..., None]], tuple[Any, Any]]:
+    """Make two tests of a check: a short one, always the same, and a long one, always another."""
+
+    def make(check: Callable[..., None]) -> tuple[Any, Any]:
+        quiet = [HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.filter_too_much]
+        short = settings(max_examples=fast, suppress_health_check=quiet, derandomize=True)
+        long = settings(
+            max_examples=slow, suppress_health_check=quiet, derandomize=False, print_blob=True, database=None
+        )
+        return (
+            short(given(**strategies)(_copy(check))),
+            pytest.mark.slow(long(given(**strategies)(_copy(check)))),
+        )
+
+    return make
+
+
+def _copy(check: Callable[..., None]) -> Callable[..., None]:
+    def test(**drawn: Any) -> None:
+        check(**drawn)
+
+    test.__doc__ = check.__doc__
+    return test
+
+
+@contextlib.contextmanager
+def playground() -> Iterator[Path]:
+    """A new folder as the working folder, with a file in it that is the user's."""
+    before = Path.cwd()
+    with tempfile.TemporaryDirectory(prefix="skyherd-fuzz-") as name:
+        os.chdir(name)
+        try:
+            Path("mine.txt").write_text("precious")
+            yield Path(name)
+        finally:
+            os.chdir(before)
+
+
+def contents(folder: Path) -> dict[str, str]:
+    """SHA-256 of each file below a folder, and an entry for each folder."""
+    return {
+        str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else ""
+        for path in folder.rglob("*")
+    }
+
+
+def run(*arguments: Any) -> tuple[int, str]:
+    """Exit code and stderr of one call of the command line, in this process; warnings are errors of ours."""
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err), warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)
+        try:
+            main([str(argument) for argument in arguments])
+        except SystemExit as ended:
+            return int(ended.code or 0), err.getvalue()
+    raise AssertionError("the command line did not end")
+
+
+def assert_well_behaved(folder: Path, *arguments: Any) -> int:
+    """Call the command line, and check what holds whatever it was given; returns the exit code.
+
+    Exit code 0, 1 or 2; of a refusal one line, short, without a traceback, and nothing new in the folder; and
+    no file that was there is gone or changed.
+    """
+    before = contents(folder)
+    code, err = run(*arguments)
+    after = contents(folder)
+    assert code in (0, 1, 2), (arguments, code, err)
+    assert "Traceback" not in err
+    lines = err.splitlines()
+    assert all(len(line) < MOST_CHARACTERS for line in lines), lines
+    assert all(line.startswith(("error: ", "warning: ")) for line in lines), lines
+    changed = [name for name in before if after.get(name) != before[name]]
+    assert not changed, (arguments, changed)
+    if code == 2:
+        assert sum(line.startswith("error: ") for line in lines) == 1, lines
+        assert after == before, (arguments, sorted(after.keys() - before.keys()))
+    return code

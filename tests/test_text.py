@@ -1,0 +1,68 @@
+"""Texts from outside, made harmless to show."""
+
+import csv
+import io
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from skyherd.errors import MOST_CHARACTERS, InputError
+from skyherd.text import printable, shorten, table_cell
+
+
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        ("a b ä 漢 →", "a b ä 漢 →"),
+        ("\x1b[31mred\n", r"\x1b[31mred\x0a"),
+        ("\udcff.png", r"\xff.png"),
+        ("gpj\u202e.exe\u2028", r"gpj\u202e.exe\u2028"),
+        ("\ud800\U000e0001", r"\ud800\U000e0001"),
+        ("[red]", "[red]"),
+    ],
+)
+def test_what_a_terminal_obeys_or_hides_is_escaped(text, shown):
+    assert printable(text) == shown
+
+
+@given(st.text(st.characters(codec=None)))
+def test_whatever_is_shown_can_be_encoded_and_is_one_line(text):
+    shown = printable(text)
+    shown.encode("utf-8")
+    assert len(shown.splitlines()) <= 1 and "\x1b" not in shown
+    assert printable(shown) == shown
+
+
+@given(st.text(max_size=60), st.integers(1, 50))
+def test_a_shortened_text_has_its_length_its_beginning_and_its_end(text, most):
+    short = shorten(text, most)
+    assert len(short) <= most
+    if len(text) > most:
+        head, tail = short.split("…", 1) if text.count("…") == 0 else (short[:1], short[-1:])
+        assert text.startswith(head.removesuffix("…")) and text.endswith(tail.removeprefix("…"))
+    else:
+        assert short == text
+
+
+@given(st.text(st.characters(codec=None)))
+def test_a_cell_is_no_formula_and_survives_csv(text):
+    cell = table_cell(text)
+    assert not cell.startswith(("=", "+", "-", "@", "\t", "\r"))
+    stream = io.StringIO()
+    csv.writer(stream).writerow([cell, "x"])
+    assert next(csv.reader(io.StringIO(stream.getvalue()))) == [cell, "x"]
+
+
+@given(st.text(max_size=2000), st.text(max_size=2000), st.text(max_size=2000))
+def test_no_error_of_an_input_is_long(where, what, allowed):
+    error = InputError(where, what, allowed)
+    assert len(str(error)) <= MOST_CHARACTERS + 4
+    if len(where) + len(what) + len(allowed) <= MOST_CHARACTERS:
+        assert str(error) == f"{where}: {what}; {allowed}"
+
+
+def test_the_longest_part_is_shortened_and_the_others_are_left():
+    error = InputError("a.toml: key", "x" * 100_000, "1 or more")
+    assert (error.where, error.allowed) == ("a.toml: key", "1 or more")
+    assert len(str(error)) <= MOST_CHARACTERS + 4

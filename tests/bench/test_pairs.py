@@ -9,7 +9,7 @@ from skyherd.datasets.generated.random_missions import star_mission
 from skyherd.geometry import to_complex
 from skyherd.sim.truth_metrics import fit_shape
 
-SEED, STEP_S = 3, 0.02
+SEED = 3
 
 
 @pytest.fixture(scope="module")
@@ -18,18 +18,22 @@ def start():
     return mission, mission.template.points_of(mission.ids).conj(), to_complex(mission.positions_m)
 
 
-def test_the_time_is_what_small_steps_of_the_law_take(load_benchmark, start) -> None:
-    """Euler's steps of 0.02 s: off by `k λ dt / 2` of the time, 0.5 % at λ = 1, and by the last step."""
+@pytest.mark.parametrize("step_s", [0.02, pytest.param(0.01, marks=pytest.mark.slow)])
+def test_the_time_is_what_small_steps_of_the_law_take(load_benchmark, start, step_s) -> None:
+    """Euler's steps are off by `k λ dt / 2` of the time, and by the last step.
+
+    With k = 0.5 and λ = 1 at most, `dt / 4`: 0.5 % at 0.02 s, half of that at 0.01 s; 0.3 dt is allowed.
+    """
     _, points, positions = start
     pairs = load_benchmark("pairs")
     owners = np.argmin(np.abs(positions[:, None] - np.array([-5.0, 0.0, 5.0])), axis=1)
     sets = pairs.control_sets(owners, [(0, 1), (2, 3)])
-    step = np.eye(positions.size) - pairs.GAIN * STEP_S * laplacian(points, sets)
+    step = np.eye(positions.size) - pairs.GAIN * step_s * laplacian(points, sets)
     steps, moved = 0, positions
     while fit_shape(points, moved).error > pairs.GOAL:
         steps, moved = steps + 1, step @ moved
     assert pairs.time_to_goal_s(points, positions, sets) == pytest.approx(
-        steps * STEP_S, rel=0.006, abs=STEP_S
+        steps * step_s, rel=0.3 * step_s, abs=step_s
     )
 
 

@@ -195,7 +195,10 @@ def fitted_square(z: np.ndarray, across: np.ndarray, images: np.ndarray) -> np.n
     return c + m * square + k * square.conj()
 
 
-@pytest.mark.parametrize("marker_id", range(0, 50, 14))
+@pytest.mark.parametrize(
+    "marker_id",
+    [pytest.param(each, marks=pytest.mark.slow if each % 14 else ()) for each in range(0, 50, 7)],
+)
 @pytest.mark.parametrize("turn_rad", [0.0, 0.5])
 def test_a_bent_markers_centre_is_where_the_marker_is(marker_id, turn_rad):
     """A detector that fits a flat square to bent edges finds a centre that is off by half of how far the lens
@@ -232,18 +235,19 @@ def detections_of(points: np.ndarray, size_px: np.ndarray) -> Detections:
 
 @pytest.mark.parametrize("count", [1, 2, 3, 6, 16])
 @pytest.mark.parametrize("sigma_px", [0.005, 0.1])
-def test_an_ideal_cameras_detections_pass_unchanged(count, sigma_px):
+@pytest.mark.parametrize("seeds", [3, pytest.param(10, marks=pytest.mark.slow)])
+def test_an_ideal_cameras_detections_pass_unchanged(count, sigma_px, seeds):
     """The very same values. Groups of unknowns are asked six at a time; chance passes the threshold of 20 by
-    one of them with less than 6 exp(-10) = 3e-4; 90 images, to the 1e-6 quantile of the binomial."""
+    one of them with less than 6 exp(-10) = 3e-4; 30 images a seed, to the 1e-6 quantile of the binomial."""
     changed = 0
-    for seed in range(3):
+    for seed in range(seeds):
         view, rng, rectifier = replace(IDEAL, sigma_px=sigma_px), np.random.default_rng(seed), Rectifier()
         for image in range(30):
             # Half of the images with robots that stand still, whose evidence must not pile up.
             positions, headings = robots_in_view(view, count, 1000 * seed + min(image, 15))
             seen = view.see(positions, headings, rng)
             changed += rectifier.rectify(seen) is not seen
-    assert changed <= np.ceil(bdtrik(1 - 1e-6, 90, 3e-4))
+    assert changed <= np.ceil(bdtrik(1 - 1e-6, 30 * seeds, 3e-4))
 
 
 @pytest.mark.parametrize("count", [0, 1, 2])
@@ -296,10 +300,11 @@ def cluster(count: int, rng: np.random.Generator) -> np.ndarray:
 
 @pytest.mark.parametrize("layout", [line, cluster])
 @pytest.mark.parametrize("count", [3, 5, 8])
-def test_a_layout_that_tells_little_is_never_made_worse(layout, count):
-    """Ten cameras that do all at once: of what the markers in view tell, their own shape is always better."""
+@pytest.mark.parametrize("cameras", [10, pytest.param(20, marks=pytest.mark.slow)])
+def test_a_layout_that_tells_little_is_never_made_worse(layout, count, cameras):
+    """Cameras that do all at once: of what the markers in view tell, their own shape is always better."""
     worse = []
-    for seed in range(10):
+    for seed in range(cameras):
         view, rng = random_view(seed), np.random.default_rng(seed)
         positions, headings = layout(count, rng), rng.uniform(-np.pi, np.pi, count)
         seen = view.see(positions, headings, rng)
@@ -309,9 +314,10 @@ def test_a_layout_that_tells_little_is_never_made_worse(layout, count):
     assert np.median(worse) < 0.2
 
 
-def test_a_layout_that_told_little_does_not_spoil_the_next_image():
+@pytest.mark.parametrize("cameras", [5, pytest.param(10, marks=pytest.mark.slow)])
+def test_a_layout_that_told_little_does_not_spoil_the_next_image(cameras):
     """A row of robots first, then robots all over the image."""
-    for seed in range(5):
+    for seed in range(cameras):
         view, rng, rectifier = random_view(seed), np.random.default_rng(seed), Rectifier()
         for _ in range(10):
             rectifier.rectify(view.see(line(5, rng), rng.uniform(-np.pi, np.pi, 5), rng))
@@ -375,11 +381,12 @@ def test_a_detector_that_tells_no_covariance_is_served_as_well(sigma_px):
 
 
 @pytest.mark.parametrize("count", [3, 8])
-def test_nonsense_is_survived(count):
+@pytest.mark.parametrize("seeds", [10, pytest.param(30, marks=pytest.mark.slow)])
+def test_nonsense_is_survived(count, seeds):
     """Corners at random, corners on one spot, wild covariances: every value stays finite, then and later, or
     the message would be refused."""
     view = random_view(4)
-    for seed in range(10):
+    for seed in range(seeds):
         rng, rectifier = np.random.default_rng(seed), Rectifier()
         positions, headings = robots_in_view(view, count, seed)
         good = view.see(positions, headings, rng)
@@ -466,12 +473,13 @@ def nees_of(seen: Detections, truth_px: np.ndarray) -> float:
 
 
 @pytest.mark.parametrize(("count", "images"), [(6, 1), (6, 15), (16, 1), (16, 15)])
-def test_covariances_are_honest(count, images):
-    """NEES of the rectified centres against the true camera's map, but for a similarity, over 12 cameras: 0.6
-    to 1.4. It is less than 1 after one image: what is held at zero is reckoned with as if it might be
+@pytest.mark.parametrize("cameras", [12, pytest.param(24, marks=pytest.mark.slow)])
+def test_covariances_are_honest(count, images, cameras):
+    """NEES of the rectified centres against the true camera's map, but for a similarity, over all cameras:
+    0.6 to 1.4. It is less than 1 after one image: what is held at zero is reckoned with as if it might be
     anything, and corners that err alike tell sides and squeezes as well as the rectifier takes them to."""
     nees = []
-    for seed in range(12):
+    for seed in range(cameras):
         view, rng, rectifier = (
             random_view(seed),
             np.random.default_rng(seed),

@@ -40,22 +40,19 @@ BIAS_PX = {
 }
 
 
-CELL = Cell(noise=2.0, blur_px=0.8, cameras=2, frames=2)
-
-
 @cache
-def frames(dictionary):
-    """What all detectors of a dictionary are shown."""
-    return list(rendered_frames(CELL, dictionary, 5))
+def frames(dictionary, count):
+    """What all detectors of a dictionary are shown: so many frames of 16 markers by each of two cameras."""
+    return list(rendered_frames(Cell(noise=2.0, blur_px=0.8, cameras=2, frames=count), dictionary, 5))
 
 
-def errors(name, dictionary, *, corrected):
-    """Errors (N, 4) of u, v, heading, side, and of the corners (N, 4, 2), over all frames of the cell."""
+def errors(name, dictionary, count, *, corrected):
+    """Errors (N, 4) of u, v, heading, side, and of the corners (N, 4, 2), over all of these frames."""
     if name in LIBRARIES:
         pytest.importorskip(LIBRARIES[name])
     detector = PeerDetector(name, dictionary, corrected=corrected)
     poses, corners = [], []
-    for frame in frames(dictionary):
+    for frame in frames(dictionary, count):
         seen = detector.detect(frame.image)
         answers, rows = match(frame, seen)
         shift = seen.centers_px[answers] - frame.centers_px[rows]
@@ -69,26 +66,38 @@ def errors(name, dictionary, *, corrected):
     return np.concatenate(poses), np.concatenate(corners)
 
 
+IN_FRAMES = pytest.mark.parametrize(
+    ("count", "least", "bias_px"), [(2, 56, 0.07), pytest.param(3, 85, 0.05, marks=pytest.mark.slow)]
+)
+"""Frames a camera, how many markers are to be found of 16 in each, and how well their mean place is known.
+
+The worst scatter of one is 0.18 px: three standard errors are 0.07 px over 61 markers, 0.055 px over 96.
+"""
+
+
+@IN_FRAMES
 @pytest.mark.parametrize(("name", "dictionary"), DICTIONARIES)
-def test_corrected_peers_agree_with_the_truth_in_every_convention(name, dictionary):
+def test_corrected_peers_agree_with_the_truth_in_every_convention(name, dictionary, count, least, bias_px):
     """Corners within a pixel of ours, in our order: a wrong order would be off by a side, 30 px.
 
-    Position without bias to 0.08 px: three times the worst scatter, 0.18 px, over 64 markers; heading to 2
-    deg, the side to half a pixel, since its bias depends on the side by that much.
+    Position without bias as far as so many markers tell; heading to 2 deg, the side to half a pixel, since
+    its bias depends on the side by that much.
     """
-    error, corners = errors(name, dictionary, corrected=True)
-    assert len(error) > 56
+    error, corners = errors(name, dictionary, count, corrected=True)
+    assert len(error) > least
     assert np.median(corners) < 1.0 and np.percentile(corners, 95) < 2.0
-    assert np.abs(error[:, :2].mean(axis=0)).max() < 0.08
+    assert np.abs(error[:, :2].mean(axis=0)).max() < bias_px
     assert np.degrees(np.abs(error[:, 2])).mean() < 2.0
     assert abs(error[:, 3].mean()) < 0.5
 
 
+@IN_FRAMES
 @pytest.mark.parametrize(("name", "dictionary"), [*DICTIONARIES[:5], DICTIONARIES[7], DICTIONARIES[12]])
-def test_uncorrected_peers_keep_their_biases(name, dictionary):
-    """Position biases as published, to 0.08 px; AprilTag's headings are half a turn off, OpenCV's are not."""
-    error, _ = errors(name, dictionary, corrected=False)
-    np.testing.assert_allclose(error[:, :2].mean(axis=0), BIAS_PX[name], atol=0.08)
+def test_uncorrected_peers_keep_their_biases(name, dictionary, count, least, bias_px):
+    """Position biases as published; AprilTag's headings are half a turn off, OpenCV's are not."""
+    error, _ = errors(name, dictionary, count, corrected=False)
+    assert len(error) > least
+    np.testing.assert_allclose(error[:, :2].mean(axis=0), BIAS_PX[name], atol=bias_px)
     half_turn = np.cos(error[:, 2]).mean()
     assert half_turn == pytest.approx(-1.0 if name == "apriltag3" else 1.0, abs=0.01)
     assert error[:, 3].mean() < 0.02

@@ -127,10 +127,11 @@ def test_it_turns_moves_and_grows_with_the_start_and_not_with_the_template(seed:
     assert shortest_path(0.1 * np.exp(2j) * template - 3, starts).length == pytest.approx(length, rel=1e-6)
 
 
-def test_less_freedom_is_never_shorter() -> None:
+@pytest.mark.parametrize("drawn", [2, pytest.param(5, marks=pytest.mark.slow)])
+def test_less_freedom_is_never_shorter(drawn: int) -> None:
     """Fixed roles, then two classes, then all alike; and a spacing costs, and is kept."""
     rng = np.random.default_rng(5)
-    for _ in range(2):
+    for _ in range(drawn):
         template, starts = random_points(rng, 14), 2 * random_points(rng, 14)
         fixed = shortest_path(template, starts, classes=np.arange(14))
         halves = shortest_path(template, starts, classes=np.arange(14) % 2)

@@ -94,10 +94,11 @@ def test_breaches_name_units_and_robots(sets, conditions, said) -> None:
             assert word in " ".join(found[condition])
 
 
-def test_breaches_are_there_if_and_only_if_a_condition_is_violated() -> None:
+@pytest.mark.parametrize("tried", [200, pytest.param(500, marks=pytest.mark.slow)])
+def test_breaches_are_there_if_and_only_if_a_condition_is_violated(tried: int) -> None:
     """Random topologies: the report and `check_conditions`, which was written apart from it, agree."""
     rng = np.random.default_rng(3)
-    for _ in range(200):
+    for _ in range(tried):
         sets = [IDS[rng.random(8) < rng.uniform(0.1, 0.9)].tolist() for _ in range(int(rng.integers(1, 6)))]
         report, c = report_of(*sets), report_of(*sets).conditions
         holds = (c.tc1, c.tc2, c.tc3, c.tc4, c.tc5)

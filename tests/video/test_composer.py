@@ -169,7 +169,10 @@ def similarity_by_least_squares(template: np.ndarray, current: np.ndarray) -> np
 
 @pytest.mark.parametrize(
     ("name", "perception"),
-    [("triangle", "rendered"), ("triangle", "ideal"), ("star", "ideal"), ("grid", "ideal")],
+    [
+        *(("triangle", "rendered"), ("triangle", "ideal"), ("star", "ideal"), ("grid", "ideal")),
+        *(pytest.param(name, "rendered", marks=pytest.mark.slow) for name in ("star", "grid")),
+    ],
 )
 def test_arrows_point_where_the_similarity_puts_the_robots(name: str, perception: str) -> None:
     mission, steps = steps_of(name, perception, 4)
@@ -193,7 +196,10 @@ def test_arrows_are_drawn_to_the_desired_points() -> None:
 
 @pytest.mark.parametrize(
     ("name", "perception"),
-    [("triangle", "rendered"), ("star", "ideal"), ("grid", "ideal")],
+    [
+        *(("triangle", "rendered"), ("star", "ideal"), ("grid", "ideal")),
+        pytest.param("grid", "rendered", marks=pytest.mark.slow),
+    ],
 )
 def test_composing_is_deterministic_and_moves(name: str, perception: str) -> None:
     mission, steps = steps_of(name, perception, 4)

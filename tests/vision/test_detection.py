@@ -161,7 +161,7 @@ def crowd(rng, ground):
     return renderer.render(*view, ids, home, headings), renderer.truth(*view, ids, home, headings)
 
 
-def ghosts(count, seed, grounds=6):
+def ghosts(count, seed, grounds):
     """Detections of what is not there among cards, and the share found of those from 18 px."""
     found, whole, false = 0, 0, []
     for index in range(count):
@@ -176,8 +176,9 @@ def ghosts(count, seed, grounds=6):
     return false, found / whole
 
 
-def test_dark_ground_between_cards_is_no_marker():
-    false, recall = ghosts(12, 1, grounds=2)
+@pytest.mark.parametrize(("count", "grounds"), [(12, 2), pytest.param(40, 6, marks=pytest.mark.slow)])
+def test_dark_ground_between_cards_is_no_marker(count, grounds):
+    false, recall = ghosts(count, 1, grounds)
     assert not false, false
     assert recall > 0.99
 
@@ -192,11 +193,14 @@ def test_dark_ground_between_cards_is_no_marker_in_two_thousand_images():
 
 
 @pytest.mark.parametrize("following", [False, True])
-def test_a_marker_cut_by_the_border_is_itself_or_nothing(place_markers, draw_markers, following):
+@pytest.mark.parametrize(("tried", "least"), [(70, 28), pytest.param(150, 60, marks=pytest.mark.slow)])
+def test_a_marker_cut_by_the_border_is_itself_or_nothing(
+    place_markers, draw_markers, following, tried, least
+):
     """Pushed out over any side by any share, at any heading: never another id, and its true centre within a
     tenth of a side, though an eighth of its cells may be out of sight."""
     rng, found = np.random.default_rng(3), 0
-    for _ in range(70):
+    for _ in range(tried):
         side, turn = rng.uniform(18, 50), rng.integers(4)
         # Turned about the image's middle, the border that cuts is each in turn.
         center = 74.5 + 74.5j + 1j**turn * (75 - side * rng.uniform(-0.4, 0.8) + 1j * rng.uniform(-20, 20))
@@ -210,7 +214,7 @@ def test_a_marker_cut_by_the_border_is_itself_or_nothing(place_markers, draw_mar
             assert seen.ids.tolist() in ([], [marker_id])
             found += len(seen.ids)
             assert (np.abs(seen.centers_px @ [1, 1j] - center) < side / 10).all()
-    assert found > 28
+    assert found > least
 
 
 def test_markers_that_drive_out_and_in_again_are_followed(place_markers, draw_markers):
@@ -252,7 +256,11 @@ def test_images_of_nothing_show_nothing(shape):
 
 
 @pytest.mark.parametrize(
-    ("side_px", "noise"), [(100, 0.0), (100, 5.0), (150, 0.0), (150, 5.0), (300, 0.0), (600, 5.0)]
+    ("side_px", "noise"),
+    [
+        *((100, 0.0), (100, 5.0), (150, 0.0), (150, 5.0), (300, 0.0), (600, 5.0)),
+        *(pytest.param(*each, marks=pytest.mark.slow) for each in ((300, 5.0), (600, 0.0))),
+    ],
 )
 def test_huge_markers_are_measured(place_markers, draw_markers, side_px, noise):
     """To 0.02 px and 0.02 deg: what 16 points a pixel leave of an edge, and many times the noise's bound."""

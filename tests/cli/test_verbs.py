@@ -14,6 +14,7 @@ from command_line import assert_refused, call
 from skyherd import runner
 from skyherd.datasets import scenario_text
 from skyherd.plots import panels
+from skyherd.plots.panels import PANELS
 from skyherd.recording.writer import McapRecorder
 
 SHORT = ["--perception", "ideal", "--no-video", "--set", "duration_s=1.0"]
@@ -22,7 +23,7 @@ SHORT = ["--perception", "ideal", "--no-video", "--set", "duration_s=1.0"]
 @pytest.fixture(autouse=True)
 def few_figures(monkeypatch):
     """Runs leave two figures: drawing all takes longer than the run. That all are drawn, `plots` tests."""
-    monkeypatch.setattr(panels, "PANELS", panels.PANELS[:2])
+    monkeypatch.setattr(panels, "PANELS", PANELS[:2])
 
 
 SUMMARY_KEYS = [
@@ -60,7 +61,9 @@ SUMMARY_KEYS = [
 ]
 
 
-def test_a_run_leaves_all_it_promises(tmp_path, capsys):
+@pytest.mark.parametrize("figures", [2, pytest.param(len(PANELS), marks=pytest.mark.slow)])
+def test_a_run_leaves_all_it_promises(tmp_path, capsys, monkeypatch, figures):
+    monkeypatch.setattr(panels, "PANELS", PANELS[:figures])
     out = tmp_path / "run"
     code, said, _ = call(
         capsys, "run", "star", "--out", out, "--perception", "ideal", "--set", "duration_s=1.0"
@@ -70,7 +73,8 @@ def test_a_run_leaves_all_it_promises(tmp_path, capsys):
     assert {entry.name for entry in out.iterdir()} == {
         ".skyherd.json", "run.mcap", "video.mp4", "figures", "summary.json", "report.html",
     }  # fmt: skip
-    assert len(list((out / "figures").iterdir())) == 2 * 2
+    assert len(list((out / "figures").iterdir())) == 2 * figures
+    assert (out / "report.html").read_text().count("<img") == figures
     summary = json.loads((out / "summary.json").read_text())
     assert set(SUMMARY_KEYS) <= set(summary)
     assert sorted(summary["final_positions_m"], key=int) == [str(robot) for robot in range(16)]

@@ -115,9 +115,10 @@ def test_speed_in_marker_units_knows_the_local_scale(scenario_tree):
     assert np.abs(paths[0] - paths[1]).max() < 0.02 * 0.5
 
 
-def test_an_ideal_cameras_flight_is_the_same_to_the_bit(scenario_tree):
+@pytest.mark.parametrize("duration_s", [5.0, pytest.param(8.0, marks=pytest.mark.slow)])
+def test_an_ideal_cameras_flight_is_the_same_to_the_bit(scenario_tree, duration_s):
     """With measured noise, and three units that hand robots over: nothing is learned that is not there."""
-    tree = scenario_tree("star") | {"duration_s": 5.0, "perception": "noisy"}
+    tree = scenario_tree("star") | {"duration_s": duration_s, "perception": "noisy"}
     runs = []
     for rectify in (False, True):
         tree["control"]["rectify"] = rectify

@@ -41,11 +41,15 @@ def one_step_one_unit() -> History:
     return history
 
 
+@pytest.fixture(scope="module", params=["one_step_one_unit", pytest.param("history", marks=pytest.mark.slow)])
+def shown(request: pytest.FixtureRequest) -> History:
+    """One step of one unit, or two seconds of three."""
+    return request.getfixturevalue(request.param)
+
+
 @pytest.fixture(scope="module")
-def figures_of_one_step(
-    one_step_one_unit: History, tmp_path_factory: pytest.TempPathFactory
-) -> list[FigureFile]:
-    return write_figures(one_step_one_unit, tmp_path_factory.mktemp("step") / "new" / "folder")
+def figures(shown: History, tmp_path_factory: pytest.TempPathFactory) -> list[FigureFile]:
+    return write_figures(shown, tmp_path_factory.mktemp("run") / "new" / "folder")
 
 
 @pytest.fixture(scope="module")
@@ -70,8 +74,7 @@ def drawn(axes: Any, label_start: str) -> list[np.ndarray]:
     return [np.asarray(line.get_ydata()) for line in axes.lines if line.get_label().startswith(label_start)]
 
 
-def test_every_panel_is_a_png_and_an_svg(figures_of_one_step: list[FigureFile]) -> None:
-    figures = figures_of_one_step
+def test_every_panel_is_a_png_and_an_svg(figures: list[FigureFile]) -> None:
     assert [figure.name for figure in figures] == [panel.name for panel in PANELS]
     for figure in figures:
         with Image.open(figure.png) as image:
@@ -84,17 +87,18 @@ def test_every_panel_is_a_png_and_an_svg(figures_of_one_step: list[FigureFile]) 
 
 
 def test_the_same_history_gives_the_same_bytes_whatever_a_users_settings_of_matplotlib(
-    one_step_one_unit: History,
-    figures_of_one_step: list[FigureFile],
+    shown: History,
+    figures: list[FigureFile],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Every fourth is drawn a second time, under settings that would show."""
-    monkeypatch.setattr(panels, "PANELS", PANELS[::4])
+    """Every fourth of one step, all of several, are drawn a second time, under settings that would show."""
+    every = 4 if shown.times_s.size == 1 else 1
+    monkeypatch.setattr(panels, "PANELS", PANELS[::every])
     with mpl.rc_context({"font.size": 20, "axes.facecolor": "black", "svg.hashsalt": None}):
-        again = write_figures(one_step_one_unit, tmp_path)
+        again = write_figures(shown, tmp_path)
         assert mpl.rcParams["font.size"] == 20
-    for one, other in zip(figures_of_one_step[::4], again, strict=True):
+    for one, other in zip(figures[::every], again, strict=True):
         assert one.png.read_bytes() == other.png.read_bytes()
         assert one.svg.read_bytes() == other.svg.read_bytes()
 
@@ -115,7 +119,15 @@ LOGARITHMIC = {"cost", "shape_error"}
     ("panel", "value"),
     [
         *(pytest.param(panel, np.nan, id=f"{panel.name}-nan") for panel in PANELS),
-        *(pytest.param(panel, 0.0, id=f"{panel.name}-zero") for panel in PANELS if panel.name in LOGARITHMIC),
+        *(
+            pytest.param(
+                panel,
+                0.0,
+                id=f"{panel.name}-zero",
+                marks=() if panel.name in LOGARITHMIC else pytest.mark.slow,
+            )
+            for panel in PANELS
+        ),
     ],
 )
 def test_nothing_to_show_is_no_error(panel: Panel, value: float, history: History, draw: Any) -> None:

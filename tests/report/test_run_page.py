@@ -18,12 +18,12 @@ from skyherd.errors import OutputError
 from skyherd.files.video_writer import VideoSink
 from skyherd.loop import run_steps
 from skyherd.plots import panels
-from skyherd.plots.panels import PANELS, write_figures
+from skyherd.plots.panels import PANELS, Panel, write_figures
 from skyherd.report.run_page import write_page
 
 WIDTHS = {"desktop": (1280, 900), "phone": (390, 844)}
-SHOWN = tuple(panel for panel in PANELS if panel.name in {"paths", "cost", "topology"})
-"""Figures on the page: one of each kind is enough to see that a page shows what it is given."""
+FEW = tuple(panel for panel in PANELS if panel.name in {"paths", "cost", "topology"})
+"""One figure of each kind is enough to see that a page shows what it is given; slow tests show all."""
 
 VERSIONS = MappingProxyType({"skyherd": "0.1.0", "numpy": np.__version__})
 
@@ -41,12 +41,19 @@ def write_video(path: Path) -> None:
             sink.write(np.full((120, 160, 3), grey))
 
 
+@pytest.fixture(
+    scope="module", params=[FEW, pytest.param(PANELS, marks=pytest.mark.slow)], ids=["few", "all"]
+)
+def on_page(request: pytest.FixtureRequest) -> tuple[Panel, ...]:
+    return request.param
+
+
 @pytest.fixture(scope="module")
-def page(history: History, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def page(history: History, on_page: tuple[Panel, ...], tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("run")
     write_video(folder / "video.mp4")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(panels, "PANELS", SHOWN)
+        patch.setattr(panels, "PANELS", on_page)
         figures = write_figures(history, folder / "figures")
     return write_page(
         folder, history, summarize(history, 1.5), figures, VERSIONS, "[scenario]\n" + "x = 1 " * 80
@@ -77,7 +84,7 @@ class Outline(HTMLParser):
         return [attributes for name, attributes in self.tags if name == tag]
 
 
-def test_the_page_is_whole_and_refers_to_nothing_outside(page: Path) -> None:
+def test_the_page_is_whole_and_refers_to_nothing_outside(page: Path, on_page: tuple[Panel, ...]) -> None:
     text = page.read_text("utf-8")
     outline = Outline(text)
     assert text.startswith("<!DOCTYPE html>")
@@ -85,7 +92,7 @@ def test_the_page_is_whole_and_refers_to_nothing_outside(page: Path) -> None:
     assert not outline.all("script")
     assert outline.all("html") == [{"lang": "en"}]
     assert len(outline.all("video")) == 1
-    assert len(outline.all("img")) == len(SHOWN)
+    assert len(outline.all("img")) == len(on_page)
     assert all(image["alt"] for image in outline.all("img"))
     sources = [a[key] or "" for _, a in outline.tags for key in ("src", "href") if key in a]
     assert all(source.startswith("data:") for source in sources)
@@ -203,11 +210,11 @@ def test_everything_fits_the_window(shown: Any, assert_nothing_overflows: Callab
     assert_nothing_overflows(shown)
 
 
-def test_every_image_is_decoded(shown: Any) -> None:
+def test_every_image_is_decoded(shown: Any, on_page: tuple[Panel, ...]) -> None:
     widths = shown.evaluate(
         "Promise.all([...document.images].map(async e => { await e.decode(); return e.naturalWidth }))"
     )
-    assert len(widths) == len(SHOWN)
+    assert len(widths) == len(on_page)
     assert min(widths) > 0
 
 

@@ -98,19 +98,22 @@ def test_units_that_measure_differently_agree(make_detections, make_report, unit
     ("size", "spacing_sides"),
     [({}, None), ({"least_spacing_sides": 6.0}, 6.0), ({"spacing_sides": 2.0}, 2.0), ({"unit_m": 0.4}, 0.8)],
 )
+@pytest.mark.parametrize(
+    ("step_s", "rectify"), [(0.2, False), pytest.param(0.1, True, marks=pytest.mark.slow)]
+)
 def test_a_team_keeps_above_the_floor_or_takes_the_size_that_is_wanted(
-    scenario_tree, size, spacing_sides
+    scenario_tree, size, spacing_sides, step_s, rectify
 ) -> None:
     """Triangle with its roles turned about shrinks to 3.5 sides where nothing holds it; side 0.5 m."""
     tree = scenario_tree("triangle") | {
         "perception": "ideal",
         "duration_s": 40.0,
-        "step_s": 0.2,
+        "step_s": step_s,
         "size": size,
     }
-    tree["units"][0]["frame_rate_hz"] = 5.0
+    tree["units"][0]["frame_rate_hz"] = 1 / step_s
     tree["robots"]["positions_m"] = [tree["robots"]["positions_m"][i] for i in (3, 1, 5, 0, 4, 2)]
-    tree["control"] |= {"b_th": 0.0, "k": 0.3, "k_omega": 1.2, "rectify": False}
+    tree["control"] |= {"b_th": 0.0, "k": 0.3, "k_omega": 1.2, "rectify": rectify}
     *_, last = run_steps(make_mission(tree))
     nearest_sides = pdist(last.positions_m).min() / 0.5
     assert last.metrics.shape.error < 0.01

@@ -140,8 +140,8 @@ def test_the_help_names_what_an_option_takes(capsys):
     assert all(name in said for name in PAPERS_MM)
 
 
-@pytest.fixture
-def completions(tmp_path, monkeypatch, capsys):
+@pytest.fixture(params=["here", pytest.param("in a process of its own", marks=pytest.mark.slow)])
+def completions(request, tmp_path, monkeypatch, capfd):
     """What bash offers in a folder for the last of some words, asked for as its script asks."""
 
     def ask(*words: str) -> list[str]:
@@ -150,9 +150,13 @@ def completions(tmp_path, monkeypatch, capsys):
         monkeypatch.setenv("_SKYHERD_COMPLETE", "complete_bash")
         monkeypatch.setenv("COMP_WORDS", " ".join(["skyherd", *words]))
         monkeypatch.setenv("COMP_CWORD", str(len(words)))
-        with pytest.raises(SystemExit):
-            main()
-        said = capsys.readouterr()
+        if request.param == "here":
+            with pytest.raises(SystemExit):
+                main()
+        else:
+            code = "import sys; sys.argv = ['skyherd']; from skyherd.__main__ import main; main()"
+            subprocess.run([sys.executable, "-c", code], check=False)
+        said = capfd.readouterr()
         assert said.err == ""
         return said.out.split()
 

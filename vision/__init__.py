@@ -17,7 +17,7 @@ from skyherd.vision.detectors.registry import (
 )
 from skyherd.vision.diagnosis.explain import Rejection, explain
 from skyherd.vision.diagnosis.reasons import Reason
-from skyherd.vision.diagnosis.suggestions import suggest
+from skyherd.vision.diagnosis.suggestions import find_dictionary, suggest
 from skyherd.vision.photometric.detector import PhotometricDetector
 
 __all__ = [
@@ -36,6 +36,7 @@ __all__ = [
     "detector_names",
     "explain",
     "explain_mirrored",
+    "find_dictionary",
     "load_accuracy",
     "peer_names",
     "suggest",

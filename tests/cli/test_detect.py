@@ -229,3 +229,46 @@ def test_what_turns_out_to_be_unreadable_leaves_nothing(here, capsys) -> None:
         code, _, err = call(capsys, target, "--out", "out")
         assert (code, err.count("\n")) == (2, 1) and words in err
         assert sorted(here.rglob("*")) == before
+
+
+# --- kinds of markers ---
+
+
+def ids_in(folder):
+    with open(folder / "detections.csv", newline="") as file:
+        return [int(row["id"]) for row in csv.DictReader(file)]
+
+
+def test_each_files_own_dictionary_is_found(tmp_path, capsys):
+    photos = tmp_path / "photos"
+    photos.mkdir()
+    for name in ("4X4_50", "APRILTAG_36h11"):
+        cv2.imwrite(str(photos / f"{name}.png"), sheet([3, 5, 7], dictionary=name))
+    code, said, _ = call(capsys, photos, "--dictionary", "auto", "--out", tmp_path / "out")
+    assert code == 0
+    for name in ("4X4_50", "APRILTAG_36h11"):
+        assert f"{name}.png: its markers are of {name}" in said
+    assert ids_in(tmp_path / "out") == [3, 5, 7, 3, 5, 7]
+
+
+@pytest.mark.parametrize(
+    ("image", "options", "ids", "otherwise"),
+    [
+        (255 - sheet(), ["--inverted"], IDS, []),
+        (sheet(dictionary="4X4_50@2"), ["--border-bits", "2"], IDS, []),
+        (sheet([4, 4, 6]), ["--repeats"], [4, 4, 6], [6]),
+    ],
+    ids=["white on black", "a border of two cells", "an id that repeats"],
+)
+def test_other_kinds_of_markers_are_found_if_asked_for(tmp_path, capsys, image, options, ids, otherwise):
+    cv2.imwrite(str(tmp_path / "it.png"), image)
+    assert call(capsys, tmp_path / "it.png", "--out", tmp_path / "told", *options)[0] == 0
+    assert ids_in(tmp_path / "told") == ids
+    assert call(capsys, tmp_path / "it.png", "--out", tmp_path / "plain")[0] == 0
+    assert ids_in(tmp_path / "plain") == otherwise
+
+
+def test_wide_borders_are_not_explained(tmp_path, capsys):
+    cv2.imwrite(str(tmp_path / "it.png"), sheet(dictionary="4X4_50@2"))
+    code, _, said = call(capsys, tmp_path / "it.png", "--border-bits", "2", "--explain")
+    assert code == 2 and "explains markers with a border of one cell" in said

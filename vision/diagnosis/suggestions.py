@@ -15,7 +15,22 @@ def suggest_dictionary(image: Image, dictionary: str) -> str | None:
     preferred, and of a series such as 4X4_50 to 4X4_1000 the smallest that has all ids found. All
     dictionaries are tried.
     """
-    at_least = len(ArucoDetector(dictionary).detect(image)) + 1
+    return _best_dictionary(image, len(ArucoDetector(dictionary).detect(image)) + 1)
+
+
+def find_dictionary(image: Image) -> str | None:
+    """Return the dictionary that decodes most of a grey image (height, width); None if none decodes anything.
+
+    The preferences are those of `suggest_dictionary`.
+
+    Raises:
+        InputError: the image is not a grey one of 8 bits.
+    """
+    return _best_dictionary(image, 1)
+
+
+def _best_dictionary(image: Image, at_least: int) -> str | None:
+    """The dictionary that decodes most markers, if it decodes `at_least` so many."""
     best = None
     for name in _largest_of_series():
         ids = ArucoDetector(name).detect(image).ids

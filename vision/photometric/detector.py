@@ -49,6 +49,7 @@ from skyherd.vision.photometric.unknown_blur import (
     with_usual_blur,
 )
 from skyherd.vision.photometric.verify import (
+    MIN_MARKER_CONTRAST,
     bits_are_right,
     image_noise,
     may_be_occluded,
@@ -213,7 +214,7 @@ class PhotometricDetector:
             )
             accepted = verified(visible, noise, distance) & residual_is_noise(visible, floor)
             fits, good = _replaced(fits, good, doubtful[accepted], visible.take(accepted))
-        apart = np.flatnonzero(~good & plane.shared)
+        apart = np.flatnonzero(~good & plane.shared & (fits.contrasts >= MIN_MARKER_CONTRAST))
         if apart.size:
             others = fits.take(apart)
             alone, _ = fit_any_blur(

@@ -75,7 +75,7 @@ class Plane:
     def variances(self, points: ComplexArray) -> Array:
         """Return the variances (N,) of each component of the squeezes at image points (N,)."""
         design = squeeze_design_matrix(points)
-        return np.asarray(np.einsum("ni,ij,nj->n", design, self.covariance, design.conj()).real)
+        return np.asarray(((design @ self.covariance) * design.conj()).sum(axis=1).real)
 
     def horizons(self, points: ComplexArray) -> ComplexArray:
         """Return the horizons h (N,) of `LocalHomographies` at image points (N,): `λ / (1 - λ·p)`, 1/px."""

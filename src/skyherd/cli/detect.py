@@ -31,7 +31,10 @@ def detect(
     target: Annotated[Path, typer.Argument(metavar="IMAGE|DIR|VIDEO", help="What to look at.")],
     dictionary: Annotated[
         str,
-        typer.Option(help="Marker dictionary, such as APRILTAG_36h11.", autocompletion=complete_dictionary),
+        typer.Option(
+            help="Marker dictionary, such as APRILTAG_36h11; auto finds each file's own.",
+            autocompletion=complete_dictionary,
+        ),
     ] = "4X4_50",
     detector: Annotated[
         str, typer.Option(help=f"One of {', '.join(DETECTORS)}.", autocompletion=complete_detector)
@@ -45,6 +48,13 @@ def detect(
             "--format", help=f"Of the table: {' or '.join(TABLE_FORMATS)}.", autocompletion=complete_format
         ),
     ] = "csv",
+    border_bits: Annotated[
+        int, typer.Option("--border-bits", min=1, max=3, help="Cells of the markers' black border.")
+    ] = 1,
+    inverted: Annotated[bool, typer.Option("--inverted", help="Markers are white on black.")] = False,
+    repeats: Annotated[
+        bool, typer.Option("--repeats", help="Report ids that are found twice, at each place.")
+    ] = False,
     explained: Annotated[
         bool, typer.Option("--explain", help="Say for every rejected candidate why, and what would help.")
     ] = False,
@@ -57,7 +67,7 @@ def detect(
 
     Exit code 0 when done, 1 with --require if a file has none, 2 for bad input.
     """
-    from skyherd.inspection import DETECTIONS, Inspector, output_name
+    from skyherd.inspection import AUTO, DETECTIONS, Inspector, output_name
 
     if kind not in TABLE_FORMATS:
         raise InputError("--format", f"no format {kind!r}", f"one of {', '.join(TABLE_FORMATS)}")
@@ -66,6 +76,9 @@ def detect(
         inspector = Inspector(
             detector,
             dictionary,
+            border_bits=border_bits,
+            inverted=inverted,
+            repeats=repeats,
             explained=explained,
             kind="jsonl" if kind == "jsonl" else "csv",
             progress=progress,
@@ -73,6 +86,10 @@ def detect(
         with telling_of_interrupts("nothing is left of it"):
             results = inspector.inspect(target, folder, force=force)
     _say_results(results)
+    if dictionary == AUTO:
+        for result in results:
+            if result.ids:
+                say(f"{result.file.name}: its markers are of {result.dictionary}")
     say(f"see {folder / DETECTIONS}.{kind}  {_pictures(results, folder)}")
     if any(result.trouble for result in results):
         return 2

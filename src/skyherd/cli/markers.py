@@ -21,16 +21,20 @@ def markers(
         str,
         typer.Option(help="Marker dictionary, such as APRILTAG_36h11.", autocompletion=complete_dictionary),
     ] = "4X4_50",
+    border_bits: Annotated[
+        int, typer.Option("--border-bits", min=1, max=3, help="Cells of the markers' black border.")
+    ] = 1,
     force: Annotated[
         bool, typer.Option("--force", help="Write a file of sheets that is there anew.")
     ] = False,
 ) -> int:
     """Print markers at true size, with quiet zone, id, forward arrow, cut marks and a ruler."""
     from skyherd.files.output_folder import OutputFile
-    from skyherd.markers.dictionary import load_dictionary
+    from skyherd.markers.dictionary import load_dictionary, with_border
     from skyherd.markers.sheet_layout import PAPERS_MM, parse_ids, parse_length_mm
     from skyherd.markers.sheets import write_sheets
 
+    dictionary = with_border(dictionary, border_bits)
     load_dictionary(dictionary)
     if out_file.suffix.lower() != ".pdf":
         raise InputError("--out", f"{str(out_file)!r} is no PDF", "a name that ends in .pdf")

@@ -5,7 +5,7 @@ pictures (`Annotator`) in a folder.
 """
 
 from skyherd.inspection.annotator import Annotator
-from skyherd.inspection.inspector import DETECTIONS, REJECTIONS, FileResult, Inspector, output_name
+from skyherd.inspection.inspector import AUTO, DETECTIONS, REJECTIONS, FileResult, Inspector, output_name
 from skyherd.inspection.table import (
     CORNERS,
     FORMATS,
@@ -17,6 +17,7 @@ from skyherd.inspection.table import (
 )
 
 __all__ = [
+    "AUTO",
     "CORNERS",
     "DETECTIONS",
     "FORMATS",

@@ -34,7 +34,15 @@ from skyherd.markers.dictionary import load_dictionary
 from skyherd.messages import Detections
 from skyherd.progress import NO_PROGRESS, Progress
 from skyherd.text import printable
-from skyherd.vision import Detector, Rejection, create_detector, explain, suggest
+from skyherd.vision import (
+    DEFAULT_DICTIONARY,
+    Detector,
+    Rejection,
+    create_detector,
+    explain,
+    find_dictionary,
+    suggest,
+)
 
 DETECTIONS = "detections"
 """Name of the table of detections, without its ending."""
@@ -49,6 +57,9 @@ MOST_STEM_BYTES = 200
 """Bytes of a file's name that the annotated file's name takes over. *Chosen*: with an ending and a number it
 stays below 255, the most that file systems have."""
 
+AUTO = "auto"
+"""Stands for the dictionary that a file's own markers are of."""
+
 FEW = 3
 """With fewer detections in a picture a hint is looked for, since something is likely to be wrong with it.
 Chosen: pictures of robots usually show more."""
@@ -62,6 +73,7 @@ class FileResult:
 
     Attributes:
         file: the picture or video.
+        dictionary: of the markers that were looked for.
         frames: number of images that were looked at.
         ids: how often each marker was detected.
         rejections: of a picture, all; of a video, those of its last frame.
@@ -72,6 +84,7 @@ class FileResult:
     """
 
     file: Path
+    dictionary: str = DEFAULT_DICTIONARY
     frames: int = 0
     ids: Counter[int] = field(default_factory=Counter)
     rejections: list[Rejection] = field(default_factory=list)
@@ -86,13 +99,17 @@ class Inspector:
 
     Args:
         detector: name or `module:factory`, as for `skyherd.vision.create_detector`.
-        dictionary: name of the marker dictionary.
+        dictionary: name of the marker dictionary, or `AUTO` to find each file's own: of a video, that of the
+            first frame that shows markers.
+        border_bits: width of the markers' black border in cells.
+        inverted: whether the markers are white on black.
+        repeats: whether ids that are found at several places are reported at each of them.
         explained: whether to say why candidates were rejected, too; much slower.
         kind: format of the tables.
         progress: is given how many frames of each file are done.
 
     Raises:
-        InputError: there is no such detector or dictionary.
+        InputError: there is no such detector or dictionary, or wider borders are to be explained.
     """
 
     def __init__(
@@ -100,14 +117,44 @@ class Inspector:
         detector: str,
         dictionary: str,
         *,
+        border_bits: int = 1,
+        inverted: bool = False,
+        repeats: bool = False,
         explained: bool = False,
         kind: Format = "csv",
         progress: Progress = NO_PROGRESS,
     ) -> None:
-        load_dictionary(dictionary)
-        create_detector(detector, dictionary=dictionary)
+        if explained and border_bits != 1:
+            raise InputError(
+                "--explain", "explains markers with a border of one cell", "leave one of them out"
+            )
         self.detector, self.dictionary, self.explained, self.kind = detector, dictionary, explained, kind
+        self.border_bits, self.inverted, self.repeats = border_bits, inverted, repeats
         self._progress = progress
+        usual = DEFAULT_DICTIONARY if dictionary == AUTO else dictionary
+        load_dictionary(usual)
+        self._create_detector(usual)
+
+    def _create_detector(self, dictionary: str) -> Detector:
+        return create_detector(
+            self.detector,
+            dictionary=dictionary,
+            border_bits=self.border_bits,
+            inverted=self.inverted,
+            repeats=self.repeats,
+        )
+
+    def _dictionary_of(self, image: Grey) -> str | None:
+        """The dictionary to look for in an image, None if it is to be found and the image shows no marker."""
+        return find_dictionary(self._dark_on_light(image)) if self.dictionary == AUTO else self.dictionary
+
+    def _dark_on_light(self, image: Grey) -> Grey:
+        """The image, or its negative where markers are white on black."""
+        return np.asarray(255 - image, dtype=np.uint8) if self.inverted else image
+
+    def _hint(self, image: Grey, dictionary: str) -> str | None:
+        """What to try where little was found; nothing where the dictionary was found by trying all."""
+        return None if self.dictionary == AUTO else suggest(self._dark_on_light(image), dictionary)
 
     def inspect(self, target: Path, folder: Path, *, force: bool = False) -> list[FileResult]:
         """Run the detector over a picture, a video, or all pictures and videos in a folder.
@@ -156,22 +203,27 @@ class Inspector:
     def _inspect_picture(self, result: FileResult, picture: Path, tables: list[Table]) -> None:
         self._progress.update(result.file.name, 0, 1)
         image = read_grey(result.file)
-        detector = create_detector(self.detector, dictionary=self.dictionary)
+        result.dictionary = self._dictionary_of(image) or DEFAULT_DICTIONARY
+        detector = self._create_detector(result.dictionary)
         found = self._look(detector, image, Place(result.file.name), result, tables)
         annotated = Annotator((image.shape[1], image.shape[0])).draw(image, found, result.rejections)
         drawn = Image.fromarray(annotated)
         result.picture = write_whole(picture, lambda part: drawn.save(part, format="PNG", compress_level=2))
         if len(found) < FEW:
-            result.hint = suggest(image, self.dictionary)
+            result.hint = self._hint(image, result.dictionary)
         self._progress.update(result.file.name, 1, 1)
 
     def _inspect_video(self, result: FileResult, picture: Path, tables: list[Table]) -> None:
         clip = open_clip(result.file)
-        detector = create_detector(self.detector, dictionary=self.dictionary)
+        named = DEFAULT_DICTIONARY if self.dictionary == AUTO else self.dictionary
+        detector, result.dictionary = self._create_detector(named), named
+        searching = self.dictionary == AUTO
         sink: VideoSink | None = None
         with ExitStack() as stack:
             for frame in read_clip(clip):
                 height, width = frame.image.shape
+                if searching and (own := self._dictionary_of(frame.image)) is not None:
+                    detector, result.dictionary, searching = self._create_detector(own), own, False
                 annotator = Annotator((width, height))
                 place = Place(result.file.name, frame.index, frame.time_s)
                 found = self._look(detector, frame.image, place, result, tables)
@@ -185,7 +237,7 @@ class Inspector:
                 done = frame.index + 1
                 self._progress.update(result.file.name, done, max(clip.count, done) if clip.count else None)
                 if frame.index == 0 and len(found) < FEW:
-                    result.hint = suggest(frame.image, self.dictionary)
+                    result.hint = self._hint(frame.image, result.dictionary)
         result.picture = picture
         result.hint = None if len(result.ids) >= FEW else result.hint
 
@@ -199,7 +251,7 @@ class Inspector:
         for row in detection_rows(place, found):
             tables[0].add(row)
         if self.explained:
-            result.rejections = explain(image, self.dictionary, found)
+            result.rejections = explain(self._dark_on_light(image), result.dictionary, found)
             result.reasons.update(rejection.reason.value for rejection in result.rejections)
             for row in rejection_rows(place, result.rejections):
                 tables[1].add(row)

@@ -39,6 +39,9 @@ TIMEOUT_S = 5.0
 WORKER_DEATHS = 2
 """A run that was on more workers than this when they died is taken as the reason, and counts as failed."""
 
+LOST = "lost"
+"""Status of a run whose outcome died with its worker; the scheduler gives it to another. Defined by Dask."""
+
 GONE = "the scheduler is gone; the same command goes on from here"
 """Message of the error when the cluster stops answering."""
 
@@ -104,7 +107,14 @@ def run_missions(
             done.add(client.submit(measure, key, mission, curves, key=f"run-{key}", pure=False))
         if done.is_empty():
             return
-        yield [_outcome(future) for future in done.next_batch()]
+        outcomes = []
+        for future in done.next_batch():
+            if future.status == LOST and client.status == "running":
+                done.add(future)  # its worker died before the outcome was fetched: it is made again
+            else:
+                outcomes.append(_outcome(future))
+        if outcomes:
+            yield outcomes
 
 
 def _threads(client: Client) -> int:

@@ -46,7 +46,7 @@ class BoardModel(Model):
     gap: Annotated[float, Field(gt=0, le=100)] = Field(
         0.3, description="space between markers, in their sides"
     )
-    first_id: Annotated[int, Field(ge=0)] = Field(0, description="id of the first marker")
+    first_id: Annotated[int, Field(ge=0, le=100_000)] = Field(0, description="id of the first marker")
     name: str = Field("", description="of the board; sets of one name share what is learned of it")
     degree: Annotated[int, Field(ge=2, le=7)] | None = Field(None, description="of the lens's polynomials")
 

@@ -34,16 +34,10 @@ need."""
 OWN_PLANES = Plane(shared=False)
 """The plane of markers that share none: each has its own squeeze and lean."""
 
-FEIGNED_LEAN, LEAN_STD = 0.03, 0.2
-"""Where no plane says how a marker leans, it is taken not to, unless it leans by much more than its noise and
-the first number explain (`SIGNIFICANT_LEAN`); then its lean is expected to have the second number as standard
-deviation. A lean is by how much the marker's image grows along one side's length. Measured: the processing of
-photographs and their lenses feign leans of 0.03, which would cost half as much again of the position. Chosen:
-0.2 is that of a marker three sides away at a tilt of 40 degrees."""
-
-SIGNIFICANT_LEAN = 14.0
-"""Square of a lean over its variance, both components together, from which on it is believed. Derived: chance
-reaches `exp(-14 / 2)` = 0.0009."""
+LEAN_STD = 0.1
+"""Expected size of a marker's own lean, where no plane says what it is: the standard deviation of each of its
+two components, by which the marker's image grows along one side's length. Chosen: that of a marker seen from
+four sides away at a tilt of 25 degrees; a larger one lets small markers lean by their noise."""
 
 
 def hold_common_unknowns(
@@ -74,7 +68,7 @@ def hold_common_unknowns(
     even = solution.constrained(LIGHT, np.zeros((right.size, 2)))
     solution = solution if _is_uneven(solution, even, inliers) else even
     if alone:
-        return on_own_planes(solution, start), OWN_PLANES
+        return on_own_planes(solution, start, LEAN_STD), OWN_PLANES
     return on_common_plane(solution, start, middle, inliers, plane, most=settling)
 
 
@@ -107,7 +101,7 @@ def on_common_plane(
     plane: Plane,
     *,
     most: bool = False,
-    level: bool = False,
+    lean_std: float = LEAN_STD,
 ) -> tuple[LeastSquaresSolution, Plane]:
     """Return the solution with squeezes and leans held at those of the plane that the inliers lie on.
 
@@ -120,7 +114,7 @@ def on_common_plane(
         inliers: (N,) which markers the plane is fitted to.
         plane: of the step before, which says how markers lean while their squeezes are compared.
         most: whether a plane is enough that explains most of the inliers, not all.
-        level: whether leans are held at zero where no plane says what they are.
+        lean_std: expected size of a lean where no plane says what it is; 0 holds it at zero.
 
     Returns:
         The solution, and the plane.
@@ -128,26 +122,24 @@ def on_common_plane(
     leaning = solution.constrained(LEAN, _leans(solution, start, plane, middle))
     plane, squeezes = _common_plane(leaning, start, middle, inliers, fit_plane if most else fit_plane_to_all)
     if not plane.shared:
-        if level:
-            return solution.constrained(LEAN, _leans(solution, start, OWN_PLANES, 0j)), plane
-        return on_own_planes(solution, start), plane
+        return on_own_planes(solution, start, lean_std), plane
     leaning = solution.constrained(LEAN, _leans(solution, start, plane, middle))
     return leaning.constrained(SQUEEZE, squeezes), plane
 
 
-def on_own_planes(solution: LeastSquaresSolution, start: LocalHomographies) -> LeastSquaresSolution:
-    """Return the solution with the squeezes free, and leans only of markers that clearly do lean.
+def on_own_planes(
+    solution: LeastSquaresSolution, start: LocalHomographies, lean_std: float
+) -> LeastSquaresSolution:
+    """Return the solution with the squeezes free and the leans expected about zero.
 
     Args:
         solution: with squeezes and leans free.
         start: homographies about which it is linear.
+        lean_std: expected size of each of a lean's components; 0 holds it at zero.
     """
     level = _leans(solution, start, OWN_PLANES, 0j)
-    per_noise = solution.contrasts() / solution.constrained(LEAN, level).noise_stds()
-    variances = solution.inverse_normals[:, LEAN, LEAN].mean(axis=1) + (FEIGNED_LEAN * per_noise) ** 2
-    squares = np.square(solution.values[:, LEAN] - level).sum(axis=1) / solution.noise_stds() ** 2
-    leans = squares > SIGNIFICANT_LEAN * variances
-    return solution.expected(LEAN, level, np.where(leans, (LEAN_STD * per_noise) ** 2, 0.0))
+    noise_stds = solution.constrained(LEAN, level).noise_stds()
+    return solution.expected(LEAN, level, (lean_std * solution.contrasts() / noise_stds) ** 2)
 
 
 def _leans(solution: LeastSquaresSolution, start: LocalHomographies, plane: Plane, middle: complex) -> Array:

@@ -128,18 +128,12 @@ def ideal_failure() -> tuple[Mission, list[Step]]:
     return mission, list(run_steps(mission))
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session", autouse=True)
 def grounds_made_once() -> Iterator[None]:
-    """The same textured ground again is taken from memory: making one takes half a second."""
-    made = lru_cache(4)(ground.concrete)
-
-    def concrete(seed: int, mean: float, contrast: float) -> np.ndarray:
-        texture = made(seed, mean, contrast)
-        texture.flags.writeable = False
-        return texture
-
+    """More grounds than usual are kept in memory: making one takes half a second."""
+    kept = lru_cache(8)(ground._concrete_spectrum.__wrapped__)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(ground, "concrete", concrete)
+        patch.setattr(ground, "_concrete_spectrum", kept)
         yield
 
 

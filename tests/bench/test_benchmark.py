@@ -24,8 +24,6 @@ from skyherd.cli import main
 from skyherd.errors import InputError
 from skyherd.geometry import wrap_angle
 
-pytestmark = pytest.mark.usefixtures("grounds_made_once")
-
 ROW_KEYS = {
     "detector", "side_px", "noise", "blur_px", "tilt_deg", "recall", "false_positives_per_image", "bias_px",
     "rmse_px", "rmse_deg", "crb_px", "crb_deg", "nees", "ms_median", "ms_p99",

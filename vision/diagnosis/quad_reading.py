@@ -168,7 +168,7 @@ def read_quad(image: Image, corners_px: Array, dictionary: str) -> Reading:
         InputError: there is no such dictionary.
     """
     sight = _look(image, corners_px, dictionary)
-    return _read(sight, sight.first if sight.first.likeness < PROMISING else _nearest(sight))
+    return _read(sight, _first_match(sight) if sight.likeness < PROMISING else _nearest(sight))
 
 
 def read_likely(image: Image, corners_px: Array, dictionary: str, least: float) -> Reading | None:
@@ -178,7 +178,7 @@ def read_likely(image: Image, corners_px: Array, dictionary: str, least: float) 
     `read_quad`, but that other blurs are tried from `least` on.
     """
     sight = _look(image, corners_px, dictionary)
-    return None if sight.first.likeness < least else _read(sight, _nearest(sight))
+    return None if sight.likeness < least else _read(sight, _nearest(sight))
 
 
 @dataclass(frozen=True)
@@ -190,8 +190,8 @@ class _Sight:
         image_cells: (3, 3) homography from cell coordinates to pixels.
         samples: levels (S, S) of cells and quiet zone, as of `_sample`.
         templates: what it is compared with.
-        best: rows of the `FINALISTS` that its cells' middles are most like, the likest last.
-        first: the likest of them at the first blur.
+        best: rows of the `FINALISTS`, the templates that its cells' middles are most like, ascending.
+        likeness: with the likest of them; 0 if too little of it is in the image.
     """
 
     corners_px: Array
@@ -199,7 +199,7 @@ class _Sight:
     samples: Array
     templates: Templates
     best: IntArray
-    first: "Match"
+    likeness: float
 
     @property
     def levels(self) -> Array:
@@ -214,7 +214,16 @@ def _look(image: Image, corners_px: Array, dictionary: str) -> _Sight:
     samples = _sample(image, image_cells, n)
     templates = load_templates(dictionary)
     cells = samples[PER_CELL // 2 :: PER_CELL, PER_CELL // 2 :: PER_CELL][1:-1, 1:-1]
-    return _Sight(corners_px, image_cells, samples, templates, *_first_match(cells, templates))
+    seen = np.isfinite(cells)
+    if seen.sum() < MIN_CELLS:
+        return _Sight(corners_px, image_cells, samples, templates, np.zeros(1, dtype=np.int64), 0.0)
+    values = cells[seen]
+    if seen.all():
+        likeness = (standardised(values[None]) @ templates.standard.T / values.size)[0]
+    else:
+        likeness = correlations(templates.levels[:, seen], values[None])[0]
+    best = np.argsort(likeness)[-FINALISTS:]
+    return _Sight(corners_px, image_cells, samples, templates, best, float(likeness[best[-1]]))
 
 
 def _read(sight: _Sight, match: "Match") -> Reading:
@@ -309,20 +318,13 @@ class Match:
     white: float
 
 
-def _first_match(cells: Array, templates: Templates) -> tuple[IntArray, Match]:
-    """Rows of the templates that the cells' middles (n, n) are most like, and the match with the likest."""
+def _first_match(sight: _Sight) -> Match:
+    """The template that is most like the cells' middles under the first blur."""
+    cells, row = sight.levels[1:-1, 1:-1], int(sight.best[-1])
     seen = np.isfinite(cells)
     if seen.sum() < MIN_CELLS:
-        nothing = Match(likeness=0.0, row=0, blur_cells=FIRST_BLUR_CELLS, black=0.0, white=0.0)
-        return np.zeros(1, dtype=np.int64), nothing
-    values = cells[seen]
-    if seen.all():
-        likeness = (standardised(values[None]) @ templates.standard.T / values.size)[0]
-    else:
-        likeness = correlations(templates.levels[:, seen], values[None])[0]
-    best = np.argsort(likeness)[-FINALISTS:]
-    row = int(best[-1])
-    return best, _fit(float(likeness[row]), row, FIRST_BLUR_CELLS, templates.levels[row][seen], values)
+        return Match(likeness=0.0, row=0, blur_cells=FIRST_BLUR_CELLS, black=0.0, white=0.0)
+    return _fit(sight.likeness, row, FIRST_BLUR_CELLS, sight.templates.levels[row][seen], cells[seen])
 
 
 def _nearest(sight: _Sight) -> Match:

@@ -74,7 +74,7 @@ def fit_visible(
         samples.read(image, rows, homographies, appearances, inlier_limits=(values, limits))
         solution = samples.solution()
         solution, plane = on_common_plane(
-            solution, homographies, middle, np.ones(rows.size, dtype=bool), plane, lean_std=0.0
+            solution, homographies, middle, np.ones(rows.size, dtype=bool), plane, level=True
         )
         values = solution.values.copy()
         homographies, moved_px = stepped(solution, homographies)

@@ -48,11 +48,11 @@ two components, by which the marker's image grows along one side's length. Chose
 four sides away at a tilt of 25 degrees; a larger one lets small markers lean by their noise."""
 
 NEAR_PLANE = 0.02
-"""Where the squeezes of most markers lie within this of a plane that does not quite explain them, since a lens
-bends it or processing feigns squeezes, these markers lean as the plane does. Measured on photographs of boards:
-squeezes are 0.002 to 0.005 off, and the leans found differ from the plane's by their noise, 0.004 to 0.014. Held
-there, corners are off by 0.056, 0.124 and 0.140 px on three boards where free leans give 0.084, 0.137 and
-0.153 px."""
+"""Where the squeezes of most markers lie within this of a plane that does not quite explain them, since a
+lens bends it or processing feigns squeezes, these markers lean as the plane does. Measured on photographs of
+boards: squeezes are 0.002 to 0.005 off, and the leans found differ from the plane's by their noise, 0.004 to
+0.014. Held there, corners are off by 0.056, 0.124 and 0.140 px on three boards where free leans give 0.084,
+0.137 and 0.153 px."""
 
 
 def hold_common_unknowns(
@@ -68,8 +68,8 @@ def hold_common_unknowns(
     """Return the solution with the unknowns held that the markers share, and the plane of the markers.
 
     Light is held at even where that explains the pixels, and squeezes and leans at those of the plane. Where
-    no plane explains the squeezes, each marker has its own; it leans as a plane does that it is near to, or has
-    its own lean, which is expected to be small.
+    no plane explains the squeezes, each marker has its own; it leans as a plane does that it is near to, or
+    has its own lean, which is expected to be small.
 
     Args:
         solution: with every unknown free.
@@ -173,7 +173,7 @@ def on_own_planes(
 def _leans(
     solution: LeastSquaresSolution, start: LocalHomographies, horizons: ComplexArray | complex
 ) -> Array:
-    """Values (N, 2) of the unknowns `LEAN` at which markers have given horizons (N,), or one for all, 1/px."""
+    """Values (N, 2) of the unknowns `LEAN` at which markers have horizons (N,), or one for all, 1/px."""
     steps = start.leans_to(np.broadcast_to(np.asarray(horizons, dtype=complex), start.centers.shape))
     return _components(steps) * solution.contrasts()[:, None]
 

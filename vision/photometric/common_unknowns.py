@@ -1,6 +1,6 @@
-"""What all markers of an image have in common: the plane that they lie on, and whether light is even.
+"""What all markers of an image have in common: their plane, and whether light is even and tones straight.
 
-Both are hypotheses that are tested on all markers together, which is more precise than on one marker.
+These are hypotheses that are tested on all markers together, which is more precise than on one marker.
 They are tested on the markers that look like a print and have all their cells right. Smooth
 ground that was taken for a marker can be fitted as well as one, and would put all headings off by half of
 their standard deviation.
@@ -11,7 +11,7 @@ from collections.abc import Callable
 import numpy as np
 
 from skyherd.geometry import Array, BoolArray, ComplexArray
-from skyherd.vision.photometric.design_matrix import BLACK, LEAN, LIGHT, MIDDLE_GREY, SQUEEZE, UNKNOWNS
+from skyherd.vision.photometric.design_matrix import BLACK, LEAN, LIGHT, MIDDLE_GREY, SQUEEZE, TONE, UNKNOWNS
 from skyherd.vision.photometric.fit_result import print_contrasts, weighted_median
 from skyherd.vision.photometric.least_squares import LeastSquaresSolution
 from skyherd.vision.photometric.local_homography import LocalHomographies
@@ -31,10 +31,10 @@ MIN_PRINT_SHARE = 0.6
 """Fits whose print contrast is below this share of the median one are not counted as prints. Chosen loosely:
 the final test is `skyherd.vision.photometric.verify.MIN_PRINT_SHARE`, 0.75."""
 
-UNEVEN_SIGMAS = 8.0
-"""Light counts as uneven once the markers' mean chi-squared exceeds its expectation by so many of its
-standard deviations. Chosen: chance does not reach it; a smaller value frees two unknowns a marker without
-need."""
+FREE_SIGMAS = 8.0
+"""Light counts as uneven, and the tone curve as bent, once the markers' mean chi-squared exceeds its
+expectation by so many of its standard deviations. Chosen: chance does not reach it; a smaller value frees
+unknowns of each marker without need."""
 
 OWN_PLANES = Plane(shared=False)
 """The plane of markers that share none: each has its own squeeze and lean."""
@@ -67,9 +67,9 @@ def hold_common_unknowns(
 ) -> tuple[LeastSquaresSolution, Plane]:
     """Return the solution with the unknowns held that the markers share, and the plane of the markers.
 
-    Light is held at even where that explains the pixels, and squeezes and leans at those of the plane. Where
-    no plane explains the squeezes, each marker has its own; it leans as a plane does that it is near to, or
-    has its own lean, which is expected to be small.
+    Light is held at even and the tone curve at straight where that explains the pixels, and squeezes and
+    leans at those of the plane. Where no plane explains the squeezes, each marker has its own; it leans as a
+    plane does that it is near to, or has its own lean, which is expected to be small.
 
     Args:
         solution: with every unknown free.
@@ -81,8 +81,8 @@ def hold_common_unknowns(
         settling: whether a step was taken before, so that a plane of most of the markers means something.
     """
     inliers = _print_inliers(solution, right)
-    even = solution.constrained(LIGHT, np.zeros((right.size, 2)))
-    solution = solution if _is_uneven(solution, even, inliers) else even
+    for unknowns in (LIGHT, TONE):
+        solution = _held_at_zero_if_possible(solution, unknowns, inliers)
     if alone:
         return on_own_planes(solution, start), OWN_PLANES
     return on_common_plane(solution, start, middle, inliers, plane, most=settling)
@@ -102,11 +102,19 @@ def _print_inliers(solution: LeastSquaresSolution, right: BoolArray) -> BoolArra
     return right & (prints > MIN_PRINT_SHARE * weighted_median(prints, weights))
 
 
-def _is_uneven(solution: LeastSquaresSolution, even: LeastSquaresSolution, inliers: BoolArray) -> bool:
-    """Whether light changes over the markers, by the mean of their chi-squared of two degrees of freedom."""
-    growth = even.residual_squares - solution.residual_squares
-    chi_squared = (growth / solution.noise_stds() ** 2 / 2)[inliers]
-    return bool(chi_squared.mean() > 1 + UNEVEN_SIGMAS / np.sqrt(chi_squared.size))
+def _held_at_zero_if_possible(
+    solution: LeastSquaresSolution, unknowns: list[int], inliers: BoolArray
+) -> LeastSquaresSolution:
+    """The solution with `unknowns` held at zero, or as it is if the pixels of the markers speak against it.
+
+    What holding them adds to the sum of squares, over the variance of the noise, has a chi-squared of
+    expectation k and variance 2 k, with k their number; its mean over the inliers decides.
+    """
+    held = solution.constrained(unknowns, np.zeros((inliers.size, len(unknowns))))
+    growth = held.residual_squares - solution.residual_squares
+    chi_squared = (growth / solution.noise_stds() ** 2 / len(unknowns))[inliers]
+    limit = 1 + FREE_SIGMAS * np.sqrt(2 / len(unknowns) / chi_squared.size)
+    return solution if chi_squared.mean() > limit else held
 
 
 def on_common_plane(

@@ -81,8 +81,8 @@ def hold_common_unknowns(
         settling: whether a step was taken before, so that a plane of most of the markers means something.
     """
     inliers = _print_inliers(solution, right)
-    for unknowns in (LIGHT, TONE):
-        solution = _held_at_zero_if_possible(solution, unknowns, inliers)
+    solution = _held_at_zero_if_possible(solution, LIGHT, inliers)
+    solution = with_common_tone(solution, inliers)
     if alone:
         return on_own_planes(solution, start), OWN_PLANES
     return on_common_plane(solution, start, middle, inliers, plane, most=settling)
@@ -105,16 +105,38 @@ def _print_inliers(solution: LeastSquaresSolution, right: BoolArray) -> BoolArra
 def _held_at_zero_if_possible(
     solution: LeastSquaresSolution, unknowns: list[int], inliers: BoolArray
 ) -> LeastSquaresSolution:
-    """The solution with `unknowns` held at zero, or as it is if the pixels of the markers speak against it.
-
-    What holding them adds to the sum of squares, over the variance of the noise, has a chi-squared of
-    expectation k and variance 2 k, with k their number; its mean over the inliers decides.
-    """
+    """The solution with `unknowns` held at zero, or as it is if the inliers' pixels speak against it."""
     held = solution.constrained(unknowns, np.zeros((inliers.size, len(unknowns))))
+    return solution if _tells_more(solution, held, len(unknowns), inliers) else held
+
+
+def with_common_tone(solution: LeastSquaresSolution, inliers: BoolArray) -> LeastSquaresSolution:
+    """Return the solution with the bend of the tone curve held at zero, or at one share of each contrast.
+
+    The curve is the camera's, so that the share is taken over all inliers (N,): the median, weighted by how
+    well each marker tells it.
+    """
+    straight = solution.constrained(TONE, np.zeros((inliers.size, 1)))
+    if not _tells_more(solution, straight, 1, inliers):
+        return straight
+    contrasts, tone = solution.contrasts(), TONE[0]
+    variances = solution.inverse_normals[:, tone, tone] * (solution.noise_stds() / contrasts) ** 2
+    share = weighted_median(solution.values[:, tone] / contrasts, inliers / variances)
+    return solution.constrained(TONE, share * contrasts[:, None])
+
+
+def _tells_more(
+    solution: LeastSquaresSolution, held: LeastSquaresSolution, unknowns: int, inliers: BoolArray
+) -> bool:
+    """Whether the pixels of the inliers speak against holding so many unknowns.
+
+    What it adds to the sum of squares, over the variance of the noise, has a chi-squared of expectation k and
+    variance 2 k, with k the number of unknowns; its mean over the inliers decides.
+    """
     growth = held.residual_squares - solution.residual_squares
-    chi_squared = (growth / solution.noise_stds() ** 2 / len(unknowns))[inliers]
-    limit = 1 + FREE_SIGMAS * np.sqrt(2 / len(unknowns) / chi_squared.size)
-    return solution if chi_squared.mean() > limit else held
+    chi_squared = (growth / solution.noise_stds() ** 2 / unknowns)[inliers]
+    limit = 1 + FREE_SIGMAS * np.sqrt(2 / unknowns / chi_squared.size)
+    return bool(chi_squared.mean() > limit)
 
 
 def on_common_plane(

@@ -22,15 +22,20 @@ NUMERALS = st.sampled_from(NUMBERS)
 VERBS = {
     ("scenario", "check"): ({"": TEXTS, "--set": TEXTS}, ()),
     ("scenario", "show"): ({"": TEXTS}, ()),
-    ("run",): ({"": TEXTS, "--seed": NUMERALS, "--set": TEXTS, "--perception": TEXTS, "--out": TEXTS}, ()),
+    ("run",): (
+        {"": TEXTS, "--seed": NUMERALS, "--set": TEXTS, "--perception": TEXTS, "--out": TEXTS},
+        ("--force", "--no-video", "--record-images"),
+    ),
     ("report",): ({"": TEXTS}, ()),
     ("topology",): ({"": TEXTS, "--out": TEXTS}, ("--force",)),
     ("detect",): (
-        {"": TEXTS, "--dictionary": TEXTS, "--detector": TEXTS, "--out": TEXTS, "--format": TEXTS},
-        ("--explain", "--require", "--force"),
+        {"": TEXTS, "--dictionary": TEXTS, "--detector": TEXTS, "--out": TEXTS, "--format": TEXTS,
+         "--border-bits": NUMERALS},
+        ("--explain", "--require", "--force", "--inverted", "--repeats"),
     ),
     ("markers",): (
-        {"--ids": TEXTS, "--side": TEXTS, "--out": TEXTS, "--paper": TEXTS, "--dictionary": TEXTS},
+        {"--ids": TEXTS, "--side": TEXTS, "--out": TEXTS, "--paper": TEXTS, "--dictionary": TEXTS,
+         "--border-bits": NUMERALS},
         ("--force",),
     ),
     ("dataset", "make"): (
@@ -44,7 +49,13 @@ VERBS = {
     ("bench", "detectors"): (
         {"--detectors": TEXTS, "--dictionary": TEXTS, "--seed": NUMERALS, "--jobs": NUMERALS, "--out": TEXTS,
          "--clutter-images": NUMERALS},
-        ("--quick", "--force"),
+        ("--quick", "--force", "--uncorrected"),
+    ),
+    ("bench", "photographs"): (
+        {"": TEXTS, "--sets": TEXTS, "--detector": TEXTS, "--only": TEXTS, "--out": TEXTS}, ("--force",)
+    ),
+    ("bench", "boards"): (
+        {"": TEXTS, "--sets": TEXTS, "--detector": TEXTS, "--only": TEXTS, "--out": TEXTS}, ("--force",)
     ),
 }  # fmt: skip
 """Of each verb its argument (without a name) and options, with what they may be given; and its flags."""
@@ -72,7 +83,7 @@ def command_lines(draw):
 @fuzzed(20, arguments=command_lines())
 def verbs(arguments):
     """A benchmark is never begun: one that is good would take its minutes."""
-    if arguments[0] == "bench":
+    if arguments[:2] == ["bench", "detectors"]:
         arguments += ["--detectors", "no-such-detector"]
     with playground() as folder:
         Path("taken").mkdir()

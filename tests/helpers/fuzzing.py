@@ -9,7 +9,9 @@ import hashlib
 import io
 import os
 import re
+import signal
 import tempfile
+import time
 import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -20,9 +22,17 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from skyherd.cli import main
+from skyherd.errors import SkyherdError
 
 MOST_CHARACTERS = 500
 """Length of the longest line that a refusal may have."""
+
+LATEST_S = 5.0
+"""Processor time in which everything that is refused has to be refused, s. It is no wall time: how busy the
+machine is does not count."""
+
+FOR_EVER_S = 900.0
+"""Wall time after which a call counts as one that waits for ever, as a reader of a pipe does, s."""
 
 MANY = 200 * int(os.environ.get("SKYHERD_FUZZ_EXAMPLES", "1"))
 """Examples of each check among the slow tests."""
@@ -125,10 +135,44 @@ def contents(folder: Path) -> dict[str, str]:
     }
 
 
+@contextlib.contextmanager
+def not_for_ever() -> Iterator[None]:
+    """Fail if the body does not end: a test that waits would never tell."""
+
+    def fail(*_: Any) -> None:
+        raise AssertionError(f"not done after {FOR_EVER_S:g} s")
+
+    before = signal.signal(signal.SIGALRM, fail)
+    signal.setitimer(signal.ITIMER_REAL, FOR_EVER_S)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
+
+
+def refusal(call: Callable[[], object]) -> SkyherdError | None:
+    """Call something; how it was refused, None if it was not. A refusal is a short line, and comes soon."""
+    began_s = time.process_time()
+    try:
+        with not_for_ever():
+            call()
+    except SkyherdError as error:
+        assert time.process_time() - began_s < LATEST_S, error
+        assert len(str(error)) < MOST_CHARACTERS and "\n" not in str(error), error
+        return error
+    return None
+
+
 def run(*arguments: Any) -> tuple[int, str]:
     """Exit code and stderr of one call of the command line, in this process; warnings are errors of ours."""
     out, err = io.StringIO(), io.StringIO()
-    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err), warnings.catch_warnings():
+    with (
+        contextlib.redirect_stdout(out),
+        contextlib.redirect_stderr(err),
+        warnings.catch_warnings(),
+        not_for_ever(),
+    ):
         warnings.simplefilter("ignore", DeprecationWarning)
         try:
             main([str(argument) for argument in arguments])
@@ -140,11 +184,13 @@ def run(*arguments: Any) -> tuple[int, str]:
 def assert_well_behaved(folder: Path, *arguments: Any) -> int:
     """Call the command line, and check what holds whatever it was given; returns the exit code.
 
-    Exit code 0, 1 or 2; of a refusal one line, short, without a traceback, and nothing new in the folder; and
-    no file that was there is gone or changed.
+    Exit code 0, 1 or 2; of a refusal one line, short, soon, without a traceback, and nothing new in the
+    folder; and no file that was there is gone or changed.
     """
     before = contents(folder)
+    began_s = time.process_time()
     code, err = run(*arguments)
+    took_s = time.process_time() - began_s
     after = contents(folder)
     assert code in (0, 1, 2), (arguments, code, err)
     assert "Traceback" not in err
@@ -154,6 +200,7 @@ def assert_well_behaved(folder: Path, *arguments: Any) -> int:
     changed = [name for name in before if after.get(name) != before[name]]
     assert not changed, (arguments, changed)
     if code == 2:
+        assert took_s < LATEST_S, (arguments, took_s, lines)
         assert sum(line.startswith("error: ") for line in lines) == 1, lines
         assert after == before, (arguments, sorted(after.keys() - before.keys()))
     return code

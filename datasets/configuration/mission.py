@@ -31,7 +31,7 @@ from skyherd.files.reading import is_regular
 from skyherd.geometry import Array, IntArray, to_points
 from skyherd.markers.dictionary import dictionary_size
 from skyherd.random_streams import RunStream, generator
-from skyherd.vision import detector_names
+from skyherd.vision import detector_names, load_accuracy
 
 BUILT_IN = "skyherd.datasets.scenarios"
 """Package of the built-in scenarios."""
@@ -202,6 +202,8 @@ def _complete(scenario: Scenario, folder: Path) -> Mission:
     if ":" not in scenario.detector and scenario.detector not in detector_names():
         known = f"one of {', '.join(detector_names())}, or module:factory"
         raise InputError("detector", f"no detector {scenario.detector!r}", known)
+    if scenario.perception == "noisy":
+        load_accuracy(scenario.detector)
     limit = dictionary_size(scenario.marker.dictionary)
     template = _template(scenario.template, scenario.robots, scenario.marker.dictionary, folder)
     ids = _robot_ids(scenario.robots, template)

@@ -2,7 +2,9 @@
 
 import contextlib
 import io
+import struct
 import warnings
+import zlib
 from pathlib import Path
 
 import cv2
@@ -12,7 +14,7 @@ from PIL import Image, ImageOps
 
 from skyherd.errors import InputError
 from skyherd.files import images
-from skyherd.files.images import read_grey
+from skyherd.files.images import decode_jpeg, read_grey
 
 RNG = np.random.default_rng(5)
 GREY = RNG.integers(0, 256, (30, 44)).astype(np.uint8)
@@ -167,3 +169,32 @@ def test_damage_anywhere_is_an_input_error_or_a_picture(tmp_path) -> None:
             path.write_bytes(data.tobytes())
             with contextlib.suppress(InputError):
                 assert read_grey(path).ndim == 2
+
+
+def test_a_recorded_image_is_a_jpeg_of_the_size_that_it_has_to_have() -> None:
+    def encoded(kind, size=(44, 30)):
+        stream = io.BytesIO()
+        Image.fromarray(SMOOTH).resize(size).save(stream, format=kind)
+        return stream.getvalue()
+
+    assert np.abs(decode_jpeg(encoded("JPEG"), (44, 30)).astype(int) - SMOOTH).max() <= 6
+    for kind, size in (("PNG", (44, 30)), ("EPS", (44, 30)), ("JPEG", (30, 44))):
+        with pytest.raises(ValueError, match="image"):
+            decode_jpeg(encoded(kind, size), (44, 30))
+    for data in (b"", b"x", encoded("JPEG")[:100]):
+        with pytest.raises(ValueError, match="image"):
+            decode_jpeg(data, (44, 30))
+
+
+def test_a_picture_wider_than_opencv_reads_is_refused(tmp_path) -> None:
+    """Of 16 bits a colour, for which Pillow is no use."""
+    stream = struct.pack(">II5B", 2**20 + 1, 1, 16, 2, 0, 0, 0)
+    rows = zlib.compress(bytes(1 + 6 * (2**20 + 1)))
+    chunks = ((b"IHDR", stream), (b"IDAT", rows), (b"IEND", b""))
+    parts = [
+        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+        for kind, data in chunks
+    ]
+    (tmp_path / "a.png").write_bytes(b"\x89PNG\r\n\x1a\n" + b"".join(parts))
+    with pytest.raises(InputError, match="damaged"):
+        read_grey(tmp_path / "a.png")

@@ -7,6 +7,7 @@ break off, each of a file that was closed and of one whose writer was killed.
 """
 
 import io
+import os
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -16,7 +17,7 @@ import pytest
 from skyherd.datasets import load_mission
 from skyherd.errors import InputError
 from skyherd.loop import run_steps
-from skyherd.recording.reader import read_recording, read_steps
+from skyherd.recording.reader import MOST_BYTES, read_messages, read_recording, read_steps
 from skyherd.recording.survey import MAGIC, describe_flaws, survey
 from skyherd.recording.writer import McapRecorder
 
@@ -269,8 +270,30 @@ def test_a_mission_without_a_step_has_recorded_nothing_yet(closed, tmp_path):
     path.write_bytes(closed.data[: closed.spans[1][1]])
     with pytest.raises(InputError, match="nothing was recorded yet"):
         read_recording(path)
-    with pytest.raises(InputError, match="not a regular file"):
-        read_recording(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        (".", "is a folder"),
+        ("pipe", "is a pipe"),
+        ("/dev/zero", "is a device"),
+        ("loop", "symbolic links"),
+        ("a\0b", "no file can have this name"),
+        ("none", "no such file"),
+        ("large", "at most 64 GiB are read"),
+    ],
+)
+def test_a_recording_comes_in_by_the_door_for_files(tmp_path, name, said):
+    """What is no regular file is not waited for, nor read without an end."""
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "loop").symlink_to(tmp_path / "loop")
+    (tmp_path / "large").touch()
+    with (tmp_path / "large").open("wb") as file:
+        file.truncate(MOST_BYTES + 1)
+    for read in (read_recording, lambda path: next(read_messages(path)), lambda path: next(read_steps(path))):
+        with pytest.raises(InputError, match=said):
+            read(tmp_path / name)
 
 
 def test_a_chunk_is_whole_steps_and_no_longer_than_half_a_second(closed):

@@ -118,7 +118,7 @@ def test_what_is_no_recording_is_refused(tmp_path):
     text.write_text("not a recording")
     with pytest.raises(InputError, match="not a recording"):
         read_recording(text)
-    with pytest.raises(InputError, match="No such file"):
+    with pytest.raises(InputError, match="no such file"):
         read_recording(tmp_path / "absent.mcap")
 
 

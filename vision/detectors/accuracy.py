@@ -12,11 +12,12 @@ from typing import Any
 
 import numpy as np
 
+from skyherd.errors import InputError
 from skyherd.geometry import Array
 
-MEASURED_AS = {"tracking": "photometric"}
-"""Detectors whose errors are those of another one: following markers changes the time taken, not the
-errors."""
+MEASURED_AS = {"aruco": "aruco", "photometric": "photometric", "tracking": "photometric"}
+"""Detectors whose errors were measured, and whose table has them: following markers changes the time taken,
+not the errors."""
 
 MIN_SIDE_PX = 1.0
 """Smallest side, px, that is left after a bias has been subtracted: `Detections` takes positive sides
@@ -76,10 +77,12 @@ def load_accuracy(detector: str) -> DetectorAccuracy:
     """Return the errors measured of a detector, from `<detector>_accuracy.toml` in this package.
 
     Raises:
-        FileNotFoundError: nothing was measured of that detector; there are tables of `aruco`, `photometric`
-            and (the same) `tracking`.
+        InputError: nothing was measured of that detector; `MEASURED_AS` has those of which something was.
     """
-    rows = _read_table(f"{MEASURED_AS.get(detector, detector)}_accuracy.toml")["size"]
+    if detector not in MEASURED_AS:
+        what = f"nobody measured the noise of {detector!r}"
+        raise InputError("detector", what, f"one of {', '.join(MEASURED_AS)}, or perception other than noisy")
+    rows = _read_table(f"{MEASURED_AS[detector]}_accuracy.toml")["size"]
 
     def column(name: str) -> Array:
         return np.array([row[name] for row in rows], dtype=float)

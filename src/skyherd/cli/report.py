@@ -20,7 +20,7 @@ def report(
     from skyherd.report.run_page import PAGE
     from skyherd.runner import RECORDING, make_report
 
-    if not os.path.isfile(folder / RECORDING):
+    if not os.path.lexists(folder / RECORDING):
         raise InputError(str(folder), f"no {RECORDING} in it", "the output folder of `skyherd run`")
     summary = make_report(folder)
     if "recording" in summary:

@@ -85,7 +85,7 @@ def _open(source: str) -> tuple["History", Path, bool]:
 
     path = Path(source)
     if os.path.isdir(path):
-        if not (path / RECORDING).is_file():
+        if not os.path.lexists(path / RECORDING):
             allowed = "a scenario, or the output folder of `skyherd run`"
             raise InputError(source, f"no {RECORDING} in it", allowed)
         path = path / RECORDING

@@ -47,8 +47,21 @@ LUMA = (0.299, 0.587, 0.114)
 ORIENTATION = 0x0112
 """Number of the EXIF tag that says how the camera was held. *Defined* by EXIF."""
 
-_BROKEN = (OSError, SyntaxError, ValueError, EOFError, TypeError, IndexError, struct.error, zlib.error)
-"""What Pillow raises on files that are damaged in one way or another."""
+_BROKEN = (
+    OSError,
+    SyntaxError,
+    ValueError,
+    EOFError,
+    TypeError,
+    LookupError,
+    ArithmeticError,
+    AttributeError,
+    NotImplementedError,
+    struct.error,
+    zlib.error,
+    cv2.error,
+)
+"""What Pillow and OpenCV raise on files that are damaged in one way or another."""
 
 SUFFIXES = frozenset(
     {".png", ".jpg", ".jpeg", ".jpe", ".tif", ".tiff", ".bmp", ".webp", ".gif", ".pgm", ".ppm"}
@@ -87,6 +100,26 @@ def read_grey(path: Path, *, most_pixels: int | None = None) -> Grey:
         except _BROKEN as error:
             why = " ".join(str(error).split()) or type(error).__name__
             raise _refuse(path, f"damaged or cut short ({why})", f"give {FORMATS} that is whole") from None
+
+
+def decode_jpeg(data: bytes, size_px: tuple[int, int]) -> Grey:
+    """Grey levels (height, width) of a JPEG picture of a known size, which no other decoder gets to see.
+
+    Args:
+        data: the file's content.
+        size_px: width and height that it has to have; they are compared before anything is decoded.
+
+    Raises:
+        ValueError: it is no JPEG picture, it has another size, or it is damaged.
+    """
+    with _quiet_pillow():
+        try:
+            with Image.open(io.BytesIO(data), formats=("JPEG",)) as picture:
+                if picture.size != tuple(size_px):
+                    raise ValueError(f"image of {picture.width}x{picture.height} px")
+                return np.asarray(picture.convert("L"), dtype=np.uint8)
+        except _BROKEN as error:
+            raise ValueError(f"image: {' '.join(str(error).split())}") from None
 
 
 def _refuse(path: Path, what: str, allowed: str) -> InputError:

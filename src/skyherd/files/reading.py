@@ -117,6 +117,9 @@ def _check_kind(path: Path, mode: int, allowed: str) -> None:
 
 
 def _too_large(path: Path, found_bytes: int, most_bytes: int) -> InputError:
-    return InputError(
-        str(path), f"has {found_bytes / MIB:.3g} MiB or more", f"at most {most_bytes / MIB:.3g} MiB are read"
-    )
+    return InputError(str(path), f"has {_size(found_bytes)} or more", f"at most {_size(most_bytes)} are read")
+
+
+def _size(count: int) -> str:
+    """A number of bytes, in the unit in which it is short."""
+    return f"{count / MIB:.3g} MiB" if count < 1000 * MIB else f"{count / 2**30:.3g} GiB"

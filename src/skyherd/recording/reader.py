@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
 
-import cv2
 import numpy as np
 import orjson
 from mcap.reader import make_reader
@@ -16,6 +15,8 @@ from pydantic import ValidationError
 from skyherd.control import Conditions, Decision, GroundMap, rectified
 from skyherd.datasets import Mission
 from skyherd.errors import InputError
+from skyherd.files.images import decode_jpeg
+from skyherd.files.reading import open_regular
 from skyherd.loop import Step, UnitFrame
 from skyherd.messages import Detections, FlightCommand, MotionGoals, Proximity, UnitReport, VelocityCommand
 from skyherd.messages.role_map import RoleMap
@@ -39,10 +40,13 @@ from skyherd.sim.world import Fleet
 NOTHING_YET = "nothing was recorded yet"
 """What is said of a file that was begun, in which there is no step."""
 
+MOST_BYTES = 2**36
+"""Size of the largest recording that is read, bytes. Chosen: three hours of ten cameras with their images."""
+
 SHOWN_REASON = 160
 """Characters of the reason why a record is refused that are shown. Chosen: two lines of a terminal."""
 
-MALFORMED_RECORDS = (*MALFORMED, TypeError, AttributeError, IndexError, cv2.error)
+MALFORMED_RECORDS = (*MALFORMED, TypeError, AttributeError, IndexError)
 """What reading a record raises that is not of the form that this version writes."""
 
 
@@ -148,7 +152,7 @@ def read_steps(path: Path) -> Iterator[Step]:
 @contextmanager
 def _opened(path: Path) -> Iterator[tuple[BinaryIO, Survey]]:
     """Open a recording and survey it; OSError becomes an InputError."""
-    with _open(path) as stream:
+    with open_regular(path, "a recording, run.mcap", MOST_BYTES) as stream:
         try:
             found = survey(stream)
         except OSError as error:
@@ -162,16 +166,6 @@ def _opened(path: Path) -> Iterator[tuple[BinaryIO, Survey]]:
                 raise InputError(str(path), what, "a recording of this version of skyherd")
             raise InputError(str(path), f"{NOTHING_YET}{_told(found)}", "a run that took its first step")
         yield stream, found
-
-
-def _open(path: Path) -> BinaryIO:
-    """Open a regular file: a pipe would wait for whoever writes into it."""
-    try:
-        if path.exists() and not path.is_file():
-            raise InputError(str(path), "not a regular file", "a recording, run.mcap")
-        return path.open("rb")
-    except OSError as error:
-        raise InputError(str(path), error.strerror or str(error), "a recording, run.mcap") from None
 
 
 def _told(found: Survey) -> str:
@@ -224,7 +218,7 @@ def _steps_of(
             records[topic] = record
         if topic == "/metrics":
             with _version_checked(path):
-                step = _read_step(time_s, records)
+                step = _read_step(time_s, records, mission)
                 check_step(step, mission)
             yield step
             records = {}
@@ -268,7 +262,7 @@ def _of_another_version(path: Path, why: str) -> InputError:
     )
 
 
-def _read_step(time_s: float, records: dict[str, Any]) -> Step:
+def _read_step(time_s: float, records: dict[str, Any], mission: Mission) -> Step:
     units = sorted(int(topic.split("/")[2]) for topic in records if topic.endswith("/detections"))
     observer, world = records["/metrics"], records["/world"]
     return Step(
@@ -276,7 +270,10 @@ def _read_step(time_s: float, records: dict[str, Any]) -> Step:
         positions_m=np.array(world["positions_m"], dtype=float),
         headings_rad=np.array(world["headings_rad"], dtype=float),
         fleet=from_plain(Fleet, world["fleet"]),
-        frames={unit: _read_frame(f"/unit/{unit}", records) for unit in units},
+        frames={
+            unit: _read_frame(f"/unit/{unit}", records, mission.scenario.units[unit].camera.size_px)
+            for unit in units
+        },
         command=from_plain(VelocityCommand, records["/robots/command"]),
         commanded_ids=np.array(observer["commanded_ids"], dtype=np.int64),
         control_sets={
@@ -292,7 +289,7 @@ def _read_step(time_s: float, records: dict[str, Any]) -> Step:
     )
 
 
-def _read_frame(topic: str, records: dict[str, Any]) -> UnitFrame:
+def _read_frame(topic: str, records: dict[str, Any], size_px: tuple[int, int]) -> UnitFrame:
     truth, goals, image, near = (
         records[f"{topic}/truth"],
         records.get(f"{topic}/goals"),
@@ -304,7 +301,7 @@ def _read_frame(topic: str, records: dict[str, Any]) -> UnitFrame:
         whole_ids=np.array(truth["whole_ids"], dtype=np.int64),
         found_ids=np.array(truth["found_ids"], dtype=np.int64),
         false_detections=truth["false_detections"],
-        image=None if image is None else _decode(image["data"]),
+        image=None if image is None else decode_jpeg(base64.b64decode(image["data"]), size_px),
     )
     recorded_map = records.get(f"{topic}/map")
     ground_map = GroundMap() if recorded_map is None else from_plain(GroundMap, recorded_map)
@@ -328,7 +325,3 @@ def _read_report(record: dict[str, Any]) -> UnitReport:
         tree=None if tree is None else from_plain(TreeStatus, tree),
         roles=None if roles is None else from_plain(RoleMap, roles),
     )
-
-
-def _decode(data: str) -> Any:
-    return cv2.imdecode(np.frombuffer(base64.b64decode(data), dtype=np.uint8), cv2.IMREAD_GRAYSCALE)

@@ -31,6 +31,11 @@ BAD = {
     "malformed": ("duration_s = 10.0", "duration_s = = 10", ["malformed TOML"]),
     "unknown_key": ("side_m = 0.4", "side_m = 0.4\nsize = 3", ["marker.size", "unknown key"]),
     "wrong_type": ("height_m = 10", 'height_m = "high"', ["units.0.height_m", "'high'"]),
+    "noise_that_nobody_measured": (
+        "duration_s = 10.0",
+        'duration_s = 10.0\ndetector = "opencv"\nperception = "noisy"',
+        ["nobody measured the noise of 'opencv'", "aruco, photometric, tracking"],
+    ),
     "negative_length": (
         "side_m = 0.4",
         "side_m = -0.4",

@@ -53,7 +53,8 @@ PARTS = {
     "fusion": Part(("control/robots/goal_fusion.py",), "tests/control/robots"),
     "recording": Part(
         ("recording/survey.py", "recording/reader.py"),
-        "tests/recording/test_damages.py tests/recording/test_handmade.py",
+        "tests/recording/test_damages.py tests/recording/test_handmade.py"
+        " tests/recording/test_recorders.py tests/recording/test_writer_and_reader.py",
     ),
 }
 """The parts, by name."""

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from command_line import assert_refused, call
 
+from skyherd.errors import OutputError
 from skyherd.plots import panels
 
 QUICK = ["--perception", "ideal", "--no-video", "--set", "duration_s=0.3"]
@@ -138,6 +139,104 @@ def test_bench_needs_force_for_its_own_and_takes_nothing_else(here, capsys):
     (here / "mine" / "bench.json").write_text("precious")
     assert_untouched(here, capsys, "bench", "detectors", "--quick", "--out", "mine")
     assert_untouched(here, capsys, "bench", "detectors", "--quick", "--out", "mine", "--force")
+
+
+SETS = """
+[desk]
+files = ["*.png"]
+dictionary = "4X4_50"
+board = { kind = "aruco", columns = 2, rows = 2 }
+"""
+
+
+@pytest.fixture(params=["photographs", "boards"])
+def measure(request, here):
+    """A short measurement on two photographs, as arguments; all that is more can be put behind them."""
+    photograph(here / "in" / "a.png")
+    photograph(here / "in" / "b.png", 30)
+    (here / "in" / "photographs.toml").write_text(SETS)
+    return ["bench", request.param, "in", "--detector", "aruco"]
+
+
+def test_measurements_on_photographs_replace_only_their_own(here, capsys, measure):
+    result = f"{measure[1]}.json"
+    taken = hashes(here / "in")
+    assert call(capsys, *measure, "--out", "out")[0] == 0
+    assert hashes(here / "in") == taken
+    assert_untouched(here, capsys, *measure, "--out", "out")
+    figures = sorted((here / "out" / "figures").iterdir())
+    assert figures
+    (here / "out" / "figures" / "mine.png").write_bytes(b"mine")
+    assert call(capsys, *measure, "--out", "out", "--force")[0] == 0
+    assert (here / "out" / "figures" / "mine.png").read_bytes() == b"mine"
+    for changed in (here / "out" / result, figures[0]):
+        before = changed.read_bytes()
+        changed.write_bytes(b"edited by hand")
+        assert_untouched(here, capsys, *measure, "--out", "out", "--force")
+        changed.write_bytes(before)
+    assert call(capsys, *measure, "--out", "out", "--force")[0] == 0
+
+
+def test_measurements_on_photographs_take_no_file_of_others(here, capsys, measure):
+    result = f"{measure[1]}.json"
+    (here / "mine" / "figures").mkdir(parents=True)
+    (here / "mine" / result).write_text("precious")
+    assert_untouched(here, capsys, *measure, "--out", "mine")
+    assert_untouched(here, capsys, *measure, "--out", "mine", "--force")
+    (here / "mine" / result).unlink()
+    figure = {"photographs": "recall.svg", "boards": "boards.png"}[measure[1]]
+    (here / "mine" / "figures" / figure).write_text("precious")
+    assert_untouched(here, capsys, *measure, "--out", "mine", "--force")
+    (here / "mine" / "figures" / figure).unlink()
+    (here / "mine" / "figures").rmdir()
+    (here / "mine" / "figures").write_text("a file where the folder would be")
+    assert_untouched(here, capsys, *measure, "--out", "mine", "--force")
+
+
+def test_measurements_on_photographs_never_replace_what_they_read(here, capsys, measure):
+    """The folder itself keeps every file, and pictures that skyherd made are not replaced while looked at."""
+    taken = hashes(here / "in")
+    assert_untouched(here, capsys, *measure, "--out", "in")
+    assert call(capsys, *measure, "--out", "in", "--force")[0] == 0
+    assert taken.items() <= hashes(here / "in").items()
+    sets = SETS.replace("*.png", "figures/*.png")
+    (here / "sets.toml").write_text(sets)
+    assert list((here / "in" / "figures").glob("*.png"))
+    assert_untouched(here, capsys, *measure, "--sets", "sets.toml", "--out", "in", "--force")
+
+
+@pytest.mark.parametrize("when", ["reading", "drawing"])
+def test_measurements_on_photographs_that_fail_leave_nothing(here, capsys, measure, monkeypatch, when):
+    if when == "reading":
+        (here / "in" / "b.png").write_text("no picture")
+    else:
+
+        def full(*_):
+            raise OutputError("no space left on device")
+
+        page = "skyherd.bench.measurement_page.render_page"
+        monkeypatch.setattr(page, lambda *_, **__: full())
+    before = sorted(here.rglob("*"))
+    assert_refused(call(capsys, *measure, "--out", "new/out"))
+    assert sorted(here.rglob("*")) == before
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ('files = [""]', "such as *.jpg"),
+        ('files = ["/etc/*"]', "such as *.jpg"),
+        ('files = ["**x"]', "such as *.jpg"),
+        ('board = { kind = "charuco", columns = 1, rows = 9 }', "at least 2 x 2"),
+        ('board = { kind = "aprilgrid", columns = 1000, rows = 1000 }', "1000000 markers"),
+        ('board = { kind = "aruco", columns = 2, rows = 2, first_id = 47 }', "ids up to 50"),
+    ],
+)
+def test_sets_of_photographs_that_mean_nothing_are_one_line(here, capsys, measure, wrong, said):
+    key = wrong.partition(" ")[0]
+    lines = [wrong if line.startswith(f"{key} ") else line for line in SETS.splitlines()]
+    (here / "in" / "photographs.toml").write_text("\n".join(lines))
+    assert_refused(call(capsys, *measure, "--out", "out"), "photographs.toml: [desk]", said)
 
 
 def test_study_replaces_no_table_of_another(here, capsys, write_study, without_cluster):

@@ -6,10 +6,11 @@ bits and bytes, pieces overwritten, cut out or put in, chunks swapped, repeated 
 break off, each of a file that was closed and of one whose writer was killed.
 """
 
+import errno
 import io
 import os
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import islice, pairwise
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ from skyherd.datasets import load_mission
 from skyherd.errors import InputError
 from skyherd.loop import run_steps
 from skyherd.recording.reader import MOST_BYTES, read_messages, read_recording, read_steps
-from skyherd.recording.survey import MAGIC, describe_flaws, survey
+from skyherd.recording.survey import MAGIC, Flaw, describe_flaws, survey
 from skyherd.recording.writer import McapRecorder
 
 CHUNK_OPCODE, CHUNK_HEAD = 6, 9 + 8 + 8 + 8 + 4 + 4 + 4 + 8
@@ -244,6 +245,48 @@ def test_every_bit_of_the_end_of_a_file_counts(closed, tmp_path):
         data = bytearray(closed.data)
         data[at] ^= 1 << (at % 8)
         assert survey(io.BytesIO(bytes(data))).flaws, at
+
+
+def test_the_last_bytes_of_a_file_are_its_mark_and_no_others(closed, tmp_path):
+    """Nothing but the mark itself covers them: neither what is smaller nor what is greater will do."""
+    for at in range(-len(MAGIC), 0):
+        for by in (-1, 1):
+            data = bytearray(closed.data)
+            data[at] = (data[at] + by) % 256
+            assert flaws_of(bytes(data), tmp_path / "run.mcap") == (["cut short"], 21)
+
+
+def test_a_run_that_was_left_in_its_middle_has_a_whole_file_and_no_end(closed, tmp_path):
+    """As after Ctrl-C: the file is closed, and says itself that the run did not come to its end."""
+    path = tmp_path / "run.mcap"
+    mission = load_mission("triangle", ["perception=ideal"])
+    with McapRecorder(path, mission) as recorder:
+        for step in islice(run_steps(mission), 4):
+            recorder.write(step)
+    recording = read_recording(path)
+    assert not recording.ended and not recording.whole and recording.wall_s is None
+    assert [str(flaw) for flaw in recording.flaws] == ["cut short: after 0.3 s"]
+    assert not survey(io.BytesIO(path.read_bytes())).ended
+    assert survey(io.BytesIO(closed.data)).ended
+
+
+def test_flaws_are_told_in_one_line_and_the_fourth_is_counted():
+    flaws = [Flaw("damaged", f"the chunk at byte {start}") for start in range(5)]
+    three = "; ".join(f"damaged: the chunk at byte {start}" for start in range(3))
+    assert describe_flaws(flaws[:1]) == "damaged: the chunk at byte 0"
+    assert describe_flaws(flaws[:3]) == three
+    assert describe_flaws(flaws[:4]) == f"{three}; and 1 more"
+    assert describe_flaws(flaws) == f"{three}; and 2 more"
+
+
+def test_a_disk_that_fails_while_a_recording_is_read_is_one_line(closed, tmp_path, monkeypatch):
+    def fail(stream):
+        raise OSError(errno.EIO, "Input/output error")
+
+    monkeypatch.setattr("skyherd.recording.reader.survey", fail)
+    (tmp_path / "run.mcap").write_bytes(closed.data)
+    with pytest.raises(InputError, match=r"run\.mcap: Input/output error; a recording"):
+        read_recording(tmp_path / "run.mcap")
 
 
 def test_the_mission_is_read_from_its_copy(closed, tmp_path):

@@ -152,6 +152,21 @@ def test_the_report_of_100_hand_made_recordings(messages, tmp_path):
             pass
 
 
+@pytest.mark.parametrize("wall_s", ["0.0", "0.25", "1.0", "86400.5"])
+def test_a_wall_time_is_read_as_it_was_written(messages, tmp_path, wall_s):
+    path = tmp_path / "run.mcap"
+    write(path, [messages[0], *messages[2:]], wall_s=wall_s)
+    assert read_recording(path).wall_s == float(wall_s)
+
+
+def test_the_first_of_two_wrong_keys_is_named(messages, tmp_path):
+    mission = json.loads(messages[0][2])
+    mission["scenario"] |= {"step_s": -1, "goal": 3}
+    write(tmp_path / "run.mcap", [(*messages[0][:2], json.dumps(mission)), *messages[2:]])
+    with pytest.raises(InputError, match=r"another version of skyherd \(step_s: "):
+        read_recording(tmp_path / "run.mcap")
+
+
 @pytest.mark.parametrize("wall_s", ["x", "nan", "-1", "inf", "\0", "9" * 400])
 def test_a_wall_time_that_is_none_is_not_known(messages, tmp_path, wall_s):
     path = tmp_path / "run.mcap"

@@ -13,7 +13,7 @@ A table for each set, named as the set is:
 A table `board` in it says where the markers of a calibration board lie (`skyherd.bench.boards.layout`).
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -123,7 +123,7 @@ def load_image_sets(
     sets = []
     for name, table in tables.items():
         model = _parse_set(table, f"{path}: [{name}]")
-        files = _find(folder, model.files)
+        files = _find(folder, model.files, f"{path}: [{name}]")
         if files and (not only or name in only):
             sets.append(ImageSet(name, model, files))
     if not sets:
@@ -131,16 +131,34 @@ def load_image_sets(
     return sets
 
 
+def read_files(image_sets: Sequence[ImageSet], folder: Path, sets_file: Path | None = None) -> list[Path]:
+    """All files that a measurement of these sets reads, none of which may be written to."""
+    return [sets_file or folder / SETS_FILE, *(file for found in image_sets for file in found.files)]
+
+
 def _parse_set(table: Any, where: str) -> ImageSetModel:
     if not isinstance(table, dict):
         raise InputError(where, "no table", "[NAME] with files and dictionary below it")
     try:
-        return ImageSetModel.model_validate(table)
+        model = ImageSetModel.model_validate(table)
     except ValidationError as error:
         raise first_error(error, where, "set", see=EXAMPLE) from None
+    if model.board is not None:
+        model.board.check_dictionary(model.dictionary, f"{where}.board")
+    return model
 
 
-def _find(folder: Path, patterns: tuple[str, ...]) -> tuple[Path, ...]:
-    """Pictures and videos that match one of the patterns, each once, in the order of their paths."""
-    found = {path for pattern in patterns for path in folder.glob(pattern)}
+def _find(folder: Path, patterns: tuple[str, ...], where: str) -> tuple[Path, ...]:
+    """Pictures and videos that match one of the patterns, each once, in the order of their paths.
+
+    Raises:
+        InputError: a pattern is none, as the empty one and those that begin at the root.
+    """
+    found = set[Path]()
+    for pattern in patterns:
+        try:
+            found |= set(folder.glob(pattern))
+        except (ValueError, NotImplementedError, OSError) as error:
+            what = f"{pattern!r}: {error}"
+            raise InputError(f"{where}.files", what, "patterns such as *.jpg or hall/*.png") from None
     return tuple(sorted(p for p in found if p.suffix.lower() in SUFFIXES | VIDEO_SUFFIXES))

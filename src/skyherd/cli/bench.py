@@ -124,9 +124,9 @@ def photographs(
     photographs" has its keys. It leaves photographs.json, photographs.html, missed.csv, unconfirmed.csv and
     pictures.
     """
-    from skyherd.bench.image_sets import load_image_sets
+    from skyherd.bench.image_sets import load_image_sets, read_files
     from skyherd.bench.photographs.measurement import measure_photographs
-    from skyherd.bench.photographs.page import OUTPUT_NAMES, write_outputs
+    from skyherd.bench.photographs.page import output_names, write_outputs
     from skyherd.bench.photographs.result import PhotographsResult
     from skyherd.bench.photographs.tables import set_tables
     from skyherd.bench.result import environment
@@ -134,16 +134,15 @@ def photographs(
 
     chosen, judges = _chosen_and_judges(names)
     image_sets = load_image_sets(folder, sets_file, only=tuple(_split(only)))
-    inputs = [file for image_set in image_sets for file in image_set.files]
+    names_left, inputs = output_names(chosen), read_files(image_sets, folder, sets_file)
     with (
         telling_of_interrupts(NOTHING_LEFT),
-        OutputFolder(out_dir, "bench photographs", OUTPUT_NAMES, force=force, inputs=inputs) as output,
+        OutputFolder(out_dir, "bench photographs", names_left, force=force, inputs=inputs),
     ):
         with ProgressReporter() as progress:
             measured = measure_photographs(image_sets, chosen, judges, progress=progress)
         result = PhotographsResult(environment(confirmed_by=judges), measured.rows, measured.refused)
         result.write_all(out_dir, measured.missed, measured.unconfirmed)
-        output.keep()
         _say_result(result, set_tables(result))
         page = write_outputs(result, measured, out_dir)
     say(f"see {page}")
@@ -167,14 +166,14 @@ def boards(
     from skyherd.bench.boards.measurement import measure_boards
     from skyherd.bench.boards.page import OUTPUT_NAMES, write_outputs
     from skyherd.bench.boards.tables import set_tables
-    from skyherd.bench.image_sets import load_image_sets
+    from skyherd.bench.image_sets import load_image_sets, read_files
     from skyherd.bench.result import environment
     from skyherd.bench.set_result import SetResult
     from skyherd.files.output_folder import OutputFolder
 
     chosen, judges = _chosen_and_judges(names)
     image_sets = load_image_sets(folder, sets_file, only=tuple(_split(only)))
-    inputs = [file for image_set in image_sets for file in image_set.files]
+    inputs = read_files(image_sets, folder, sets_file)
     with (
         telling_of_interrupts(NOTHING_LEFT),
         OutputFolder(out_dir, "bench boards", OUTPUT_NAMES, force=force, inputs=inputs),

@@ -24,8 +24,9 @@ import numpy as np
 from pydantic import Field
 
 from skyherd.datasets import Model
+from skyherd.errors import InputError
 from skyherd.geometry import Array
-from skyherd.markers.dictionary import load_dictionary
+from skyherd.markers.dictionary import dictionary_size, load_dictionary
 
 HALF_TURN = [2, 3, 0, 1]
 """Order of the corners of a marker turned by half a turn: AprilTag's markers stand upside down in OpenCV's
@@ -49,6 +50,25 @@ class BoardModel(Model):
     first_id: Annotated[int, Field(ge=0, le=100_000)] = Field(0, description="id of the first marker")
     name: str = Field("", description="of the board; sets of one name share what is learned of it")
     degree: Annotated[int, Field(ge=2, le=7)] | None = Field(None, description="of the lens's polynomials")
+
+    @property
+    def markers(self) -> int:
+        """How many markers it has: of a ChArUco board one in every second square."""
+        squares = self.columns * self.rows
+        return squares // 2 if self.kind == "charuco" else squares
+
+    def check_dictionary(self, dictionary: str, where: str) -> None:
+        """Check that a dictionary has all its markers.
+
+        Raises:
+            InputError: it has not, or there is no marker on the board, or not a square to either side.
+        """
+        if self.kind == "charuco" and min(self.columns, self.rows) < 2:
+            raise InputError(where, f"{self.columns} x {self.rows} squares", "charuco: at least 2 x 2")
+        last, known = self.first_id + self.markers - 1, dictionary_size(dictionary)
+        if last >= known:
+            what = f"{self.markers} markers, ids up to {last}, but {dictionary} has {known}"
+            raise InputError(where, what, "fewer columns and rows, a smaller first_id, or another dictionary")
 
 
 def board_corners(board: BoardModel, dictionary: str) -> dict[int, Array]:

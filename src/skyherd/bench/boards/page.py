@@ -13,8 +13,16 @@ from skyherd.report.pages import Tile
 PAGE, MARKDOWN, RESULT = "boards.html", "boards.md", "boards.json"
 """File names in the result's folder."""
 
-OUTPUT_NAMES = (RESULT, PAGE, MARKDOWN, "figures/")
-"""All that is written into the result's folder, relative to it."""
+FIGURES = ("distributions", "medians", "boards")
+"""Names of the figures that `skyherd.bench.boards.plots.make_panels` may make."""
+
+OUTPUT_NAMES = (
+    RESULT,
+    PAGE,
+    MARKDOWN,
+    *(f"figures/{name}{kind}" for name in FIGURES for kind in (".png", ".svg")),
+)
+"""All that may be written into the result's folder, relative to it."""
 
 
 def write_outputs(result: SetResult, measured: Measurement, folder: Path) -> Path:

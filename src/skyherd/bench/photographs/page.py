@@ -1,5 +1,6 @@
 """The page of a measurement on photographs: `photographs.html`, its Markdown, figure and contact sheets."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from skyherd.bench.measurement_page import set_tiles, write_page
@@ -14,8 +15,15 @@ from skyherd.report.pages import figure_card
 PAGE, MARKDOWN = "photographs.html", "photographs.md"
 """File names in the result's folder."""
 
-OUTPUT_NAMES = (RESULT, MISSED, UNCONFIRMED, PAGE, MARKDOWN, "figures/")
-"""All that is written into the result's folder, relative to it."""
+SHEETS = ("missed", "unconfirmed")
+"""Kinds of contact sheets, of which a detector may have one each."""
+
+
+def output_names(detectors: Sequence[str]) -> list[str]:
+    """Names of all files that a measurement of these detectors may leave in its folder, relative to it."""
+    figures = [f"figures/{panel.name}{kind}" for panel in PANELS for kind in (".png", ".svg")]
+    sheets = [f"figures/{_stem(kind, name)}.png" for kind in SHEETS for name in detectors]
+    return [RESULT, MISSED, UNCONFIRMED, PAGE, MARKDOWN, *figures, *sheets]
 
 
 def write_outputs(result: PhotographsResult, measured: Measurement, folder: Path) -> Path:
@@ -27,8 +35,8 @@ def write_outputs(result: PhotographsResult, measured: Measurement, folder: Path
     figures_folder = folder / "figures"
     figures = write_panels(PANELS, result, figures_folder)
     sheets = [
-        *_sheets(measured.missed_tiles, figures_folder, "missed", "Confirmed, but missed by {}"),
-        *_sheets(measured.unconfirmed_tiles, figures_folder, "unconfirmed", "Found by {}, but not confirmed"),
+        *_sheets(measured.missed_tiles, figures_folder, SHEETS[0], "Confirmed, but missed by {}"),
+        *_sheets(measured.unconfirmed_tiles, figures_folder, SHEETS[1], "Found by {}, but not confirmed"),
     ]
     return write_page(
         folder,
@@ -46,8 +54,13 @@ def write_outputs(result: PhotographsResult, measured: Measurement, folder: Path
 def _sheets(tiles: dict[str, list[PlaceTile]], folder: Path, kind: str, title: str) -> list[FigureFile]:
     made = []
     for name, places in tiles.items():
-        stem = f"{kind}_{name.replace(':', '_')}"
+        stem = _stem(kind, name)
         heading = title.format(name)
         caption = f"{len(places)} places; id, side, file and the detectors that find it."
         made.append(FigureFile(stem, heading, caption, write_sheet(places, folder / f"{stem}.png")))
     return made
+
+
+def _stem(kind: str, detector: str) -> str:
+    """File name, without its ending, of a detector's contact sheet."""
+    return f"{kind}_{detector.replace(':', '_')}"

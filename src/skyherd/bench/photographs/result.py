@@ -9,6 +9,7 @@ from pathlib import Path
 from skyherd.bench.result import Row
 from skyherd.bench.set_result import SetResult
 from skyherd.files.atomic import write_text
+from skyherd.text import table_cell
 
 RESULT, MISSED, UNCONFIRMED = "photographs.json", "missed.csv", "unconfirmed.csv"
 """File names in the folder of a result."""
@@ -33,9 +34,12 @@ class PhotographsResult(SetResult):
 
 
 def csv_text(rows: Sequence[Row], columns: Sequence[str]) -> str:
-    """Rows as comma-separated values below a line with the columns' names."""
+    """Rows as comma-separated values below a line with the columns' names; texts as `table_cell` has them."""
     text = io.StringIO()
     writer = csv.DictWriter(text, columns, lineterminator="\n")
     writer.writeheader()
-    writer.writerows(rows)
+    for row in rows:
+        writer.writerow(
+            {k: table_cell(value) if isinstance(value, str) else value for k, value in row.items()}
+        )
     return text.getvalue()

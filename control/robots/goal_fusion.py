@@ -108,7 +108,7 @@ def scale_ratios(inboxes: GoalInboxes) -> Array:
     total = common.transpose(1, 0, 2)
     sides = inboxes.sides_px
     fallback = sides[:, None, :] / sides[None, :, :]
-    squared = np.divide(common, total, out=fallback**2, where=(common > 0) & (total > 0))
+    squared = np.divide(common, total, out=fallback**2, where=common > 0)  # then the other sum is as well
     return np.asarray(np.sqrt(squared))
 
 

@@ -252,6 +252,37 @@ def test_a_detour_is_within_all_bounds() -> None:
     assert (head_on.imag < 0).all(), "to the right"
 
 
+def test_the_right_is_taken_though_the_left_is_a_little_shorter() -> None:
+    """A body a tenth of a degree to the right: 80 degrees to the left lead past it 2 % faster, which is less
+    than the penalty of the left; one that lies further to the right is passed on the left."""
+
+    def detour(bearing_deg: float) -> complex:
+        bearings = np.radians([bearing_deg])
+        row, slow = np.zeros(1, dtype=np.int64), np.full(1, 0.1)
+        return around(np.ones(1, dtype=complex), rows=row, bearings_rad=bearings, speeds_mps=slow)[1][0]
+
+    for bearing_deg in (0.0, -0.1):
+        assert np.angle(detour(bearing_deg), deg=True) == pytest.approx(-80)
+    assert np.angle(detour(-1.0), deg=True) == pytest.approx(80)
+
+
+def test_a_robot_that_stands_is_slowed_to_nothing_without_a_division() -> None:
+    limits = rule()
+    standing = closing_bounds(remembered(0.1), limits, 0.0)
+    with np.errstate(divide="raise", invalid="raise"):
+        v_mps, omega_radps = slowed(np.zeros(1), np.zeros(1), bounds=standing, rule=limits)
+    assert (v_mps.tolist(), omega_radps.tolist()) == ([0.0], [0.0])
+
+
+def test_what_units_know_of_bodies_if_they_are_told_no_more(make_detections) -> None:
+    """A gap of a fifth of a side is kept free, and gaps of up to eight sides are reported."""
+    for gap, reported in ((7.9, 2), (8.1, 0)):
+        points = 100 * SIDE_M * np.array([0, 2.2 + gap])
+        seen = make_detections([0, 1], points, sides=np.full(2, 100 * SIDE_M))
+        message = proximity(seen, np.array([0, 1]), BodyRule(1.0))
+        assert message.reaches_sides.tolist() == pytest.approx([2.2] * reported)
+
+
 def test_a_gyroscopic_force_turns_to_the_tangent_and_does_not_brake() -> None:
     """Of the body that blocks most: to the nearer side, to the right if head-on; others are not blocked."""
     rows = np.array([0, 0, 1, 2, 3])

@@ -5,6 +5,7 @@ import pytest
 
 from skyherd.control import GoalInboxes, Template, motion_goals
 from skyherd.control.robots.goal_fusion import fuse_marker_sides, fuse_pixels, scale_ratios
+from skyherd.messages import TIME_TOLERANCE_S
 
 SIDE_M = 0.4
 
@@ -114,6 +115,12 @@ def test_without_common_neighbours_the_marker_sides_stand_in(make_goals) -> None
         assert ratios[0, 1, 1] == pytest.approx(20.0 / 50.0, rel=1e-14)
 
 
+def test_ratios_of_neighbours_within_a_pixel_are_theirs_too(make_goals) -> None:
+    """Squares of distances below 1 px² are as good as others."""
+    ratios = scale_ratios(two_units(make_goals, {0: 0.5}, {0: 0.25}))
+    assert (ratios[1, 0, 1], ratios[0, 1, 1]) == (0.5, 2.0)
+
+
 def test_equation_4_by_hand(make_goals) -> None:
     """r_10 = 3: rho^g = 1/2 [(1 + 3) rho^0 + (1/3 + 1) rho^1]."""
     fused = fuse_pixels(two_units(make_goals, {0: 10.0}, {0: 30.0}), 0.0)
@@ -149,6 +156,15 @@ def test_goals_are_forgotten_after_their_lifetime(make_goals) -> None:
     assert fuse_marker_sides(inboxes, 0.8)[0] == pytest.approx(7 / 20)
     assert fuse_pixels(inboxes, 0.81)[0] == 0
     assert fuse_marker_sides(inboxes, 0.81)[0] == 0
+
+
+def test_goals_are_followed_up_to_the_very_end_of_their_lifetime(make_goals) -> None:
+    """The tolerance of times belongs to it, to the last bit."""
+    inboxes = GoalInboxes(np.arange(1), np.array([0]), lifetime_s=0.5)
+    last_s = 1.0 - 0.5 - TIME_TOLERANCE_S
+    inboxes.receive(make_goals(0, [0], [7 + 0j], time_s=0.0), last_s)
+    assert inboxes.fresh(1.0).all()
+    assert not inboxes.fresh(np.nextafter(1.0, 2.0)).any()
 
 
 def test_a_forgotten_unit_leaves_the_mean(make_goals) -> None:

@@ -12,6 +12,7 @@ from skyherd.control.tree.joining import admit
 from skyherd.control.tree.node_state import NodeState, Situation
 from skyherd.control.tree.orphans import adopt_orphans, disown_lost
 from skyherd.control.tree.pair_exchange import use_turns
+from skyherd.control.tree.partition import heal_partition, leave_for_lower_tree
 from skyherd.control.tree.peer_reports import PeerReports
 from skyherd.messages import NO_ID, TreeStatus, UnitReport
 
@@ -154,3 +155,47 @@ def test_a_unit_with_nothing_to_change_hands_its_turn_over_at_once():
         now = replace(situation(0, [peer], sees=sees), at_slot=False, rule=plain)
         changed = use_turns(NodeState(edges={1: edge}, tree_id=0), now)["edges"][1]
         assert (changed.turn, changed.pair, changed.wants) == (turn, robots(1, 2), turn == 4)
+
+
+def test_a_report_that_comes_twice_or_late_is_no_news():
+    peers = PeerReports()
+    first, second = report(1, 9.0, controls=[1]), report(1, 10.0, controls=[2])
+    assert [peer.report for peer in peers.take([first, second])] == [first, second]
+    assert peers.take([second]) == () and peers.take([first]) == ()
+    assert peers.newest[1].report is second
+    later = report(1, 11.0, tree_id=NO_ID)
+    assert len(peers.take([later, later])) == 1
+    assert peers.newest[1].report is later and peers.last_as_member[1].report is second
+
+
+@pytest.mark.parametrize(("tree_id", "leaves"), [(NO_ID, False), (2, True), (3, False), (4, False)])
+def test_of_two_trees_the_one_with_the_lower_number_stays(tree_id, leaves):
+    now = situation(5, [report(1, 10.0, tree_id=tree_id)])
+    assert bool(leave_for_lower_tree(NodeState(tree_id=3), now)) == leaves
+
+
+@pytest.mark.parametrize("since_s", [3.0, 10.0 - RULE.silence_s, 10.0 - RULE.silence_s + 0.1, 10.0])
+def test_the_smaller_part_of_a_tree_is_left_after_a_silence_and_no_sooner(since_s):
+    """Units 0 and 1 name an edge between them; unit 5 has none. At a silence to the second it leaves."""
+    others = [report(0, 10.0, edges=[(1, 4, [1, 2])]), report(1, 10.0, edges=[(0, 4, [1, 2])])]
+    changed = heal_partition(NodeState(tree_id=0, minority_s=since_s), situation(5, others))
+    if 10.0 - since_s >= RULE.silence_s:
+        assert changed["tree_id"] == NO_ID and changed["minority_s"] == np.inf
+    else:
+        assert changed == {"minority_s": since_s}
+
+
+def test_the_larger_part_stays_and_of_equal_ones_that_with_the_lowest_unit():
+    alone = NodeState(tree_id=0, minority_s=0.0)
+    for unit, stays in ((5, False), (0, True)):
+        now = situation(unit, [report(3, 10.0)])
+        assert ("tree_id" not in heal_partition(alone, now)) == stays
+    now = situation(5, [report(0, 10.0), report(6, 10.0, edges=[(5, 4, [1, 2])])])
+    paired = replace(alone, edges={6: Edge(5, 6, 0.0, turn=4, pair=robots(1, 2))})
+    assert heal_partition(paired, now) == {"minority_s": np.inf}
+
+
+def test_how_long_a_robot_has_not_been_seen():
+    """Since it was seen last; if it never was, since it was first missed; else not at all."""
+    state = NodeState(seen_s={1: 4.0}, missed_since_s={1: 1.0, 2: 7.0})
+    assert [state.unseen_s(robot, 10.0) for robot in (1, 2, 3)] == [6.0, 3.0, 0.0]

@@ -40,7 +40,7 @@ def flight(times, *, turn=0.0, zoom=0.0, arc=0.0, hub=200 + 150j):
 
 
 def prediction_error(step_s, **motion):
-    """Largest error of the third image's centres and arms, predicted from two, px."""
+    """Largest error of the third image's centres, arms and squeezes, predicted from two, px."""
     one, two, three = flight(1.7 + step_s * np.arange(3), **motion)
     tracks = (
         no_tracks()
@@ -48,7 +48,9 @@ def prediction_error(step_s, **motion):
         .updated(1.0 + step_s, np.array([3, 8]), two, SIGMAS)
     )
     ahead = tracks.predicted(1.0 + 2 * step_s)
-    return max(np.abs(ahead.centers - three.centers).max(), np.abs(ahead.arms - three.arms).max())
+    return max(
+        np.abs(getattr(ahead, name) - getattr(three, name)).max() for name in ("centers", "arms", "squeezes")
+    )
 
 
 @pytest.mark.parametrize(

@@ -69,6 +69,25 @@ def test_a_fit_on_fewer_pixels_than_it_needs_is_none(place_markers, draw_markers
         assert not verified(fits, 5.0, DISTANCE)[fits.homographies.sides_px() < 8].any()
 
 
+@pytest.mark.parametrize(("share", "believed"), [(0.0, True), (0.58, True), (0.62, False), (0.9, False)])
+def test_a_marker_squeezed_more_than_a_tilt_of_75_degrees_does_is_none(
+    place_markers, draw_markers, share, believed
+):
+    """The tilt squeezes by `(1 - cos 75°) / (1 + cos 75°) = 0.59` of the arm; all else is of a good fit."""
+    rng = np.random.default_rng(6)
+    image = draw_markers(place_markers(50 + 50j, 0.4, 40.0), [11], (100, 100), rng)
+    found = fit_markers(
+        image, DICTIONARY, np.array([11]), one_shape(50 + 50j, 40j * np.exp(0.4j)), SIGMA_PX, Plane()
+    )[0]
+    assert verified(found, 5.0, DISTANCE).all()
+    shapes = found.homographies
+    turned = share * np.abs(shapes.arms) * np.exp(1j)
+    squeezed = LocalHomographies(shapes.centers, shapes.arms, turned, shapes.horizons)
+    enough = found.pixels + 10_000  # as many as any shape needs
+    fits = replace(found, homographies=squeezed, pixels=enough)
+    assert verified(fits, 5.0, DISTANCE).all() == believed
+
+
 def test_a_marker_out_of_the_image_is_none(place_markers, draw_markers):
     """Fitted where only a corner of it, or nothing, lies in the image."""
     rng = np.random.default_rng(5)

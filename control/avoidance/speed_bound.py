@@ -131,7 +131,7 @@ def closing_bounds(memory: NeighborMemory, rule: AvoidanceRule, time_s: float) -
     pair = memory.fresh(time_s)
     age_s = np.maximum(time_s - memory.imaged_s[pair], 0.0)
     distances_m = memory.distances_sides[pair] * rule.side_m
-    gaps_m = np.maximum(distances_m - memory.reaches_sides[pair] * rule.side_m, 0.0)
+    gaps_m = distances_m - memory.reaches_sides[pair] * rule.side_m  # below 0 the limit is 0
     is_newest = age_s < rule.superseded_age_s - TIME_TOLERANCE_S
     strayed_m = np.where(is_newest, 0.0, 2 * rule.wheels.max_speed_mps * age_s)
     turned = np.arcsin(np.minimum(strayed_m / np.maximum(distances_m, LEAST_DISTANCE_M), 1.0))

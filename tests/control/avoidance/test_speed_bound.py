@@ -211,15 +211,16 @@ def test_messages_replace_older_ones_and_clear_what_went_away(make_detections) -
     assert memory.fresh(4.1)[0].size == 0, "and old messages are forgotten"
 
 
-def test_directions_turn_with_the_robot(make_detections) -> None:
-    """A message of time 0 that arrives at 0.3 s: the robot has turned by 0.3 rad meanwhile."""
+@pytest.mark.parametrize("imaged_s", [0.0, 0.1, 0.2, 0.3])
+def test_directions_turn_with_the_robot(make_detections, imaged_s) -> None:
+    """From when the image was taken, not from when its message came: at 1 rad/s until 0.5 s."""
     memory = NeighborMemory(np.array([0]), np.array([0, 1]), 2.0)
     for tick in range(5):
         if tick == 3:
-            seen = make_detections([0, 1], [0, 60], time_s=0.0)
+            seen = make_detections([0, 1], [0, 60], time_s=imaged_s)
             memory.receive(proximity(seen, np.array([0]), BodyRule(1.0, obstacles={1: 1.0})))
         memory.record_rotation(np.array([1.0]), 0.1 * tick, 0.1)
-    assert memory.bearings_rad(memory.fresh(0.5)) == pytest.approx([-0.5])
+    assert memory.bearings_rad(memory.fresh(0.5)) == pytest.approx([imaged_s - 0.5])
 
 
 def test_nothing_near_leaves_the_law_alone(make_detections) -> None:

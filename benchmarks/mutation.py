@@ -46,7 +46,8 @@ PARTS = {
     "tree": Part(
         ("control/tree",),
         "tests/control/tree/test_rules.py tests/control/tree/test_edge.py"
-        " tests/control/tree/test_rule_order.py tests/control/tree/test_protocol.py",
+        " tests/control/tree/test_rule_order.py tests/control/topology/test_convergence_rate.py"
+        " tests/control/tree/test_protocol.py",
     ),
     "roles": Part(("control/formation/roles.py",), "tests/control/formation/test_roles.py"),
     "avoidance": Part(("control/avoidance",), "tests/control/avoidance/test_speed_bound.py"),

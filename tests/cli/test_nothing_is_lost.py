@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from command_line import assert_refused, call
 
+from skyherd.bench.photographs.result import csv_text
 from skyherd.errors import OutputError
 from skyherd.plots import panels
 
@@ -203,6 +204,26 @@ def test_measurements_on_photographs_never_replace_what_they_read(here, capsys, 
     (here / "sets.toml").write_text(sets)
     assert list((here / "in" / "figures").glob("*.png"))
     assert_untouched(here, capsys, *measure, "--sets", "sets.toml", "--out", "in", "--force")
+
+
+def test_names_of_sets_and_photographs_may_be_anything(here, capsys, measure):
+    """They are drawn and written, and are no formulas in either."""
+    _, data = cv2.imencode(".png", np.full((40, 60), 90, np.uint8))
+    for name in ("=cmd().png", "\x1b[31m.png", "$\\frac$.png", os.fsdecode(b"\xff.png")):
+        (here / "in" / name).write_bytes(data.tobytes())
+    sets = SETS.replace("[desk]", '["$\\\\frac$"]')
+    (here / "in" / "photographs.toml").write_text(sets)
+    code, _, err = call(capsys, *measure, "--out", "out")
+    assert (code, err) == (0, "")
+    rows = [{"set": "=a", "image": "@b.png", "id": 3, "u_px": -1.5, "found_by": "\x1b[2J"}]
+    assert csv_text(rows, tuple(rows[0])).splitlines()[1] == r"'=a,'@b.png,3,-1.5,\x1b[2J"
+
+
+@pytest.mark.parametrize("verb", [["markers", "--ids", "0", "--side", "3cm"], ["topology", "triangle"]])
+def test_a_name_that_no_file_can_have_leaves_the_record_as_it_was(here, capsys, verb):
+    kind = {"markers": ".pdf", "topology": ".png"}[verb[0]]
+    assert call(capsys, *verb, "--out", f"good{kind}")[0] in (0, 1)
+    assert_untouched(here, capsys, *verb, "--out", "n" * 300 + kind)
 
 
 @pytest.mark.parametrize("when", ["reading", "drawing"])

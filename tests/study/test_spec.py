@@ -8,6 +8,7 @@ import pytest
 from PIL import Image
 
 from skyherd.datasets import load_mission, make_mission
+from skyherd.errors import InputError
 from skyherd.study.plan import draw_settings, make_plan, mission_key, sweep_settings
 from skyherd.study.spec import RandomModel, StudySpec, load_study, study_names
 
@@ -149,3 +150,11 @@ def test_built_in_studies_are_good_and_have_a_quick_form(name: str) -> None:
 @pytest.mark.parametrize("name", study_names())
 def test_each_run_of_a_built_in_study_is_good(name: str) -> None:
     assert make_plan(load_study(name)).runs
+
+
+def test_a_grid_with_more_runs_than_can_be_counted_through_is_refused(write_study):
+    """Twenty keys of three values each: three thousand million runs, in twenty lines."""
+    keys = ", ".join(f'"units.0.key{number}" = [1, 2, 3]' for number in range(20))
+    text = f'scenario = "triangle"\nkeep = ["shape_error"]\ngrid = {{ {keys} }}\n'
+    with pytest.raises(InputError, match=r"3\.49e\+09 runs; at most 1000000"):
+        make_plan(load_study(str(write_study(text))))

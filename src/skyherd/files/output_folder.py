@@ -24,6 +24,9 @@ from skyherd.files.folder_lock import FolderLock
 from skyherd.files.folder_record import RECORD, Entry, digest_of, read_entries, write_record, writer_of
 from skyherd.files.reading import is_regular
 
+LONGEST_NAME = 255
+"""Bytes of the longest name of a file. *Defined* by Linux, macOS and Windows alike."""
+
 
 class OutputFolder:
     """A folder that a verb writes into, as a context: locked, its record kept, tidied after a failure.
@@ -220,11 +223,12 @@ class OutputFolder:
         """Remove what was made, and forget it."""
         for name in self._new_names:
             path = self.path / name
+            self._entries.pop(name, None)
             if name.endswith("/"):
                 shutil.rmtree(path, ignore_errors=True)
             else:
-                path.unlink(missing_ok=True)
-            self._entries.pop(name, None)
+                with suppress(OSError):  # of a name that no file can have, nothing was made
+                    path.unlink()
             for parent in list(path.relative_to(self.path).parents)[:-1]:
                 with suppress(OSError):
                     (self.path / parent).rmdir()
@@ -259,7 +263,8 @@ def check_name(path: Path) -> None:
         str(path).encode("utf-8")
     except UnicodeEncodeError:
         raise InputError(str(path), "a name that is no UTF-8", "another --out") from None
-    if "\0" in str(path):
+    longest = max((len(part.encode()) for part in path.parts), default=0)
+    if "\0" in str(path) or longest > LONGEST_NAME:
         raise InputError(str(path), "no file can have this name", "another --out")
 
 

@@ -81,6 +81,11 @@ def drawing_style() -> Iterator[None]:
         yield
 
 
+def plain(text: str) -> str:
+    """A text of a user as it goes into a figure: a dollar stays one, and begins no formula."""
+    return text.replace("$", r"\$")
+
+
 def new_figure(height_in: float, width_in: float = WIDTH_IN) -> Figure:
     """An empty figure whose axes, labels and legends make room for each other (constrained layout)."""
     return Figure(figsize=(width_in, height_in), layout=ConstrainedLayoutEngine(w_pad=0.08, h_pad=0.08))

@@ -13,7 +13,7 @@ from matplotlib.ticker import NullFormatter, ScalarFormatter
 
 from skyherd.drawing.palette import UNIT_COLORS
 from skyherd.files.atomic import write_text, write_whole
-from skyherd.plots.style import DPI, drawing_style, new_figure
+from skyherd.plots.style import DPI, drawing_style, new_figure, plain
 from skyherd.study.spec import SUMMARY_FIELDS, FigureModel, Study, StudySpec
 from skyherd.study.store import ERROR
 from skyherd.study.table import SWEEP, Row, good_rows
@@ -97,13 +97,13 @@ def draw_figure(model: FigureModel, rows: Sequence[Row], spec: StudySpec) -> Fig
         points = [(places[_hashable(row[model.x])], float(row[model.y])) for row in mine]
         style = {"color": UNIT_COLORS[index % len(UNIT_COLORS)], "marker": MARKS[index % len(MARKS)]}
         _draw_points(axes, points, dots=model.x in spec.drawn, label=_text(line), **style)
-    axes.set_title(model.title)
-    axes.set_xlabel(model.x_label or model.x)
-    axes.set_ylabel(model.y_label or field_label(model.y))
+    axes.set_title(plain(model.title))
+    axes.set_xlabel(plain(model.x_label or model.x))
+    axes.set_ylabel(plain(model.y_label or field_label(model.y)))
     if model.y_log and any(row[model.y] > 0 for row in shown):
         axes.set_yscale("log", nonpositive="mask")
     if model.lines:
-        figure.legend(title=model.lines_label or model.lines, loc="outside right upper")
+        figure.legend(title=plain(model.lines_label or model.lines), loc="outside right upper")
     return figure
 
 
@@ -217,4 +217,4 @@ def _hashable(value: Any) -> Any:
 def _text(value: Any) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
-    return f"{value:.3g}" if isinstance(value, float) else "–" if value is None else str(value)
+    return f"{value:.3g}" if isinstance(value, float) else "–" if value is None else plain(str(value))

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import math
 from collections.abc import Iterator
 from copy import deepcopy
 from dataclasses import dataclass
@@ -27,6 +28,10 @@ from skyherd.version import __version__
 
 Settings = dict[str, Any]
 """Values that replace those of a scenario, by dotted key."""
+
+MOST_RUNS = 1_000_000
+"""Runs of the largest study, in all its sweeps. *Chosen*: a day's work for a large cluster; a grid of twenty
+keys with three values each has three thousand times as many."""
 
 SHOWN_VALUE = 40
 """Most characters of a value that are shown in a line about a run."""
@@ -74,6 +79,7 @@ def make_plan(study: Study) -> Plan:
         InputError: in one line, the file, the key, the value, and what is allowed.
     """
     source = _source(study)
+    _check_count(study)
     runs = []
     for sweep in study.spec.all_sweeps:
         for settings in sweep_settings(sweep):
@@ -84,6 +90,20 @@ def make_plan(study: Study) -> Plan:
             values = {key: _value(dump, key) for key in study.spec.parameters}
             runs.append(Run(sweep=sweep.name, settings=settings, parameters=values, key=mission_key(mission)))
     return Plan(study, source, runs)
+
+
+def _check_count(study: Study) -> None:
+    """Refuse more than `MOST_RUNS`: a grid of few lines may have more points than can be counted through.
+
+    Raises:
+        InputError: the study has too many runs.
+    """
+    count = sum(
+        (sweep.random.runs if sweep.random else 1) * math.prod(map(len, sweep.grid.values()))
+        for sweep in study.spec.all_sweeps
+    )
+    if count > MOST_RUNS:
+        raise InputError(study.where, f"{count:.3g} runs", f"at most {MOST_RUNS}; fewer values in the grid")
 
 
 def mission_key(mission: Mission) -> str:

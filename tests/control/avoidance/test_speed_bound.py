@@ -267,6 +267,25 @@ def test_the_right_is_taken_though_the_left_is_a_little_shorter() -> None:
     assert np.angle(detour(-1.0), deg=True) == pytest.approx(80)
 
 
+@pytest.mark.parametrize(("unseen_mps", "left_mps"), [(0.1, 0.1), (0.3, 0.3), (0.5, 0.4)])
+def test_bodies_that_no_message_named_slow_in_every_direction(unseen_mps, left_mps) -> None:
+    none = np.zeros(0)
+    bounds = Bounds(none.astype(np.int64), none, none, none, unseen_mps=np.array([unseen_mps]))
+    for sign in (-1, 1):
+        v_mps, _ = slowed(np.array([sign * 0.4]), np.zeros(1), bounds=bounds, rule=rule())
+        assert v_mps == pytest.approx(sign * left_mps)
+
+
+def test_a_robot_remembers_its_turns_for_the_whole_lifetime_of_a_message(make_detections) -> None:
+    """An image that is as old as a message may be, to the last bit: times are sums of powers of two."""
+    memory = NeighborMemory(np.array([0]), np.array([0, 1]), 0.5)
+    for tick in range(5):
+        memory.record_rotation(np.array([1.0]), 0.125 * tick, 0.125)
+    seen = make_detections([0, 1], [0, 60], time_s=0.0)
+    memory.receive(proximity(seen, np.array([0]), BodyRule(1.0, obstacles={1: 1.0})))
+    assert memory.bearings_rad(memory.fresh(0.5)) == pytest.approx([-0.625])
+
+
 def test_a_robot_that_stands_is_slowed_to_nothing_without_a_division() -> None:
     limits = rule()
     standing = closing_bounds(remembered(0.1), limits, 0.0)

@@ -53,6 +53,13 @@ def test_a_new_edge_begins_beyond_all_turns_of_a_former_one(holder) -> None:
     assert first_turn(61.0, other, holder) > start + 500 * 60
 
 
+@pytest.mark.parametrize("time_ms", [0, 1, 2, 3, 1000, 1001])
+def test_whoever_opens_an_edge_has_its_first_turn_no_sooner_than_the_clock(time_ms) -> None:
+    for holder, other in ((3, 7), (7, 3)):
+        start = first_turn(time_ms / 1000, holder, other)
+        assert has_turn(start, holder, other) and start in (time_ms, time_ms + 1)
+
+
 def test_the_turn_goes_over_with_pair_and_offers() -> None:
     one, two = ends()
     assert one.is_my_turn and not two.is_my_turn

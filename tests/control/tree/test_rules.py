@@ -5,15 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from skyherd.control import Template, TreeRule
+from skyherd.control import BodyRule, RoleRule, Template, TreeRule
 from skyherd.control.tree.edge import Edge
-from skyherd.control.tree.failover import fail_over
+from skyherd.control.tree.failover import fail_over, name_heir
 from skyherd.control.tree.joining import admit
 from skyherd.control.tree.node_state import NodeState, Situation
+from skyherd.control.tree.offers import offerable
 from skyherd.control.tree.orphans import adopt_orphans, disown_lost
 from skyherd.control.tree.pair_exchange import use_turns
 from skyherd.control.tree.partition import heal_partition, leave_for_lower_tree
 from skyherd.control.tree.peer_reports import PeerReports
+from skyherd.datasets.configuration.models import AvoidanceModel, RolesModel, SelectionModel
 from skyherd.messages import NO_ID, TreeStatus, UnitReport
 
 SIZE_PX = np.array([800, 800])
@@ -199,3 +201,42 @@ def test_how_long_a_robot_has_not_been_seen():
     """Since it was seen last; if it never was, since it was first missed; else not at all."""
     state = NodeState(seen_s={1: 4.0}, missed_since_s={1: 1.0, 2: 7.0})
     assert [state.unseen_s(robot, 10.0) for robot in (1, 2, 3)] == [6.0, 3.0, 0.0]
+
+
+def test_what_is_controlled_or_claimed_is_no_orphan():
+    """Robots 1 and 2 are in a pair, 3 is the unit's own, 4 is another's: 5 alone is nobody's."""
+    edge = Edge(0, 7, 0.0, turn=1, pair=robots(1, 2))
+    sees = dict.fromkeys(range(1, 6), 0.2)
+    waited = dict.fromkeys(range(1, 6), 0.0)
+    state = NodeState(own=robots(3), edges={7: edge}, tree_id=0, orphaned_s=waited, distances_before=sees)
+    changed = adopt_orphans(state, situation(0, [report(9, 10.0, controls=[4])], sees=sees))
+    assert changed["own"] == robots(3, 5) and changed["orphaned_s"].keys() == {5}
+
+
+def test_robots_that_two_neighbours_see_are_offered_to_them_two_by_two_slot_by_slot():
+    """In every second slot the other one's: robots 0 and 1 to unit 7 at even slots, 2 and 3 at odd ones."""
+    sees = dict.fromkeys(range(4), 0.2)
+    edges = {unit: Edge(0, unit, 0.0, turn=1, pair=robots(unit, unit + 10)) for unit in (7, 8)}
+    state = NodeState(own=robots(*sees), edges=edges, tree_id=0, seen_s=dict.fromkeys(sees, 10.0))
+    for slot in range(4):
+        now = replace(situation(0, [report(unit, 10.0, sees=sees) for unit in (7, 8)], sees=sees), slot=slot)
+        first, second = (robots(0, 1), robots(2, 3)) if slot % 2 == 0 else (robots(2, 3), robots(0, 1))
+        assert (offerable(state, now, 7), offerable(state, now, 8)) == (first, second)
+
+
+@pytest.mark.parametrize(
+    ("pair", "heard", "heir"), [((1, 2), True, 7), ((), True, NO_ID), ((1, 2), False, NO_ID)]
+)
+def test_an_heir_has_a_pair_and_was_heard(pair, heard, heir):
+    state = NodeState(edges={7: Edge(0, 7, 0.0, turn=1, pair=robots(*pair))}, tree_id=0)
+    now = situation(0, [report(7, 10.0, controls=[1, 2])] if heard else [])
+    assert name_heir(state, now)["heir_id"] == heir
+
+
+def test_rules_that_are_told_nothing_are_those_of_scenarios_that_say_nothing():
+    """Lengths, times and shares have their defaults in two places, which must not part."""
+    tree, roles, bodies = SelectionModel(), RolesModel(), AvoidanceModel()
+    for rule, model in ((TreeRule(), tree), (RoleRule(), roles), (BodyRule(1.0), bodies)):
+        both = vars(rule).keys() & type(model).model_fields.keys() - {"classes"}
+        assert len(both) >= 2
+        assert {name: getattr(rule, name) for name in both} == {name: getattr(model, name) for name in both}

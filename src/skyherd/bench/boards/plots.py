@@ -11,7 +11,7 @@ from skyherd.bench.detector_style import style_of
 from skyherd.bench.set_result import SetResult
 from skyherd.drawing.palette import INK, MUTED, UNIT_COLORS
 from skyherd.plots.panels import Panel
-from skyherd.plots.style import legend_above, new_figure
+from skyherd.plots.style import legend_above, new_figure, plain
 
 LOWEST_PX = 0.005
 """Where the axes of errors begin, px. Chosen: below the median of any detector on photographs."""
@@ -69,12 +69,14 @@ def draw_distributions(result: SetResult, measured: Measurement) -> Figure | Non
         row = next(row for row in result.rows if row["set"] == name)
         if row["center_floor_px"]:
             axes.axvline(row["center_floor_px"], color=MUTED, lw=1.0, ls=":")
-        axes.set(title=name, xscale="log", ylim=(0, 1), xlim=(LOWEST_PX, 3.0))
+        axes.set(title=plain(name), xscale="log", ylim=(0, 1), xlim=(LOWEST_PX, 3.0))
         axes.set_xlabel("error of the centre (px)")
         _plain_logarithms(axes.xaxis)
     for axes in panels[::columns]:
         axes.set_ylabel("share of markers")
-    handles = [Line2D([], [], label=name, **(style_of(names, name) | {"marker": ""})) for name in names]
+    handles = [
+        Line2D([], [], label=plain(name), **(style_of(names, name) | {"marker": ""})) for name in names
+    ]
     legend_above(figure, handles, columns=5)
     return figure
 
@@ -104,9 +106,11 @@ def draw_medians(result: SetResult) -> Figure | None:
             if floor:
                 axes.hlines(floor, place - 0.4, place + 0.4, color=INK, lw=1.0)
         axes.set(ylabel=f"median error, {label}", yscale="log", xlim=(-0.6, len(sets) - 0.4))
-        axes.set_xticks(range(len(sets)), sets, rotation=30, ha="right")
+        axes.set_xticks(range(len(sets)), [plain(name) for name in sets], rotation=30, ha="right")
         _plain_logarithms(axes.yaxis)
-    handles = [Line2D([], [], label=name, **(style_of(names, name) | {"linestyle": ""})) for name in names]
+    handles = [
+        Line2D([], [], label=plain(name), **(style_of(names, name) | {"linestyle": ""})) for name in names
+    ]
     legend_above(figure, handles, columns=5)
     return figure
 
@@ -141,7 +145,7 @@ def draw_boards(measured: Measurement) -> Figure | None:
             color=UNIT_COLORS[1],
             width=0.004,
         )
-        axes.set(aspect="equal", title=f"{name}: median {100 * typical:.2f} % of a side")
+        axes.set(aspect="equal", title=f"{plain(name)}: median {100 * typical:.2f} % of a side")
         axes.invert_yaxis()
         axes.set_axis_off()
     return figure

@@ -6,7 +6,7 @@ from matplotlib.figure import Figure
 from skyherd.bench.detector_style import style_of
 from skyherd.bench.photographs.result import PhotographsResult
 from skyherd.plots.panels import Panel
-from skyherd.plots.style import legend_above, new_figure
+from skyherd.plots.style import legend_above, new_figure, plain
 
 
 def draw_recall(result: PhotographsResult) -> Figure:
@@ -19,8 +19,8 @@ def draw_recall(result: PhotographsResult) -> Figure:
         rows = [result.row(set_name, name) for set_name in sets]
         heights = [np.nan if row is None or row["recall"] is None else row["recall"] for row in rows]
         places = np.arange(len(sets)) + width * (index - (len(names) - 1) / 2)
-        axes.bar(places, heights, width, label=name, color=style_of(names, name)["color"])
-    axes.set_xticks(range(len(sets)), sets)
+        axes.bar(places, heights, width, label=plain(name), color=style_of(names, name)["color"])
+    axes.set_xticks(range(len(sets)), [plain(name) for name in sets])
     axes.set(ylim=(0, 1.02), ylabel="recall")
     axes.grid(visible=False, axis="x")
     legend_above(figure, columns=5)

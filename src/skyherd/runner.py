@@ -19,7 +19,7 @@ from typing import Any
 from skyherd.analysis.history import make_history
 from skyherd.analysis.summary import summarize
 from skyherd.datasets import Mission
-from skyherd.errors import InputError
+from skyherd.errors import InputError, OutputError, SkyherdError
 from skyherd.files.atomic import write_text
 from skyherd.files.output_folder import OutputFolder
 from skyherd.loop import Step, run_steps
@@ -93,6 +93,7 @@ def run_mission(
     Raises:
         InputError: the folder exists without `force`, holds a file that a run would replace and did not make,
             or cannot be used; or an image that the mission names cannot be read.
+        OutputError: a file could not be written, as on a full disk.
     """
     output = OutputFolder(folder, VERB, output_names(), force=force)
     output.check()
@@ -118,6 +119,12 @@ def run_mission(
         except InputError:
             output.discard()
             raise
+        except SkyherdError:
+            raise
+        except OSError as error:
+            what = f"{error.filename or folder}: {error.strerror or error}"
+            left = "free some space; `skyherd report` shows what was recorded"
+            raise OutputError(f"{what}; {left}") from None
 
 
 def _report_step(progress: Progress, mission: Mission, step: Step) -> None:

@@ -140,13 +140,13 @@ def test_a_full_disk_is_refused_before_the_run(tmp_path, capsys, monkeypatch):
 
 def test_a_disk_that_fills_up_in_mid_run_is_one_line(tmp_path, capsys, monkeypatch):
     def full(self, step):
-        raise OSError(errno.ENOSPC, "No space left on device", "run.mcap")
+        raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(McapRecorder, "write", full)
     out = tmp_path / "run"
     assert_refused(
         call(capsys, "run", "star", "--out", out, "--perception", "ideal", "--set", "duration_s=1.0"),
-        "No space left",
+        f"{out}: No space left",
     )
     assert not out.exists()  # not one step was recorded
 

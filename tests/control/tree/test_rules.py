@@ -12,7 +12,7 @@ from skyherd.control.tree.joining import admit
 from skyherd.control.tree.node_state import NodeState, Situation
 from skyherd.control.tree.offers import offerable
 from skyherd.control.tree.orphans import adopt_orphans, disown_lost
-from skyherd.control.tree.pair_exchange import use_turns
+from skyherd.control.tree.pair_exchange import _to_release, use_turns
 from skyherd.control.tree.partition import heal_partition, leave_for_lower_tree
 from skyherd.control.tree.peer_reports import PeerReports
 from skyherd.datasets.configuration.models import AvoidanceModel, RolesModel, SelectionModel
@@ -240,3 +240,12 @@ def test_rules_that_are_told_nothing_are_those_of_scenarios_that_say_nothing():
         both = vars(rule).keys() & type(model).model_fields.keys() - {"classes"}
         assert len(both) >= 2
         assert {name: getattr(rule, name) for name in both} == {name: getattr(model, name) for name in both}
+
+
+@pytest.mark.parametrize(("free", "released"), [((5, 6), robots(2)), ((5,), robots())])
+def test_a_robot_that_leaves_the_view_is_released_if_there_are_two_to_take_in_return(free, released):
+    """Leaving begins at the radius and its hysteresis, 0.85 * 1.06 = 0.901: robot 1 is this side of it."""
+    peer = report(1, 10.0, controls=free, sees=dict.fromkeys((1, 2, 5, 6), 0.1))
+    now = situation(0, [peer], sees={1: 0.89, 2: 0.91, 5: 0.5, 6: 0.5})
+    edge = Edge(0, 1, 0.0, turn=4, pair=robots(3, 4))
+    assert _to_release(now, edge, robots(1, 2)) == released

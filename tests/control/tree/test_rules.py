@@ -15,6 +15,7 @@ from skyherd.control.tree.orphans import adopt_orphans, disown_lost
 from skyherd.control.tree.pair_exchange import _to_release, use_turns
 from skyherd.control.tree.partition import heal_partition, leave_for_lower_tree
 from skyherd.control.tree.peer_reports import PeerReports
+from skyherd.control.tree.view_targets import seek_robots
 from skyherd.datasets.configuration.models import AvoidanceModel, RolesModel, SelectionModel
 from skyherd.messages import NO_ID, TreeStatus, UnitReport
 
@@ -249,3 +250,13 @@ def test_a_robot_that_leaves_the_view_is_released_if_there_are_two_to_take_in_re
     now = situation(0, [peer], sees={1: 0.89, 2: 0.91, 5: 0.5, 6: 0.5})
     edge = Edge(0, 1, 0.0, turn=4, pair=robots(3, 4))
     assert _to_release(now, edge, robots(1, 2)) == released
+
+
+def test_to_bind_a_weak_edge_a_unit_seeks_robots_that_its_neighbour_shares_with_nobody():
+    """Of its neighbour's robots 2 to 7 it has 2 and 3; 4 and 5 are in another pair of the neighbour."""
+    peer = report(1, 10.0, controls=range(2, 8), edges=[(0, 4, [2, 3]), (9, 4, [4, 5])])
+    rule = TreeRule(share="leverage", firm=1e6, gain=1.0)
+    now = replace(situation(0, [peer]), rule=rule)
+    edge = Edge(0, 1, 0.0, turn=4, pair=robots(2, 3))
+    sought = seek_robots(NodeState(own=robots(0, 1), edges={1: edge}, tree_id=0), now)["sought"]
+    assert sought & robots(6, 7) and sought <= robots(2, 3, 6, 7)

@@ -260,3 +260,9 @@ def test_to_bind_a_weak_edge_a_unit_seeks_robots_that_its_neighbour_shares_with_
     edge = Edge(0, 1, 0.0, turn=4, pair=robots(2, 3))
     sought = seek_robots(NodeState(own=robots(0, 1), edges={1: edge}, tree_id=0), now)["sought"]
     assert sought & robots(6, 7) and sought <= robots(2, 3, 6, 7)
+
+
+@pytest.mark.parametrize(("since_s", "stays"), [(9.5, True), (0.0, False)])
+def test_an_edge_whose_other_end_was_never_heard_is_given_up_after_a_silence(since_s, stays):
+    state = NodeState(edges={1: Edge(0, 1, since_s, turn=4, pair=robots(1, 2))}, tree_id=0)
+    assert (1 in fail_over(state, situation(0, []))["edges"]) == stays

@@ -41,7 +41,10 @@ class Template:
 
     def __post_init__(self) -> None:
         ids = check_ids(self.ids, "template")
-        points = np.array(self.points_px, dtype=np.complex128)
+        try:
+            points = np.array(self.points_px, dtype=np.complex128)
+        except (ValueError, OverflowError):
+            raise InputError("template", shown(self.points_px), "a complex number for each robot") from None
         if ids.shape != points.shape or ids.ndim != 1:
             raise InputError(
                 "template", f"{ids.shape} ids, {points.shape} points", "one point for each robot id"

@@ -195,3 +195,11 @@ def test_what_is_no_grey_image_is_refused(image):
         if name in detector_names():
             with pytest.raises(SkyherdError, match=r"image: .*grey, \(height, width\), uint8"):
                 create_detector(name).detect(image)
+
+
+@pytest.mark.parametrize(
+    "points", ["", "xy", ["1", "j x"], [10**400, 0]], ids=["empty", "text", "texts", "huge"]
+)
+def test_points_of_a_template_that_are_no_numbers_are_refused(points):
+    with pytest.raises(SkyherdError, match="template"):
+        Template([0, 1], points)

@@ -83,3 +83,11 @@ test_images, test_images_long = images
 def test_a_detector_of_no_dictionary_is_refused_when_it_is_made(name):
     with pytest.raises(skyherd.InputError, match="no dictionary 'x'"):
         skyherd.create_detector(name, dictionary="x")
+
+
+@pytest.mark.parametrize(
+    "border_bits", [0, 4, 1.5, "2", None, np.zeros(0), np.ones(2), float("nan")], ids=repr
+)
+def test_a_border_that_is_no_number_of_cells_is_refused(border_bits):
+    with pytest.raises(skyherd.InputError, match="border bits"):
+        skyherd.create_detector("aruco", border_bits=border_bits)

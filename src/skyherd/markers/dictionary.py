@@ -47,8 +47,9 @@ def with_border(name: str, border_bits: int) -> str:
     Raises:
         InputError: the border is not of 1 to `MAX_BORDER_BITS` cells, or the name has one already.
     """
-    if not 1 <= border_bits <= MAX_BORDER_BITS:
-        raise InputError("border bits", f"{border_bits}", f"a whole number from 1 to {MAX_BORDER_BITS}")
+    whole = isinstance(border_bits, int | np.integer)
+    if not (whole and 1 <= border_bits <= MAX_BORDER_BITS):
+        raise InputError("border bits", f"{border_bits!r}", f"a whole number from 1 to {MAX_BORDER_BITS}")
     if border_bits == 1:
         return name
     if BORDER_MARK in name:

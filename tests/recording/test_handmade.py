@@ -134,6 +134,14 @@ def test_a_recording_that_says_what_cannot_be_is_refused_when_it_is_read(message
     assert refused > 6  # most others replaced a value by one that may be
 
 
+@pytest.mark.parametrize("number", [1484, 2600])
+def test_numbers_beyond_all_images_are_refused_before_anything_is_computed_of_them(
+    messages, tmp_path, number
+):
+    """Centres at 1e300 px, whose squares overflow, among them; NumPy would warn, and go on."""
+    check_change(messages, number, tmp_path / "run.mcap")
+
+
 @pytest.mark.slow
 def test_2000_hand_made_recordings(messages, tmp_path):
     for number in range(1000, 3000):

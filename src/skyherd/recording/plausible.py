@@ -14,6 +14,7 @@ from skyherd.control import GroundMap, Template
 from skyherd.datasets import Mission, Scenario
 from skyherd.geometry import ComplexArray, to_complex
 from skyherd.loop import Step, UnitFrame
+from skyherd.messages import Detections
 from skyherd.sim.truth_metrics import ShapeFit
 
 LARGEST = 1e9
@@ -99,6 +100,16 @@ def check_map(ground_map: GroundMap) -> None:
     _require(within and np.hypot(*ground_map.unknowns[:2]) < 1, "map: unknowns beyond any camera's")
 
 
+def check_places(detections: Detections) -> None:
+    """Check where markers were detected, before anything is computed from it.
+
+    Raises:
+        ValueError: a coordinate is beyond any image.
+    """
+    for name in ("centers_px", "corners_px", "sides_px"):
+        _require(bool((np.abs(getattr(detections, name)) < LARGEST).all()), f"detections: {name}")
+
+
 def _check_metrics(step: Step, units: int) -> None:
     metrics = step.metrics
     for name in ("V_units", "scales", "rotations_rad"):
@@ -116,7 +127,6 @@ def _check_frame(unit: int, frame: UnitFrame, mission: Mission) -> None:
     size = mission.scenario.units[unit].camera.size_px
     report, goals = decision.report, decision.goals
     _require(tuple(sight.detections.image_size_px) == size, "detections: the camera's image size")
-    _require(bool((np.abs(sight.detections.centers_px) < LARGEST).all()), "detections: centers_px")
     _require(np.isin(report.controlled_ids, mission.ids).all(), "report: controlled_ids must be robots'")
     _require(np.isin(sight.whole_ids, known).all(), "truth: whole_ids must be of markers")
     _require(np.isin(sight.found_ids, sight.whole_ids).all(), "truth: found_ids must be of whole_ids")

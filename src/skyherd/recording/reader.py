@@ -22,7 +22,7 @@ from skyherd.messages import Detections, FlightCommand, MotionGoals, Proximity, 
 from skyherd.messages.role_map import RoleMap
 from skyherd.messages.tree_status import TreeStatus
 from skyherd.recording.json_codec import from_plain
-from skyherd.recording.plausible import check_map, check_step, read_mission
+from skyherd.recording.plausible import check_map, check_places, check_step, read_mission
 from skyherd.recording.survey import (
     MAGIC,
     MALFORMED,
@@ -46,7 +46,7 @@ MOST_BYTES = 2**36
 SHOWN_REASON = 160
 """Characters of the reason why a record is refused that are shown. Chosen: two lines of a terminal."""
 
-MALFORMED_RECORDS = (*MALFORMED, TypeError, AttributeError, IndexError)
+MALFORMED_RECORDS = (*MALFORMED, TypeError, AttributeError, IndexError, FloatingPointError)
 """What reading a record raises that is not of the form that this version writes."""
 
 
@@ -241,7 +241,8 @@ def _read_wall_s(stream: BinaryIO) -> float | None:
 def _version_checked(path: Path) -> Iterator[None]:
     """Turn the errors of records that another version wrote into an InputError of one line."""
     try:
-        yield
+        with np.errstate(invalid="raise", over="raise"):
+            yield
     except InputError as error:
         if error.where == str(path):
             raise
@@ -306,6 +307,7 @@ def _read_frame(topic: str, records: dict[str, Any], size_px: tuple[int, int]) -
     recorded_map = records.get(f"{topic}/map")
     ground_map = GroundMap() if recorded_map is None else from_plain(GroundMap, recorded_map)
     check_map(ground_map)
+    check_places(sight.detections)
     decision = Decision(
         detections=rectified(sight.detections, ground_map),
         goals=None if goals is None else from_plain(MotionGoals, goals),

@@ -343,7 +343,7 @@ def photographed(tmp_path):
         Image.fromarray(np.clip(np.rint(image), 0, 255).astype(np.uint8)).save(folder / f"{number}.png")
     (folder / "photographs.toml").write_text(
         "[grid]\nfiles = ['*.png']\ndictionary = '4X4_50'\n"
-        "[grid.board]\nkind = 'aruco'\ncolumns = 5\nrows = 4\ngap = 0.5\n"
+        "[grid.board]\nkind = 'aruco'\ncolumns = 5\nrows = 4\ngap = 0.5\ndegree = 3\n"
     )
     return folder
 

@@ -1,4 +1,4 @@
-"""The robot's safety rules: whatever comes in, wheels turn only while every condition holds, within limits."""
+"""The safety rules of a robot: whatever comes in, wheels turn only while every condition holds."""
 
 import math
 from dataclasses import replace
@@ -9,16 +9,14 @@ import pytest
 from hypothesis import given, settings
 
 from skyherd.control import MarkerGains, Wheels
+from skyherd.live.drivers import SpeedLimits
 from skyherd.live.peers import ClockLimits
-from skyherd.live.robot_core import DRIVING, RobotCore, RobotLimits, limited
+from skyherd.live.robot_core import DRIVING, RobotCore, RobotLimits
 from skyherd.live.wire import Arm, Beat, Envelope, Sighting, Stop
 from skyherd.messages import MotionGoals
 
 LIMITS = RobotLimits(
-    max_speed_mps=0.5,
-    max_turn_radps=2.0,
-    max_accel_mps2=1.0,
-    max_turn_accel_radps2=8.0,
+    SpeedLimits(0.5, 2.0, 1.0, 8.0),
     goal_timeout_s=0.5,
     unseen_s=0.8,
 )
@@ -87,9 +85,9 @@ def test_disarmed_at_start_and_says_what_would_happen() -> None:
 def test_armed_it_drives_within_acceleration_and_speed() -> None:
     scene = Scene()
     order = scene.drive(20)
-    assert order.reason == DRIVING and order.v_mps == LIMITS.max_speed_mps
+    assert order.reason == DRIVING and order.v_mps == LIMITS.speeds.speed_mps
     speeds = [0.0] + [order.v_mps for order in scene.orders]
-    assert max(np.diff(speeds)) <= LIMITS.max_accel_mps2 * STEP_S + 1e-12
+    assert max(np.diff(speeds)) <= LIMITS.speeds.acceleration_mps2 * STEP_S + 1e-12
     assert scene.orders[0].v_mps > 0
 
 
@@ -202,20 +200,6 @@ def test_goals_for_other_robots_and_from_strangers_do_nothing() -> None:
     assert order.v_mps == 0
 
 
-numbers = st.floats(allow_nan=True, allow_infinity=True)
-
-
-@given(wanted=numbers, before=numbers, most=st.floats(0, 1e3), change=st.floats(0, 1e3))
-@settings(max_examples=300)
-def test_limits_hold_for_any_number(wanted, before, most, change) -> None:
-    speed = limited(wanted, before, most, change)
-    assert math.isfinite(speed) and abs(speed) <= most
-    grown = abs(before) if math.isfinite(before) else 0.0
-    assert abs(speed) <= grown + change
-    if math.isfinite(wanted) and wanted * speed < 0:
-        raise AssertionError("the wrong way")
-
-
 actions = st.one_of(
     st.tuples(st.just("see"), st.floats(-1, 2)),
     st.tuples(st.just("double"), st.just(0.0)),
@@ -229,13 +213,14 @@ actions = st.one_of(
 
 
 @given(st.lists(actions, max_size=60))
-@settings(max_examples=150)
+@settings(max_examples=60)
 def test_wheels_turn_only_while_everything_holds(script) -> None:
     """An independent account of when the robot may move, against any order of events."""
     scene, core = Scene(), make_core()
     scene.core = core
     armed = False
-    newest_goal_s = newest_sight_s = doubled_s = -math.inf
+    newest_goal_s = newest_sight_s = -math.inf
+    since_double_s = math.inf
     before = (0.0, 0.0)
     decided_s = scene.now_s
     core.decide(scene.now_s)
@@ -246,7 +231,8 @@ def test_wheels_turn_only_while_everything_holds(script) -> None:
             newest_sight_s = max(newest_sight_s, min(scene.now_s - value, scene.now_s))
         elif action == "double":
             scene.see(repeated=[ROBOT])
-            doubled_s, newest_goal_s = scene.now_s, scene.now_s
+            since_double_s = 0.0 if abs(scene.offset_s) < 0.9 else since_double_s
+            newest_goal_s = scene.now_s
         elif action == "compare":
             scene.offset_s = value
             scene.compare_clocks()
@@ -266,16 +252,15 @@ def test_wheels_turn_only_while_everything_holds(script) -> None:
         order = core.decide(scene.now_s)
         gap_s = scene.now_s - decided_s
         decided_s = scene.now_s
-        assert abs(order.v_mps) <= LIMITS.max_speed_mps
-        assert abs(order.omega_radps) <= LIMITS.max_turn_radps
+        since_double_s += abs(gap_s)
+        assert abs(order.v_mps) <= LIMITS.speeds.speed_mps
+        assert abs(order.omega_radps) <= LIMITS.speeds.turn_radps
         if order.v_mps or order.omega_radps:
             assert armed and 0 <= gap_s <= 1.0
             assert scene.now_s - newest_goal_s <= LIMITS.goal_timeout_s + 0.2
             assert scene.now_s - newest_sight_s <= LIMITS.unseen_s + 0.2
             grown = abs(order.v_mps) - abs(before[0]), abs(order.omega_radps) - abs(before[1])
-            assert grown[0] <= LIMITS.max_accel_mps2 * gap_s + 1e-9
-            assert grown[1] <= LIMITS.max_turn_accel_radps2 * gap_s + 1e-9
-            assert doubled_s == -math.inf or scene.now_s - doubled_s > LIMITS.unseen_s - 0.2 or gap_s < 0 or (
-                abs(scene.offset_s) > 1.0
-            )
+            assert grown[0] <= LIMITS.speeds.acceleration_mps2 * gap_s + 1e-9
+            assert grown[1] <= LIMITS.speeds.turn_acceleration_radps2 * gap_s + 1e-9
+            assert since_double_s >= LIMITS.unseen_s - 1e-6
         before = order.v_mps, order.omega_radps

@@ -35,8 +35,10 @@ from skyherd.datasets import (
 from skyherd.errors import DegenerateSetError, InputError
 from skyherd.files.reading import is_regular
 from skyherd.geometry import ComplexArray, to_complex
+from skyherd.live.drivers.limits import SpeedLimits
 from skyherd.live.peers import ClockLimits
 from skyherd.live.robot_core import RobotCore, RobotLimits
+from skyherd.live.unit_core import UnitCore
 from skyherd.markers.dictionary import dictionary_names, dictionary_size
 from skyherd.sim.agents import REPORT_LIFETIME_S, REPORTS_MISSED, make_flight, make_selection
 from skyherd.vision import detector_names
@@ -108,7 +110,9 @@ class LabRobot(Model):
 class LabControl(Model):
     """The robots' law."""
 
-    k: Annotated[FiniteFloat, Field(gt=0, le=100)] = Field(0.3, description="1/s; speed per metre to the goal")
+    k: Annotated[FiniteFloat, Field(gt=0, le=100)] = Field(
+        0.3, description="1/s; speed per metre to the goal"
+    )
     k_omega: Annotated[FiniteFloat, Field(gt=0, le=100)] = Field(
         1.2, description="1/s; turn rate for each radian between heading and goal"
     )
@@ -161,9 +165,7 @@ class LabRadio(Model):
         max_length=20,
         description="where this machine listens, as Zenoh writes it; beyond loopback: tls/ADDRESS:PORT",
     )
-    connect: list[Text] = Field(
-        ["tcp/127.0.0.1:7450"], max_length=100, description="where the others listen"
-    )
+    connect: list[Text] = Field(["tcp/127.0.0.1:7450"], max_length=100, description="where the others listen")
     authority: Text | None = Field(None, description="PEM file of the authority that signed the certificates")
     certificate: Text | None = Field(None, description="PEM file of this machine's certificate")
     key: Text | None = Field(None, description="PEM file of its private key")
@@ -233,7 +235,9 @@ class LabModel(Model):
         if self.shape.points is not None and len(self.shape.points) != len(ids):
             raise ValueError(f"shape.points: {len(self.shape.points)} points for {len(ids)} robots")
         if self.markers.dictionary not in dictionary_names():
-            raise ValueError(f"markers.dictionary: no {self.markers.dictionary}; see `skyherd markers --help`")
+            raise ValueError(
+                f"markers.dictionary: no {self.markers.dictionary}; see `skyherd markers --help`"
+            )
         if (largest := max(ids)) >= dictionary_size(self.markers.dictionary):
             raise ValueError(f"robots: {self.markers.dictionary} has no marker {largest}")
         for camera in self.cameras:
@@ -297,6 +301,19 @@ class Lab:
             size=self._size(),
         )
 
+    def make_unit(self, unit: int) -> UnitCore:
+        """The computer of one unit.
+
+        Raises:
+            InputError: there is none of this number.
+        """
+        return UnitCore(
+            unit,
+            self.make_controller(unit),
+            oldest_s=self.model.limits.goal_timeout_s,
+            clock_limits=self.clock_limits,
+        )
+
     def _size(self) -> SizeRule:
         """Bounds on the shape's size, in marker sides."""
         model = self.model.shape.size
@@ -312,6 +329,17 @@ class Lab:
         """When another process's clock is not trusted."""
         limits = self.model.limits
         return ClockLimits(limits.clock_offset_s, limits.clock_uncertainty_s)
+
+    @property
+    def speed_limits(self) -> SpeedLimits:
+        """What a robot may be told at most."""
+        limits = self.model.limits
+        return SpeedLimits(
+            limits.max_speed_mps,
+            limits.max_turn_radps,
+            limits.max_accel_mps2,
+            limits.max_turn_accel_radps2,
+        )
 
     def make_robot(self, robot_id: int) -> RobotCore:
         """The computer of one robot.
@@ -329,14 +357,7 @@ class Lab:
             list(range(len(self.model.cameras))),
             law,
             Wheels(limits.max_speed_mps, limits.max_turn_radps, control.axis_offset_m),
-            RobotLimits(
-                max_speed_mps=limits.max_speed_mps,
-                max_turn_radps=limits.max_turn_radps,
-                max_accel_mps2=limits.max_accel_mps2,
-                max_turn_accel_radps2=limits.max_turn_accel_radps2,
-                goal_timeout_s=limits.goal_timeout_s,
-                unseen_s=limits.unseen_s,
-            ),
+            RobotLimits(self.speed_limits, goal_timeout_s=limits.goal_timeout_s, unseen_s=limits.unseen_s),
             side_m=self.model.markers.side_m,
             delay_s=control.delay_s,
             clock_limits=self.clock_limits,

@@ -26,6 +26,8 @@ from skyherd.control import (
     RobotLaw,
     Wheels,
 )
+from skyherd.live.drivers.limits import Limiter, SpeedLimits
+from skyherd.live.drivers.link import STILL, Motion
 from skyherd.live.peers import ClockLimits, PeerClocks
 from skyherd.live.wire import Arm, Beat, Envelope, Sighting, Stop
 from skyherd.messages import MotionGoals, Proximity, VelocityCommand
@@ -48,26 +50,17 @@ class RobotLimits:
     """What a robot may do, and how long without news.
 
     Attributes:
-        max_speed_mps: limit of |v|.
-        max_turn_radps: limit of |ω|.
-        max_accel_mps2: by how much |v| may grow, m/s a second.
-        max_turn_accel_radps2: by how much |ω| may grow, rad/s a second.
+        speeds: limits of speed, turn rate and their growth.
         goal_timeout_s: age of an image, by the robot's clock, up to which the goal from it is followed.
         unseen_s: time after which a marker that no unit has seen counts as outside all images.
     """
 
-    max_speed_mps: float
-    max_turn_radps: float
-    max_accel_mps2: float
-    max_turn_accel_radps2: float
+    speeds: SpeedLimits
     goal_timeout_s: float
     unseen_s: float
 
     def __post_init__(self) -> None:
-        names = (
-            "max_speed_mps max_turn_radps max_accel_mps2 max_turn_accel_radps2 goal_timeout_s unseen_s"
-        ).split()
-        check_numbers(self, positive=names)
+        check_numbers(self, positive=("goal_timeout_s", "unseen_s"))
 
 
 @dataclass(frozen=True)
@@ -87,18 +80,6 @@ class Order:
     reason: str
     wanted_v_mps: float = 0.0
     wanted_omega_radps: float = 0.0
-
-
-def limited(wanted: float, before: float, most: float, most_change: float) -> float:
-    """A number within ±`most` whose magnitude exceeds that of `before` by `most_change` at most.
-
-    A change of sign passes through 0, from where it grows anew. What is no number is 0.
-    """
-    if not math.isfinite(wanted):
-        return 0.0
-    least = abs(before) if wanted * before >= 0 and math.isfinite(before) else 0.0
-    size = min(abs(wanted), most, least + most_change)
-    return math.copysign(size, wanted)
 
 
 class RobotCore:
@@ -148,7 +129,7 @@ class RobotCore:
         self._stops = 0
         self._decided_s: float | None = None
         self._seen_s, self._doubled_s = -math.inf, -math.inf
-        self._v_mps = self._omega_radps = 0.0
+        self._limiter = Limiter(limits.speeds)
         self._refused = ""
         self._forget()
 
@@ -181,6 +162,11 @@ class RobotCore:
         """A sign of life of this robot."""
         return Beat(self.clocks.heard(now_s), state, self.session, self.armed)
 
+    def image_age_s(self, now_s: float) -> float | None:
+        """How old the newest image is that a goal came from; None if there was none."""
+        newest_s = float(self._team.inboxes.imaged_s.max())
+        return now_s - newest_s if math.isfinite(newest_s) else None
+
     def decide(self, now_s: float) -> Order:
         """What the wheels are to do from now on; called several times a second, come what may."""
         if not math.isfinite(now_s):
@@ -189,19 +175,17 @@ class RobotCore:
             self._started_s = now_s
         before_s, self._decided_s = self._decided_s, now_s
         if before_s is not None and not 0 <= now_s - before_s <= LONGEST_GAP_S:
+            was_doubled = before_s - self._doubled_s <= self.limits.unseen_s
             self._forget()
+            self._doubled_s = now_s if was_doubled else self._doubled_s
             return self._halt(f"its own clock moved by {now_s - before_s:+.3g} s between two decisions")
         orders = self._team.decide(now_s, [])
         v_mps, omega_radps = float(orders.command.v_mps[0]), float(orders.command.omega_radps[0])
         if reason := self._obstacle(now_s):
             return self._halt(reason, v_mps, omega_radps, now_s)
-        limits, step_s = self.limits, 0.0 if before_s is None else now_s - before_s
-        self._v_mps = limited(v_mps, self._v_mps, limits.max_speed_mps, limits.max_accel_mps2 * step_s)
-        self._omega_radps = limited(
-            omega_radps, self._omega_radps, limits.max_turn_radps, limits.max_turn_accel_radps2 * step_s
-        )
-        self._record(now_s)
-        return Order(self._v_mps, self._omega_radps, DRIVING, v_mps, omega_radps)
+        told = self._limiter.limit(Motion(v_mps, omega_radps), 0.0 if before_s is None else now_s - before_s)
+        self._record(told, now_s)
+        return Order(told.forward_mps, told.turn_radps, DRIVING, v_mps, omega_radps)
 
     def _obstacle(self, now_s: float) -> str | None:
         """What holds the wheels still now; None if nothing does."""
@@ -219,15 +203,15 @@ class RobotCore:
     def _halt(
         self, reason: str, v_mps: float = 0.0, omega_radps: float = 0.0, now_s: float | None = None
     ) -> Order:
-        self._v_mps = self._omega_radps = 0.0
+        self._limiter.last = STILL
         if now_s is not None:
-            self._record(now_s)
+            self._record(STILL, now_s)
         return Order(0.0, 0.0, reason, v_mps, omega_radps)
 
-    def _record(self, now_s: float) -> None:
+    def _record(self, motion: Motion, now_s: float) -> None:
         """Remember what the wheels are truly told, which takes the place of what the law asked for."""
-        told = VelocityCommand([self.robot_id], [self._v_mps], [self._omega_radps])  # type: ignore[arg-type]
-        self._motion.record(told, now_s)
+        told = np.array([motion.forward_mps]), np.array([motion.turn_radps])
+        self._motion.record(VelocityCommand(np.array([self.robot_id]), *told), now_s)
 
     def _hear_unit(self, message: MotionGoals | Proximity | Sighting, sender: str, now_s: float) -> None:
         """Take in news of an image, if its time by our clock is known and can be."""
@@ -274,7 +258,7 @@ class RobotCore:
             delay_s=self._delay_s,
             memory_s=self.limits.goal_timeout_s + FUTURE_S,
         )
-        self._v_mps = self._omega_radps = 0.0
+        self._limiter.last = STILL
         self._seen_s = self._doubled_s = -math.inf
         neighbors = None
         if self._avoidance is not None:

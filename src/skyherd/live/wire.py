@@ -1,4 +1,4 @@
-"""What goes over the radio: the messages of the recordings, each in an envelope, and the door for what arrives.
+"""What goes over the radio: the recorded messages, each in an envelope, and the door for what arrives.
 
 An envelope is a JSON object with seven keys: the version of the format, the team, the sender's name, the
 stamp of sending by the sender's clock, the kind of the message, and the message itself as it is recorded.
@@ -233,13 +233,11 @@ def decode(data: bytes, team: str) -> Envelope:
     if not isinstance(kind, str) or kind not in KINDS:
         raise Refused(f"of an unknown kind from {_shown(sender)}")
     try:
-        message = _message(KINDS[kind], record.get("body"))
+        message = plain_message(kind, record.get("body"))
     except (ValueError, TypeError, KeyError, AttributeError, IndexError, OverflowError, RuntimeWarning):
         raise Refused(f"{kind} of a wrong shape from {_shown(sender)}") from None
     unit, robot = getattr(message, "unit_id", None), getattr(message, "robot_id", None)
-    expected = (
-        f"unit/{unit}" if unit is not None else None if robot is None else f"robot/{robot}"
-    )
+    expected = f"unit/{unit}" if unit is not None else None if robot is None else f"robot/{robot}"
     if expected is not None and sender != expected:
         raise Refused(f"{kind} in another's name from {_shown(sender)}")
     return Envelope(sender, float(sent_s), message)
@@ -254,8 +252,13 @@ def _shown(text: str) -> str:
     return repr(shorten(printable(text), 30))
 
 
-def _message(kind: type, body: Any) -> Message:
-    """A message from its plain object; whatever is wrong raises one of Python's errors, or a MessageError."""
+def plain_message(name: str, body: Any) -> Message:
+    """A message of a kind of `KINDS` from its plain object.
+
+    Raises:
+        MessageError, ValueError, TypeError, KeyError, AttributeError, IndexError, OverflowError: it is none.
+    """
+    kind = KINDS[name]
     if not isinstance(body, dict):
         raise TypeError("no object")
     for field in fields(kind):

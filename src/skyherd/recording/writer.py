@@ -221,9 +221,9 @@ class McapRecorder:
         self._log.put(f"{topic}/truth", time_s, truth)
         if self.images and sight.image is not None:
             _, data = cv2.imencode(".jpg", sight.image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
-            nanoseconds = nanoseconds(time_s)
+            at_ns = nanoseconds(time_s)
             record = {
-                "timestamp": {"sec": nanoseconds // 10**9, "nsec": nanoseconds % 10**9},
+                "timestamp": {"sec": at_ns // 10**9, "nsec": at_ns % 10**9},
                 "frame_id": topic,
                 "data": base64.b64encode(data.tobytes()).decode(),
                 "format": "jpeg",

@@ -12,9 +12,7 @@ if TYPE_CHECKING:
     from skyherd.live.lab import Lab
     from skyherd.live.radio import Radio
 
-live_app = typer.Typer(
-    help="Real cameras and robots: check, run, arm and stop a lab.", rich_markup_mode=None
-)
+live_app = typer.Typer(help="Real cameras and robots: check, run, arm and stop a lab.", rich_markup_mode=None)
 
 LabFile = Annotated[str, typer.Argument(help="A lab.toml, or the name of an example.")]
 Insecure = Annotated[
@@ -172,7 +170,7 @@ def stop(lab_file: LabFile, settings: Settings = None, insecure: Insecure = Fals
 def replay(
     folder: Annotated[Path, typer.Argument(help="A folder of `skyherd live run`, or one of its files.")],
 ) -> int:
-    """Decide anew from what each process recorded, and compare bit for bit. Exit code 1 if anything differs."""
+    """Decide anew from what each process recorded, and compare bit for bit; exit code 1 if they differ."""
     from skyherd.errors import InputError
     from skyherd.live.replay import replay as replay_file
 

@@ -88,7 +88,7 @@ def robot(
     supervised: Supervised = False,
     clock_offset_s: Offset = 0.0,
 ) -> int:
-    """Be one robot of a lab: goals in, wheel commands out, until Ctrl-C. Disarmed until `skyherd live arm`."""
+    """Be one robot of a lab: goals in, wheel commands out, until Ctrl-C, disarmed until armed."""
     from skyherd.live.live_clock import LiveClock
     from skyherd.live.processes import Station, run_robot
 

@@ -1,5 +1,6 @@
 """The two kinds of processes: a unit behind its camera, and a robot behind its driver."""
 
+import re
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -66,6 +67,9 @@ class Station:
         return Diary(path, name, self.lab, self.clock())
 
 
+_NUMBERS = re.compile(r"[\d.]+")
+
+
 class Told:
     """Tells people a line when it changes, and keeps it."""
 
@@ -73,9 +77,9 @@ class Told:
         self._station, self._diary, self._last = station, diary, ""
 
     def say(self, line: str) -> None:
-        """Say a line unless it is the one that was said last; nothing for an empty one."""
-        if line != self._last:
-            self._last = line
+        """Say a line unless the last one was the same but for its numbers; nothing for an empty one."""
+        if (gist := _NUMBERS.sub("", line)) != self._last:
+            self._last = gist
             if line:
                 self._diary.put("/tell", self._station.clock(), {"line": line})
                 self._station.tell(line)

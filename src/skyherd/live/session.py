@@ -131,7 +131,9 @@ def _page(lab: Lab, watched: operator.Watch, supervisor: Supervisor, lines: Sequ
         says = "no sign of life" if beat is None else printable(beat.state)
         mark = "" if beat is None or not beat.session else "ARMED" if beat.armed else "no"
         table.add_row(child.name, str(child.restarts + 1), mark, Text(says))
-    head = f"team {lab.model.team}: {armed} of {len(lab.ids)} robots armed.  a: arm   space: STOP   Ctrl-C: end"
+    head = (
+        f"team {lab.model.team}: {armed} of {len(lab.ids)} robots armed.  a: arm   space: STOP   Ctrl-C: end"
+    )
     return Group(Text(head, style="bold"), table, Text("\n".join(lines)))
 
 

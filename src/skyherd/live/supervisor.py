@@ -18,7 +18,7 @@ short break costs little, and what crashes at once does not keep the machine bus
 STEADY_S = 10.0
 """A process that ran for so long before it crashed is started again after the first pause, s."""
 
-END_S = 5.0
+END_S = 10.0
 """How long processes have to end when they are asked to, before they are killed, s. Chosen: wheels are told
 to stand still at once; the rest is a recording's last chunk."""
 

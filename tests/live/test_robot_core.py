@@ -213,7 +213,7 @@ actions = st.one_of(
 
 
 @given(st.lists(actions, max_size=60))
-@settings(max_examples=60)
+@settings(max_examples=30)
 def test_wheels_turn_only_while_everything_holds(script) -> None:
     """An independent account of when the robot may move, against any order of events."""
     scene, core = Scene(), make_core()

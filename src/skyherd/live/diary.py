@@ -106,6 +106,7 @@ class Diary:
                 self._flushed_s = now_s
         except OSError as error:
             self.trouble = f"{self._path}: {error.strerror or error}; nothing is recorded from now on"
+            self._log.abandon()
             self._log = None
 
     def __enter__(self) -> Self:

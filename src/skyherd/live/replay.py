@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import orjson
-from mcap.exceptions import McapError
 from mcap.records import Channel, Message
 from mcap.stream_reader import StreamReader
 
@@ -17,6 +16,7 @@ from skyherd.live.unit_core import UnitCore
 from skyherd.live.wire import Envelope, plain_message
 from skyherd.messages import Detections
 from skyherd.recording.json_codec import from_plain, to_json
+from skyherd.recording.survey import MALFORMED
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ def read_diary(path: Path) -> Iterator[tuple[str, Any]]:
                     channels[record.id] = record.topic
                 elif isinstance(record, Message):
                     yield channels.get(record.channel_id, ""), orjson.loads(record.data)
-        except (McapError, EOFError, ValueError) as error:
+        except (*MALFORMED, EOFError) as error:
             if not channels:
                 what = " ".join(str(error).split()) or type(error).__name__
                 raise InputError(str(path), what, "a file of `skyherd live run`") from None

@@ -15,6 +15,10 @@ ANY_PORT = "tcp/127.0.0.1:0"
 file, and the others are told of each other by it."""
 
 
+RETRY_MS = 300
+"""Time between two tries to get the port of the file, ms. Chosen: closing waits for the present one."""
+
+
 class ZenohRadio(Radio):
     """A Zenoh session in peer mode, which nothing finds that is not told where.
 
@@ -37,13 +41,13 @@ class ZenohRadio(Radio):
             import zenoh
         except ImportError:
             raise InputError("radio", "Zenoh is not installed", "pip install 'skyherd[live]'") from None
-        zenoh.init_log_from_env_or("error")
         config = zenoh.Config()
         settings: dict[str, Any] = {
             "mode": "peer",
             "listen/endpoints": [*places.listen, ANY_PORT] if places.is_loopback else places.listen,
             "listen/exit_on_failure": False,
             "listen/timeout_ms": -1,
+            "listen/retry": {"period_init_ms": RETRY_MS, "period_max_ms": RETRY_MS},
             "connect/endpoints": places.connect,
             "connect/exit_on_failure": False,
             "connect/timeout_ms": 0,

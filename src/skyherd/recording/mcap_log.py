@@ -2,6 +2,7 @@
 
 import sys
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -71,6 +72,11 @@ class McapLog:
     def add_metadata(self, name: str, texts: dict[str, str]) -> None:
         """Add texts to the file that are no message."""
         self._writer.add_metadata(name, texts)
+
+    def abandon(self) -> None:
+        """Close the file as it is, after it could not be written."""
+        with suppress(OSError):
+            self._file.close()
 
     def close(self) -> None:
         """Finish the file."""

@@ -5,7 +5,7 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
 from typing import Annotated
@@ -31,7 +31,7 @@ def _asked_to_end(supervised: bool) -> Iterator[Callable[[], bool]]:
     names = [name for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
     before = {name: signal.signal(getattr(signal, name), ask) for name in names}
     if supervised:
-        threading.Thread(target=lambda: (_read_to_end(), asked.set()), daemon=True).start()
+        threading.Thread(target=_read_to_end, args=[asked], daemon=True).start()
     try:
         yield asked.is_set
     finally:
@@ -39,13 +39,12 @@ def _asked_to_end(supervised: bool) -> Iterator[Callable[[], bool]]:
             signal.signal(getattr(signal, name), handler)
 
 
-def _read_to_end() -> None:
-    """Read standard input until whoever holds its other end is gone."""
-    try:
+def _read_to_end(asked: threading.Event) -> None:
+    """Read standard input until whoever holds its other end is gone, which asks for the end."""
+    with suppress(OSError):
         while os.read(sys.stdin.fileno(), 4096):
             pass
-    except OSError:
-        pass
+    asked.set()
 
 
 def _tell(line: str) -> None:

@@ -237,7 +237,7 @@ class RobotCore:
             elif self.robot_id in message.ids:
                 self._seen_s = max(self._seen_s, taken_s)
             return
-        mine = self.robot_id == message.ids
+        mine = np.asarray(message.ids == self.robot_id)
         if isinstance(message, MotionGoals):
             if mine.any():
                 ours = self.clocks.in_our_time(_only(message, mine), sender, now_s)

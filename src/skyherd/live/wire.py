@@ -13,7 +13,7 @@ shape and from who may send it becomes a message. All else is refused with a rea
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import Any, TypeGuard
 
 import orjson
 
@@ -243,7 +243,7 @@ def decode(data: bytes, team: str) -> Envelope:
     return Envelope(sender, float(sent_s), message)
 
 
-def is_stamp(value: Any) -> bool:
+def is_stamp(value: Any) -> TypeGuard[float]:
     """Whether a plain value is a time that a clock can show."""
     return isinstance(value, int | float) and not isinstance(value, bool) and -LATEST_S < value < LATEST_S
 

@@ -44,6 +44,9 @@ QUALITY = {"preset": "ultrafast", "tune": "zerolatency", "crf": "18"}
 KEY_FRAME_S = 2.0
 """Time between two pictures that need none before them, s."""
 
+FULL_RANGE = 2
+"""FFmpeg's number of grey levels from 0 to 255, where videos have 16 to 235 as a rule."""
+
 MILLISECOND = Fraction(1, 1000)
 """Unit of time of FLV."""
 
@@ -123,6 +126,7 @@ class CameraStream:
         stream.pix_fmt = "yuv420p"
         context = stream.codec_context
         context.thread_count = 1
+        context.color_range = FULL_RANGE
         context.gop_size = max(1, round(KEY_FRAME_S * self._rate_hz))
         last = -1
         try:
@@ -135,6 +139,7 @@ class CameraStream:
                 picture = av.VideoFrame.from_ndarray(_yuv(image), format="yuv420p")
                 last = max(last + 1, round(taken_s * 1000))
                 picture.pts, picture.time_base = last, MILLISECOND
+                picture.color_range = FULL_RANGE
                 container.mux(stream.encode(picture))
                 self.sent += 1
         finally:

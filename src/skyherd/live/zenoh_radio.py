@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from skyherd.errors import InputError
+from skyherd.live.drivers.extras import import_extra
 from skyherd.live.lab import LabRadio
 from skyherd.live.radio import Radio
 
@@ -37,10 +38,7 @@ class ZenohRadio(Radio):
 
     def __init__(self, places: LabRadio, folder: Path, *, insecure: bool = False) -> None:
         places.check(insecure=insecure)
-        try:
-            import zenoh
-        except ImportError:
-            raise InputError("radio", "Zenoh is not installed", "pip install 'skyherd[live]'") from None
+        zenoh = import_extra("zenoh", "eclipse-zenoh", "radio")
         config = zenoh.Config()
         settings: dict[str, Any] = {
             "mode": "peer",

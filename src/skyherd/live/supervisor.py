@@ -66,7 +66,10 @@ class Supervisor:
 
     def add(self, name: str, arguments: Sequence[str]) -> None:
         """Start `skyherd ARGUMENTS` under a name."""
-        child = Child(name, [sys.executable, "-m", "skyherd", *arguments])
+        self.take(Child(name, [sys.executable, "-m", "skyherd", *arguments]))
+
+    def take(self, child: Child) -> None:
+        """Start any other process."""
         self.children.append(child)
         self._start(child)
 
@@ -81,6 +84,8 @@ class Supervisor:
             code = child.process.poll()
             if code is None:
                 continue
+            if child.process.stdin is not None:
+                child.process.stdin.close()
             child.process, child.code = None, code
             if code in DONE:
                 self.say(child.name, f"ended with code {code}")

@@ -7,8 +7,8 @@ import argparse
 import shutil
 from pathlib import Path
 
-from skyherd.bench.page import markdown
 from skyherd.bench.result import read_result
+from skyherd.bench.table import markdown_page
 from skyherd.bench.tables import make_tables
 
 DOC = Path(__file__).parent.parent / "docs" / "benchmark.md"
@@ -23,7 +23,7 @@ def main() -> None:
     result = read_result(options.folder)
     before, rest = DOC.read_text("utf-8").split(BEGIN)
     after = rest.split(END)[1]
-    tables = markdown(result, make_tables(result))
+    tables = markdown_page(make_tables(result), result.environment)
     DOC.write_text(f"{before}{BEGIN}\n\n{tables}\n{END}{after}", "utf-8")
     for drawn, shown in FIGURES.items():
         shutil.copyfile(options.folder / "figures" / drawn, DOC.parent / shown)

@@ -1,5 +1,6 @@
-"""The image type that every detector takes, and its check."""
+"""The image type that every detector takes, its check, and how images are shrunk."""
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -21,3 +22,16 @@ def check_grey(image: Image) -> Image:
     if image.ndim != 2 or image.dtype != np.uint8 or min(image.shape) < 1:
         raise InputError("image", f"shape {image.shape}, {image.dtype}", "grey, (height, width), uint8")
     return np.ascontiguousarray(image)
+
+
+def block_means(image: Image, side: int) -> Image:
+    """Return the image shrunk by `side`: means, rounded, over squares of `side` x `side` pixels.
+
+    Lines and columns that make no whole square are left out. An image smaller than one square becomes one of
+    shape (0, 0).
+    """
+    height, width = (length // side for length in image.shape)
+    if min(height, width) == 0:
+        return np.zeros((0, 0), dtype=np.uint8)
+    whole = image[: height * side, : width * side]
+    return np.asarray(cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA), dtype=np.uint8)

@@ -15,15 +15,11 @@ from skyherd.datasets.configuration.scene_models import (
     ProcessingModel,
     SensorModel,
 )
+from skyherd.datasets.labelled.camera_specs import LensBlurSpec, ProcessingSpec, SensorSpec
 from skyherd.datasets.labelled.ranges import draw_integer, draw_number
+from skyherd.datasets.labelled.scene_specs import OccludersSpec
 from skyherd.datasets.labelled.scenes import Scene, Station, corners_m
-from skyherd.datasets.labelled.spec import (
-    DatasetSpec,
-    LensBlurSpec,
-    OccludersSpec,
-    ProcessingSpec,
-    SensorSpec,
-)
+from skyherd.datasets.labelled.spec import DatasetSpec
 from skyherd.geometry import Array, BoolArray, IntArray, apply_homography, inverse
 from skyherd.markers.dictionary import card_side, dictionary_size
 from skyherd.random_streams import LabelledSetStream, generator

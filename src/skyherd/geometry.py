@@ -26,6 +26,9 @@ UNIFORM_VARIANCE = 1.0 / 12.0
 """Variance of a value spread evenly over an interval of length 1: of the error of rounding to whole numbers
 (grey levels squared), and of a square pixel along one axis (px²). Derived: `∫ x² dx` from -1/2 to 1/2."""
 
+MEDIAN_PER_SIGMA = 0.6745
+"""Median of the magnitude of a normal variable of unit variance. Derived: Φ(0.6745) = 3/4."""
+
 SQUARE_CORNERS: ComplexArray = np.array([-0.5 - 0.5j, 0.5 - 0.5j, 0.5 + 0.5j, -0.5 + 0.5j])
 """Corners 0-3 of a marker of side 1 about its centre, as `right + i down`: front left, front right, back
 right, back left. The marker's forward direction is -i."""

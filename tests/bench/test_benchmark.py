@@ -17,7 +17,8 @@ from skyherd.bench.frames import lens_blur, rendered_frames
 from skyherd.bench.page import MARKDOWN, PAGE, write_outputs
 from skyherd.bench.result import RESULT, Result, environment, read_result
 from skyherd.bench.scene import SPEED_PX, TURN_RAD, camera_shots
-from skyherd.bench.tables import make_tables, share, short
+from skyherd.bench.table import share, short
+from skyherd.bench.tables import make_tables
 from skyherd.bench.timing import WARM_UP, measure_times, timing_cells
 from skyherd.cli import main
 from skyherd.errors import InputError

@@ -16,9 +16,9 @@ from PIL import Image
 from skyherd.bench.boards.accuracy import RAYLEIGH_MEDIAN, collect_errors, covariance, find_floor, only
 from skyherd.bench.boards.board_errors import FEWEST_IMAGES, BoardErrors, Fitted, learn_board_errors
 from skyherd.bench.boards.board_fit import MAX_LEVERAGE, fit_board, robust_sigma
+from skyherd.bench.boards.image_noise import immerkaer_noise
 from skyherd.bench.boards.layout import BoardModel, board_corners
 from skyherd.bench.boards.lens_degree import choose_degrees
-from skyherd.bench.boards.measurement import image_noise
 from skyherd.bench.photographs.sightings import Sightings
 from skyherd.geometry import apply_homography
 from skyherd.markers.dictionary import load_dictionary
@@ -311,12 +311,12 @@ def test_layouts_are_those_of_opencv_and_kalibr():
     np.testing.assert_array_equal(kalibr[5].min(axis=0), [3.0, 0.0])
 
 
-def test_image_noise_is_the_noise_and_not_the_picture():
+def test_immerkaer_noise_is_the_noise_and_not_the_picture():
     rng = np.random.default_rng(4)
     shade = np.add.outer(np.linspace(50, 120, 300), np.linspace(0, 60, 400))
     noisy = shade + rng.normal(0, 4.0, shade.shape)
-    assert image_noise(np.rint(noisy).astype(np.uint8)) == pytest.approx(4.0, rel=0.04)
-    assert image_noise(np.rint(shade).astype(np.uint8)) < 0.6
+    assert immerkaer_noise(np.rint(noisy).astype(np.uint8)) == pytest.approx(4.0, rel=0.04)
+    assert immerkaer_noise(np.rint(shade).astype(np.uint8)) < 0.6
 
 
 def test_only_keeps_the_markers_named():

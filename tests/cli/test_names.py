@@ -14,6 +14,7 @@ from command_line import assert_refused, call
 
 from skyherd.cli.console import say_table
 from skyherd.inspection import inspector
+from skyherd.inspection.output_names import picture_names
 
 NASTY = [
     "=cmd()|'calc'!A0.png",
@@ -117,7 +118,7 @@ def test_a_table_shows_no_markup_and_no_escape(capsys):
 
 def test_two_names_that_look_alike_have_two_pictures():
     files = [Path("a\x01.png"), Path(r"a\x01.png"), Path("a_x01.png"), Path("a.png"), Path("a.jpg")]
-    names = inspector._picture_names(files)
+    names = picture_names(files)
     assert len(set(names.values())) == len(files)
 
 

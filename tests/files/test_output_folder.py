@@ -10,7 +10,9 @@ import pytest
 
 from skyherd.errors import InputError
 from skyherd.files.atomic import write_text
-from skyherd.files.output_folder import RECORD, OutputFile, OutputFolder
+from skyherd.files.folder_record import RECORD
+from skyherd.files.output_file import OutputFile
+from skyherd.files.output_folder import OutputFolder
 
 NAMES = ["a.txt", "figures/b.txt"]
 

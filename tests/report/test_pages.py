@@ -10,26 +10,43 @@ import pytest
 import skyherd
 from skyherd.report.pages import data_uri, render_page
 
-TEMPLATES = {"skyherd.report": "report.html", "skyherd.bench": "bench.html"} | {
-    f"skyherd.study:{kind}": f"{kind}.html" for kind in ("invariance", "methods")
+PAGES = {
+    "skyherd.report": {"report.html": "base.html"},
+    "skyherd.bench": {
+        "measurement.html": "base.html",
+        "bench.html": "measurement.html",
+        "boards.html": "measurement.html",
+        "photographs.html": "measurement.html",
+    },
+    "skyherd.study": {
+        "study.html": "base.html",
+        "invariance.html": "study.html",
+        "methods.html": "study.html",
+    },
 }
+"""Templates of each package, with what they extend."""
 HOSTILE = '<script>alert(1)</script> & "quoted" {{ title }}'
 
 
-@pytest.mark.parametrize(("package", "template"), TEMPLATES.items())
-def test_every_page_extends_the_base_and_leaves_escaping_to_the_engine(package: str, template: str) -> None:
-    text = files(package.partition(":")[0]).joinpath("templates", template).read_text("utf-8")
-    assert '{% extends "base.html" %}' in text
-    assert "safe" not in text and "autoescape" not in text
+@pytest.mark.parametrize("package", PAGES)
+def test_every_page_extends_the_base_and_leaves_escaping_to_the_engine(package: str) -> None:
+    templates = files(package).joinpath("templates")
+    found = {file.name for file in templates.iterdir() if file.name.endswith(".html")}
+    assert found - {"base.html", "parts.html"} == PAGES[package].keys()
+    for template, base in PAGES[package].items():
+        text = templates.joinpath(template).read_text("utf-8")
+        assert f'{{% extends "{base}" %}}' in text
+        assert "safe" not in text and "autoescape" not in text
 
 
 def test_what_is_inserted_never_becomes_markup_or_template() -> None:
     table = {"title": HOSTILE, "note": HOSTILE, "header": [HOSTILE, HOSTILE], "rows": [[HOSTILE, HOSTILE]]}
     values = {"tiles": [], "figures": [], "tables": [table], "environment": [(HOSTILE, HOSTILE)]}
+    values |= {"refused": [(HOSTILE, HOSTILE, HOSTILE)]}
     page = render_page("skyherd.bench", "bench.html", title=HOSTILE, **values)
     assert page.startswith("<!DOCTYPE html>")
     assert "<script" not in page
-    assert page.count("&lt;script&gt;alert(1)&lt;/script&gt; &amp; ") >= 9
+    assert page.count("&lt;script&gt;alert(1)&lt;/script&gt; &amp; ") >= 12
     assert "{{ title }}" in page
 
 

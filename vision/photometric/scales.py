@@ -9,11 +9,10 @@ import math
 from dataclasses import replace
 from functools import reduce
 
-import cv2
 import numpy as np
 
 from skyherd.geometry import UNIFORM_VARIANCE, Array, IntArray
-from skyherd.vision.grey import Image
+from skyherd.vision.grey import Image, block_means
 from skyherd.vision.photometric.fit import MAX_STEPS, fit_markers
 from skyherd.vision.photometric.fit_result import FitResults
 from skyherd.vision.photometric.local_homography import LocalHomographies
@@ -108,7 +107,7 @@ class ScaledImage:
 
     def __init__(self, image: Image, shrink: int) -> None:
         self.shrink = shrink
-        self.image = image if shrink == 1 else _shrunk(image, shrink)
+        self.image = image if shrink == 1 else block_means(image, shrink)
 
     def sigmas_px(self, sigmas_px: Array) -> Array:
         """Return blurs (N,) of lens and pixel in shrunk pixels, from those in full-size pixels."""
@@ -142,10 +141,3 @@ class ScaledImage:
 def _with_pixel(variances: Array) -> Array:
     """Standard deviations (N,) of lenses of given variances, px², and a square pixel together."""
     return np.asarray(np.sqrt(variances + UNIFORM_VARIANCE))
-
-
-def _shrunk(image: Image, shrink: int) -> Image:
-    """Means over squares of `shrink` pixels; lines that make no whole square are left out."""
-    height, width = (side // shrink for side in image.shape)
-    whole = image[: height * shrink, : width * shrink]
-    return np.asarray(cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA), dtype=np.uint8)

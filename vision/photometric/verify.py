@@ -19,7 +19,7 @@ from functools import lru_cache
 import numpy as np
 from scipy.special import ndtr
 
-from skyherd.geometry import UNIFORM_VARIANCE, Array, BoolArray
+from skyherd.geometry import MEDIAN_PER_SIGMA, UNIFORM_VARIANCE, Array, BoolArray
 from skyherd.vision.grey import Image
 from skyherd.vision.photometric.fit import has_outlier_pixels
 from skyherd.vision.photometric.fit_result import FitResults, weighted_median
@@ -112,9 +112,6 @@ MIN_DIVISOR_CONTRAST = 1e-3
 
 ROUNDING_NOISE = math.sqrt(UNIFORM_VARIANCE)
 """Least noise of an image, grey levels. Derived: rounding to whole grey levels has `sqrt(1 / 12)` = 0.29."""
-
-MEDIAN_PER_SIGMA = 0.6745
-"""Median of the absolute value of a normal variable of unit variance. Derived: Φ(0.6745) = 3/4."""
 
 
 def bits_are_right(fits: FitResults, distance: int) -> BoolArray:

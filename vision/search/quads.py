@@ -7,11 +7,10 @@ boundaries of an image are treated at once, by NumPy operations on all of their 
 
 import math
 
-import cv2
 import numpy as np
-import numpy.typing as npt
 
 from skyherd.geometry import Array, BoolArray, ComplexArray, IntArray, to_points
+from skyherd.vision.grey import Image, block_means
 from skyherd.vision.search.regions import Boundaries, dark_boundaries, dark_regions
 
 MIN_QUAD_SIDE_PX = 7.0
@@ -61,7 +60,7 @@ MAX_AREA_MISMATCH = 0.3
 through four corners of some other outline misses more."""
 
 
-def find_quads(image: npt.NDArray[np.uint8]) -> Array:
+def find_quads(image: Image) -> Array:
     """Return the corners (N, 4, 2), px, of the dark quadrilaterals in a grey image (height, width).
 
     Corners run clockwise as seen and begin with any of the four. A quadrilateral may be found several times:
@@ -71,7 +70,7 @@ def find_quads(image: npt.NDArray[np.uint8]) -> Array:
     """
     found = []
     for shrink in SHRINKS:
-        small = image if shrink == 1 else _shrunk(image, shrink)
+        small = image if shrink == 1 else block_means(image, shrink)
         regions = dark_regions(small)
         if regions is None:
             break
@@ -99,15 +98,6 @@ def _quads_of(boundaries: Boundaries, growth_px: float) -> Array:
     sides = _sides(points, starts, lengths, _corner_rows(points, starts, lengths))
     corners = _lines_met(*sides, growth_px)
     return to_points(corners[_is_quad(corners, area, growth_px)])
-
-
-def _shrunk(image: npt.NDArray[np.uint8], shrink: int) -> npt.NDArray[np.uint8]:
-    """Means over squares of `shrink` pixels; lines that make no whole square are left out."""
-    height, width = (side // shrink for side in image.shape)
-    if min(height, width) == 0:
-        return np.zeros((0, 0), dtype=np.uint8)
-    whole = image[: height * shrink, : width * shrink]
-    return np.asarray(cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
 def _cross(a: ComplexArray, b: ComplexArray) -> Array:

@@ -2,11 +2,12 @@
 
 from pathlib import Path
 
+from skyherd.bench.measurement_page import write_page
 from skyherd.bench.plots import PLOTS, write_plots
 from skyherd.bench.result import RESULT, Result
-from skyherd.bench.tables import Table, make_tables, markdown_page, plain_text, short
-from skyherd.files.atomic import write_text
-from skyherd.report.pages import Tile, figure_card, render_page
+from skyherd.bench.table import short
+from skyherd.bench.tables import make_tables
+from skyherd.report.pages import Tile
 
 PAGE, MARKDOWN = "bench.html", "bench.md"
 """File names in the result's folder."""
@@ -24,24 +25,15 @@ def write_outputs(result: Result, folder: Path) -> Path:
     Raises:
         OutputError: a file could not be written.
     """
-    figures = write_plots(result, folder / "figures")
-    tables = make_tables(result)
-    write_text(folder / MARKDOWN, markdown(result, tables))
-    page = render_page(
-        "skyherd.bench",
-        PAGE,
+    return write_page(
+        folder,
+        "bench",
         title="Marker detectors",
         tiles=_tiles(result),
-        figures=[figure_card(figure) for figure in figures],
-        tables=tables,
-        environment=[(key.replace("_", " "), plain_text(value)) for key, value in result.environment.items()],
+        figures=write_plots(result, folder / "figures"),
+        tables=make_tables(result),
+        environment=result.environment,
     )
-    return write_text(folder / PAGE, page)
-
-
-def markdown(result: Result, tables: list[Table]) -> str:
-    """The tables in Markdown, and below them the programs and the machine that they were measured with."""
-    return markdown_page(tables, result.environment)
 
 
 def _tiles(result: Result) -> list[Tile]:

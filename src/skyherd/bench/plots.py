@@ -1,7 +1,6 @@
 """The result of the benchmark as figures, PNG and SVG."""
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,70 +12,25 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullLocat
 
 from skyherd.bench.axes import AIM, ratio_axes, share_axes, side_axis, span
 from skyherd.bench.design import CAMERA_SWEEPS, SWEEPS, Sweep
-from skyherd.bench.entrants import is_ours
+from skyherd.bench.detector_style import style_of
 from skyherd.bench.result import Result, Row
 from skyherd.bench.tables import MIDDLE_NOISE
-from skyherd.drawing.palette import INK, MUTED, UNIT_COLORS
-from skyherd.plots.panels import FigureFile, save_figure
-from skyherd.plots.style import drawing_style, legend_above, new_figure
-
-OUR_COLORS = (UNIT_COLORS[0], UNIT_COLORS[1], INK, UNIT_COLORS[2])
-OTHER_COLORS = (UNIT_COLORS[7], UNIT_COLORS[4], UNIT_COLORS[5], UNIT_COLORS[3], UNIT_COLORS[2], MUTED)
-"""Colours of skyherd's own detectors and of the others, in the result's order."""
-
-MARKS = "osD^vPX<>*"
-"""Matplotlib markers of the detectors."""
+from skyherd.drawing.palette import INK, MUTED
+from skyherd.plots.panels import FigureFile, Panel, write_panels
+from skyherd.plots.style import legend_above, new_figure
 
 NEES_BAND = (0.8, 1.25)
 """Band of NEES in which reported variances count as right: off by at most a quarter."""
 
 
-@dataclass(frozen=True)
-class Plot:
-    """A figure of a result: name, title, caption; `draw` returns None where there are no rows for it."""
-
-    name: str
-    title: str
-    caption: str
-    draw: Callable[[Result], Figure | None]
-
-
 def write_plots(result: Result, folder: Path) -> list[FigureFile]:
-    """Draw all figures that the result has rows for into a folder, which is made if need be.
-
-    Raises:
-        OutputError: a file could not be written.
-    """
-    folder.mkdir(parents=True, exist_ok=True)
-    files = []
-    with drawing_style():
-        for plot in PLOTS:
-            figure = plot.draw(result)
-            if figure is not None:
-                files.append(save_figure(figure, folder, plot.name, plot.title, plot.caption))
-    return files
+    """Draw all figures that the result has rows for into a folder, as `skyherd.plots.panels.write_panels`."""
+    return write_panels(PLOTS, result, folder)
 
 
 def detector_style(result: Result, name: str) -> dict[str, Any]:
     """Style of a detector's line, the same in all figures of a result."""
     return style_of(result.detectors, name)
-
-
-def style_of(names: Sequence[str], name: str) -> dict[str, Any]:
-    """Style of the line of one of these detectors: solid for skyherd's own, dashed for the others.
-
-    Lines of own detectors become narrower one by one, so that lines that coincide all show.
-    """
-    same = [other for other in names if is_ours(other) == is_ours(name)]
-    index, ours = same.index(name), is_ours(name)
-    colors = OUR_COLORS if ours else OTHER_COLORS
-    return {
-        "color": colors[index % len(colors)],
-        "linestyle": "-" if ours else "--",
-        "linewidth": max(3.2 - 0.9 * index, 1.2) if ours else 1.2,
-        "marker": MARKS[(index if ours else index + 4) % len(MARKS)],
-        "markersize": max(7.5 - 1.5 * index, 4.0) if ours else 4.5,
-    }
 
 
 def _legend(figure: Figure, result: Result, names: Iterable[str]) -> None:
@@ -250,49 +204,49 @@ def draw_times(result: Result) -> Figure | None:
     return figure
 
 
-PLOTS = (
-    Plot(
+PLOTS: tuple[Panel[Result], ...] = (
+    Panel(
         "accuracy",
         "Accuracy",
         "RMSE of the markers found over the Cramér–Rao bound, by marker side; the line at 1 is the bound, "
         f"the dotted one {AIM:g}. Blur from 0.5 to 1.5 px, which no detector is given.",
         draw_accuracy,
     ),
-    Plot(
+    Panel(
         "recall",
         "Recall",
         "Share of the whole markers in view that were found, in the same images.",
         draw_recall,
     ),
-    Plot(
+    Panel(
         "factors",
         "One factor at a time",
         "RMSE of the position over its bound as one factor leaves the base cell: 30 px, noise 5, full "
         "contrast, seen from straight above.",
         draw_factors,
     ),
-    Plot("factor_recall", "Recall, one factor at a time", "Recall in the same cells.", draw_factor_recall),
-    Plot(
+    Panel("factor_recall", "Recall, one factor at a time", "Recall in the same cells.", draw_factor_recall),
+    Panel(
         "camera",
         "Lens and processing, one at a time",
         "The same through what a consumer camera does: blur that is no Gaussian, colour filters, tone, "
         "denoising, sharpening, codecs, and all of it. The bound is that of the raw pixels.",
         draw_camera,
     ),
-    Plot(
+    Panel(
         "camera_recall",
         "Recall, lens and processing",
         "Recall in the same cells.",
         draw_camera_recall,
     ),
-    Plot(
+    Panel(
         "honesty",
         "Covariance compared with the errors",
         "Mean of error² over the variance that the detector reports; 1 is right, the band is 0.8 to 1.25, "
         "more means variances that are too small. Detectors that report none are left out.",
         draw_nees,
     ),
-    Plot(
+    Panel(
         "times",
         "Time per frame",
         "Median, with a whisker to the 99th percentile; one thread, sixteen markers of 30 px that move, all "

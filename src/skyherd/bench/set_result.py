@@ -1,11 +1,13 @@
 """What a measurement on sets of photographs results in: a row for each set and detector."""
 
 import json
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from skyherd.bench.result import Row
+from skyherd.bench.table import Table
 from skyherd.files.atomic import write_text
 
 
@@ -45,6 +47,18 @@ class SetResult:
             for name in self.sets
             if name not in read
         }
+
+    def tables_by_set(self, header: tuple[str, ...], cells: Callable[[Row], tuple[str, ...]]) -> list[Table]:
+        """A table for each set that anybody can read, with a row for each detector, as `cells` has it."""
+        return [
+            Table(name, "", header, tuple(cells(row) for row in self.rows if row["set"] == name))
+            for name in self.sets
+            if name not in self.unread()
+        ]
+
+    def refusals(self) -> list[tuple[str, str, str]]:
+        """Set, detector, and why the one cannot be read by the other."""
+        return [(name, *pair) for name, of_set in self.refused.items() for pair in of_set.items()]
 
     def write(self, path: Path) -> Path:
         """Write the result as JSON, and return the path.

@@ -13,7 +13,7 @@ from skyherd.errors import InputError
 
 if TYPE_CHECKING:
     from skyherd.bench.set_result import SetResult
-    from skyherd.bench.tables import Table
+    from skyherd.bench.table import Table
 
 bench_app = typer.Typer(help="Measure parts of skyherd, and their peers.", rich_markup_mode=None)
 
@@ -126,7 +126,7 @@ def photographs(
     """
     from skyherd.bench.image_sets import load_image_sets
     from skyherd.bench.photographs.measurement import measure_photographs
-    from skyherd.bench.photographs.page import OUTPUT_NAMES, write_page
+    from skyherd.bench.photographs.page import OUTPUT_NAMES, write_outputs
     from skyherd.bench.photographs.result import PhotographsResult
     from skyherd.bench.photographs.tables import set_tables
     from skyherd.bench.result import environment
@@ -145,7 +145,7 @@ def photographs(
         result.write_all(out_dir, measured.missed, measured.unconfirmed)
         output.keep()
         _say_result(result, set_tables(result))
-        page = write_page(result, measured, out_dir)
+        page = write_outputs(result, measured, out_dir)
     say(f"see {page}")
     return 0
 

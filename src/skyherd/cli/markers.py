@@ -29,7 +29,7 @@ def markers(
     ] = False,
 ) -> int:
     """Print markers at true size, with quiet zone, id, forward arrow, cut marks and a ruler."""
-    from skyherd.files.output_folder import OutputFile
+    from skyherd.files.output_file import OutputFile
     from skyherd.markers.dictionary import load_dictionary, with_border
     from skyherd.markers.sheet_layout import PAPERS_MM, parse_ids, parse_length_mm
     from skyherd.markers.sheets import write_sheets

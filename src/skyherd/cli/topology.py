@@ -52,7 +52,7 @@ def topology(
     Exit code 0 if TC1-TC5 hold, 1 if one is violated, 2 for bad input.
     """
     from skyherd.analysis.topology_report import judge_topology
-    from skyherd.files.output_folder import OutputFile
+    from skyherd.files.output_file import OutputFile
 
     if picture is not None:
         if picture.suffix not in PICTURES:

@@ -10,51 +10,19 @@ verb, and the SHA-256 of each. From it follow the rules that hold for every verb
 - One process at a time writes into a folder, held by a lock on the folder that ends with the process.
 """
 
-import hashlib
-import json
 import os
 import shutil
-import socket
-import sys
-import time
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
-from datetime import datetime
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Self
 
 from skyherd.errors import InputError, OutputError
-from skyherd.files.atomic import PART, write_text
-from skyherd.files.reading import is_regular, read_json
-from skyherd.version import __version__
-
-if sys.platform != "win32":  # which has no such locks: there two processes must not be given one folder
-    import fcntl
-
-RECORD = ".skyherd.json"
-"""Name of the record in a folder."""
-
-ABOUT = "What skyherd made in this folder. --force replaces these files and no others."
-"""What the record says of itself."""
-
-WAIT_S, POLL_S = 2.0, 0.05
-"""How long a single file waits for a folder that another process writes into, and how often it asks, s.
-*Chosen*: longer than any single file takes, and short enough for a person."""
-
-
-@dataclass(frozen=True)
-class Entry:
-    """What the record says of one file.
-
-    Attributes:
-        maker: the verb that made it.
-        digest: SHA-256 of its content, in hexadecimal digits; None while it is written, and for a folder.
-    """
-
-    maker: str
-    digest: str | None = None
+from skyherd.files.atomic import PART
+from skyherd.files.folder_lock import FolderLock
+from skyherd.files.folder_record import RECORD, Entry, digest_of, read_entries, write_record, writer_of
+from skyherd.files.reading import is_regular
 
 
 class OutputFolder:
@@ -96,7 +64,7 @@ class OutputFolder:
         self._entries: dict[str, Entry] = {}
         self._made_folders: list[Path] = []
         self._new_names: set[str] = set()
-        self._lock: int | None = None
+        self._lock = FolderLock()
         self._kept = False
 
     def check(self) -> None:
@@ -105,14 +73,14 @@ class OutputFolder:
         Raises:
             InputError: as for entering.
         """
-        _check_name(self.path)
+        check_name(self.path)
         if os.path.lexists(self.path) and not is_directory(self.path):
             raise InputError(str(self.path), "is a file", "a folder to make; choose another --out")
         if not os.path.lexists(self.path):
             return
         if not (self._force or self._resume):
             raise InputError(str(self.path), "exists", "another --out, or --force to write it anew")
-        entries = _read_entries(self.path)
+        entries = read_entries(self.path)
         for name in self.names:
             self._check_free(name, entries)
 
@@ -128,7 +96,9 @@ class OutputFolder:
         self.check()
         try:
             self._make_folders()
-            self._acquire()
+            if not self._lock.acquire(self.path, self._wait_s):
+                self._made_folders = []  # the other one's now
+                raise InputError(str(self.path), writer_of(self.path), "wait for it, or choose another --out")
         except OSError as error:
             self._remove_made_folders()
             if isinstance(error, InputError | OutputError):
@@ -142,16 +112,16 @@ class OutputFolder:
             self._remove_parts()
             self._new_names = {name for name in self.names if not os.path.lexists(self.path / name)}
             self._entries |= {name: Entry(self.verb) for name in self.names}
-            self._write_record(writing=True)
+            write_record(self.path, self._entries, writer=self.verb)
         except BaseException:
-            self._release()
+            self._lock.release()
             self._remove_made_folders()
             raise
         return self
 
     def check_claims(self) -> None:
         """Read the record anew, under the lock, and check every name against it."""
-        self._entries = _read_entries(self.path)
+        self._entries = read_entries(self.path)
         for name in self.names:
             self._check_free(name, self._entries)
 
@@ -168,7 +138,7 @@ class OutputFolder:
             if error is None:
                 raise
         finally:
-            self._release()
+            self._lock.release()
             if error is not None and not self._kept:
                 self._remove_made_folders()
 
@@ -192,7 +162,7 @@ class OutputFolder:
                 raise self._foreign(path, "was not made by skyherd")
         elif path.is_symlink() or not is_regular(path):
             raise self._foreign(path, "was not made by skyherd")
-        elif entry.digest is not None and entry.digest != _digest(path):
+        elif entry.digest is not None and entry.digest != digest_of(path):
             raise self._foreign(path, "was changed since skyherd made it")
 
     def _foreign(self, path: Path, what: str) -> InputError:
@@ -216,39 +186,6 @@ class OutputFolder:
             with suppress(OSError):
                 folder.rmdir()
 
-    def _acquire(self) -> None:
-        """Lock the folder; the lock is the open folder's, and ends with this process at the latest.
-
-        Raises:
-            InputError: another process holds it; its verb, number and start are named.
-        """
-        if sys.platform == "win32":
-            return
-        ends_s = time.monotonic() + self._wait_s
-        folder = os.open(self.path, os.O_RDONLY)
-        while True:
-            try:
-                fcntl.flock(folder, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                if time.monotonic() < ends_s:
-                    time.sleep(POLL_S)
-                    continue
-                os.close(folder)
-                self._made_folders = []  # the other one's now
-                raise InputError(
-                    str(self.path), _writer(self.path), "wait for it, or choose another --out"
-                ) from None
-            except OSError:  # a file system without locks
-                os.close(folder)
-                return
-            self._lock = folder
-            return
-
-    def _release(self) -> None:
-        if self._lock is not None:
-            os.close(self._lock)
-            self._lock = None
-
     def _remove_former(self) -> None:
         """Remove what the verb made before and nobody changed, and folders that are empty then."""
         folders: set[Path] = set()
@@ -259,7 +196,7 @@ class OutputFolder:
             if not name.endswith("/") and not path.is_symlink() and is_regular(path):
                 if any(_is_same(path, read) for read in self._inputs):
                     continue
-                if entry.digest in (None, _digest(path)):
+                if entry.digest in (None, digest_of(path)):
                     path.unlink()
                     folders |= set(path.relative_to(self.path).parents)
             del self._entries[name]
@@ -298,69 +235,14 @@ class OutputFolder:
         for name in self.names:
             path = self.path / name
             if not name.endswith("/") and is_regular(path):
-                self._entries[name] = Entry(self.verb, _digest(path))
+                self._entries[name] = Entry(self.verb, digest_of(path))
         self._entries = {
             name: entry for name, entry in self._entries.items() if os.path.lexists(self.path / name)
         }
         if self._entries:
-            self._write_record()
+            write_record(self.path, self._entries)
         else:
             (self.path / RECORD).unlink(missing_ok=True)
-
-    def _write_record(self, *, writing: bool = False) -> None:
-        record: dict[str, Any] = {"about": ABOUT, "skyherd": __version__}
-        if writing:
-            record["writer"] = {
-                "verb": self.verb,
-                "process": os.getpid(),
-                "host": socket.gethostname(),
-                "since": datetime.now().astimezone().isoformat(timespec="seconds"),
-            }
-        record["files"] = {
-            name: {"made_by": entry.maker} | ({"sha256": entry.digest} if entry.digest else {})
-            for name, entry in sorted(self._entries.items())
-        }
-        write_text(self.path / RECORD, json.dumps(record, indent=1) + "\n")
-
-
-class OutputFile:
-    """A single file that a verb writes in the body of a `with`, under the rules of `OutputFolder`.
-
-    Args:
-        path: the file; its folder has to be there.
-        verb: who writes.
-        force: the file may exist, if the verb made it.
-        inputs: files that are read, none of which may be replaced.
-
-    Entering raises InputError as `check` does, or if another process writes into the folder for long.
-    """
-
-    def __init__(self, path: Path, verb: str, *, force: bool = False, inputs: Sequence[Path] = ()) -> None:
-        self.path, self._force = path, force
-        self._folder = OutputFolder(path.parent, verb, [path.name], resume=True, inputs=inputs, wait_s=WAIT_S)
-
-    def check(self) -> None:
-        """Refuse a file that must not be written; change nothing.
-
-        Raises:
-            InputError: its folder is not there, it exists without `force`, or it is not the verb's.
-        """
-        _check_name(self.path)
-        if not self.path.parent.is_dir():
-            raise InputError(str(self.path), f"no folder {self.path.parent}", "make it first")
-        if os.path.lexists(self.path) and not self._force:
-            raise InputError(str(self.path), "exists", "another --out, or --force to write it anew")
-        self._folder.check()
-
-    def __enter__(self) -> Self:
-        self.check()
-        self._folder.__enter__()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._folder.__exit__(kind, error, trace)
 
 
 def is_directory(path: Path) -> bool:
@@ -371,7 +253,7 @@ def is_directory(path: Path) -> bool:
         return False
 
 
-def _check_name(path: Path) -> None:
+def check_name(path: Path) -> None:
     """Refuse an output whose name no file can have, or that is no UTF-8 and could not go into the record."""
     try:
         str(path).encode("utf-8")
@@ -379,40 +261,6 @@ def _check_name(path: Path) -> None:
         raise InputError(str(path), "a name that is no UTF-8", "another --out") from None
     if "\0" in str(path):
         raise InputError(str(path), "no file can have this name", "another --out")
-
-
-def _read_entries(folder: Path) -> dict[str, Entry]:
-    """The record of a folder, by name; empty if there is none."""
-    path = folder / RECORD
-    if not os.path.lexists(path):
-        return {}
-    allowed = "remove it: then nothing in the folder counts as skyherd's"
-    record = read_json(path, allowed)
-    try:
-        return {
-            str(name): Entry(str(said["made_by"]), said.get("sha256"))
-            for name, said in record["files"].items()
-        }
-    except (AttributeError, KeyError, TypeError):
-        raise InputError(str(path), "damaged", allowed) from None
-
-
-def _writer(folder: Path) -> str:
-    """Who writes into a folder, in words."""
-    try:
-        writer = read_json(folder / RECORD, "")["writer"]
-        return (
-            f"`skyherd {writer['verb']}` writes into it (process {writer['process']} on {writer['host']}, "
-            f"since {writer['since']})"
-        )
-    except (InputError, KeyError, TypeError):
-        return "another skyherd writes into it"
-
-
-def _digest(path: Path) -> str:
-    """SHA-256 of a file, in hexadecimal digits."""
-    with path.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def _is_same(path: Path, other: Path) -> bool:

@@ -5,7 +5,9 @@ pictures (`Annotator`) in a folder.
 """
 
 from skyherd.inspection.annotator import Annotator
-from skyherd.inspection.inspector import AUTO, DETECTIONS, REJECTIONS, FileResult, Inspector, output_name
+from skyherd.inspection.file_result import FileResult
+from skyherd.inspection.inspector import AUTO, DETECTIONS, REJECTIONS, Inspector
+from skyherd.inspection.output_names import output_name
 from skyherd.inspection.table import (
     CORNERS,
     FORMATS,

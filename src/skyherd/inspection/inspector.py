@@ -3,9 +3,7 @@
 Each file gets a detector of its own, so that nothing learned from one file affects another.
 """
 
-from collections import Counter
 from contextlib import ExitStack
-from dataclasses import dataclass, field
 from fractions import Fraction
 from pathlib import Path
 
@@ -20,6 +18,8 @@ from skyherd.files.output_folder import OutputFolder
 from skyherd.files.video_reader import find_files, is_video, open_clip, read_clip
 from skyherd.files.video_writer import VideoSink
 from skyherd.inspection.annotator import Annotator
+from skyherd.inspection.file_result import FileResult
+from skyherd.inspection.output_names import picture_names
 from skyherd.inspection.table import (
     DETECTION_COLUMNS,
     REJECTION_COLUMNS,
@@ -33,11 +33,9 @@ from skyherd.inspection.table import (
 from skyherd.markers.dictionary import load_dictionary
 from skyherd.messages import Detections
 from skyherd.progress import NO_PROGRESS, Progress
-from skyherd.text import printable
 from skyherd.vision import (
     DEFAULT_DICTIONARY,
     Detector,
-    Rejection,
     create_detector,
     explain,
     find_dictionary,
@@ -53,10 +51,6 @@ REJECTIONS = "rejected"
 VERB = "detect"
 """Verb by which a folder's record knows what was made here."""
 
-MOST_STEM_BYTES = 200
-"""Bytes of a file's name that the annotated file's name takes over. *Chosen*: with an ending and a number it
-stays below 255, the most that file systems have."""
-
 AUTO = "auto"
 """Stands for the dictionary that a file's own markers are of."""
 
@@ -65,33 +59,6 @@ FEW = 3
 Chosen: pictures of robots usually show more."""
 
 Grey = npt.NDArray[np.uint8]
-
-
-@dataclass
-class FileResult:
-    """What was found in one file.
-
-    Attributes:
-        file: the picture or video.
-        dictionary: of the markers that were looked for.
-        frames: number of images that were looked at.
-        ids: how often each marker was detected.
-        rejections: of a picture, all; of a video, those of its last frame.
-        reasons: how often each reason for a rejection was given.
-        hint: what to try if little was detected, in words; None if enough was, or nothing helps.
-        trouble: why the file could not be read; None if it could.
-        picture: the annotated picture or video; None if the file could not be read.
-    """
-
-    file: Path
-    dictionary: str = DEFAULT_DICTIONARY
-    frames: int = 0
-    ids: Counter[int] = field(default_factory=Counter)
-    rejections: list[Rejection] = field(default_factory=list)
-    reasons: Counter[str] = field(default_factory=Counter)
-    hint: str | None = None
-    trouble: InputError | None = None
-    picture: Path | None = None
 
 
 class Inspector:
@@ -175,7 +142,7 @@ class Inspector:
             OutputError: something cannot be written.
         """
         files = find_files(target)
-        names = _picture_names(files)
+        names = picture_names(files)
         table_names = [f"{DETECTIONS}.{self.kind}", f"{REJECTIONS}.{self.kind}"][: 2 if self.explained else 1]
         output = OutputFolder(folder, VERB, [*table_names, *names.values()], force=force, inputs=files)
         output.check()
@@ -274,32 +241,6 @@ def _check_readable(file: Path) -> None:
         open_clip(file)
     else:
         read_grey(file)
-
-
-def output_name(name: str) -> str:
-    """A name for an output, made of the name of a file that may be anything: printable, and not too long."""
-    plain = "".join("_" if char in '\\/:*?"<>|' else char for char in printable(name)).lstrip(".") or "_"
-    return plain.encode()[:MOST_STEM_BYTES].decode(errors="ignore")
-
-
-def _picture_names(files: list[Path]) -> dict[Path, str]:
-    """Names of the annotated files: the originals', with their whole names where two would be alike."""
-    ends = {file: ".mp4" if is_video(file) else ".png" for file in files}
-    stems = {file: output_name(file.stem) for file in files}
-    often = Counter(stems[file] + ends[file] for file in files)
-    named = {
-        file: stems[file] if often[stems[file] + ends[file]] == 1 else output_name(file.name)
-        for file in files
-    }
-    taken: set[str] = set()
-    names = {}
-    for file, stem in named.items():
-        tries = (
-            f"{stem}{number}{ends[file]}" for number in ("", *(f"-{k}" for k in range(2, len(files) + 2)))
-        )
-        names[file] = next(name for name in tries if name not in taken)
-        taken.add(names[file])
-    return names
 
 
 def _even(picture: Grey) -> Grey:

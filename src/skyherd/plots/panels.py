@@ -1,8 +1,9 @@
 """The figures of a run: every panel of the paper's two simulation figures, and more, as PNG and SVG."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Generic, TypeVar
 
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -34,17 +35,28 @@ class FigureFile:
     svg: Path | None = None
 
 
+Shown = TypeVar("Shown")
+"""What a panel is drawn of: a run's history, a result."""
+
+
 @dataclass(frozen=True)
-class Panel:
-    """A figure that can be drawn of any run: name, title and caption as in `FigureFile`, and the function."""
+class Panel(Generic[Shown]):
+    """A figure that can be drawn of anything of a kind, such as any run.
+
+    Attributes:
+        name: as in `FigureFile`.
+        title: as in `FigureFile`.
+        caption: as in `FigureFile`.
+        draw: draws it; returns None where there is nothing to show.
+    """
 
     name: str
     title: str
     caption: str
-    draw: Callable[[History], Figure]
+    draw: Callable[[Shown], Figure | None]
 
 
-PANELS: tuple[Panel, ...] = (
+PANELS: tuple[Panel[History], ...] = (
     Panel(
         "paths",
         "Paths on the ground",
@@ -137,12 +149,17 @@ PANELS: tuple[Panel, ...] = (
 
 
 def write_figures(history: History, folder: Path) -> list[FigureFile]:
-    """Draw all panels of a run into a folder, which is made if need be, as PNG and SVG.
+    """Draw all panels of a run into a folder, as `write_panels` does."""
+    return write_panels(PANELS, history, folder)
 
-    The same run gives the same bytes. Matplotlib's style is changed while this lasts and restored after it.
+
+def write_panels(panels: Iterable[Panel[Shown]], shown: Shown, folder: Path) -> list[FigureFile]:
+    """Draw panels of something into a folder, which is made if need be, as PNG and SVG.
+
+    The same input gives the same bytes. Matplotlib's style is changed while this lasts and restored after it.
 
     Returns:
-        the files, in the order of `PANELS`.
+        the files, in the order of the panels, without those that have nothing to show.
 
     Raises:
         OutputError: a file could not be written.
@@ -150,8 +167,9 @@ def write_figures(history: History, folder: Path) -> list[FigureFile]:
     folder.mkdir(parents=True, exist_ok=True)
     with drawing_style():
         return [
-            save_figure(panel.draw(history), folder, panel.name, panel.title, panel.caption)
-            for panel in PANELS
+            save_figure(figure, folder, panel.name, panel.title, panel.caption)
+            for panel in panels
+            if (figure := panel.draw(shown)) is not None
         ]
 
 

@@ -16,7 +16,8 @@ import pyarrow.parquet as pq
 
 from skyherd.errors import InputError
 from skyherd.files.atomic import PART, write_text, write_whole
-from skyherd.files.output_folder import RECORD, OutputFolder, is_directory
+from skyherd.files.folder_record import RECORD
+from skyherd.files.output_folder import OutputFolder, is_directory
 from skyherd.files.reading import is_regular, open_regular
 from skyherd.study.measure import Outcome
 

@@ -19,7 +19,7 @@ import cv2
 import numpy as np
 
 from skyherd.bench.photographs.sightings import Sightings
-from skyherd.geometry import Array, BoolArray, IntArray, apply_homography
+from skyherd.geometry import MEDIAN_PER_SIGMA, Array, BoolArray, IntArray, apply_homography
 from skyherd.markers.dictionary import pose_of_corners
 
 RANSAC_SIDES = 0.25
@@ -42,9 +42,6 @@ MAX_LEVERAGE = 0.95
 STEP = 1e-3
 """Step of the differences that give a fit's derivatives, in marker sides. Chosen: the map is smooth over many
 sides, so that the error is of the order of the step's square, and that of rounding 1e-10."""
-
-MAD_PER_SIGMA = 0.6745
-"""Median of the magnitude of a standard normal variable. Derived."""
 
 
 @dataclass(frozen=True)
@@ -171,7 +168,7 @@ def terms(degree: int) -> int:
 def robust_sigma(values: Array) -> float:
     """Standard deviation of normal values around 0 that have this median magnitude; NaNs are left out."""
     known = values[np.isfinite(values)]
-    return float(np.median(np.abs(known)) / MAD_PER_SIGMA) if known.size else float("nan")
+    return float(np.median(np.abs(known)) / MEDIAN_PER_SIGMA) if known.size else float("nan")
 
 
 def _inliers(standardised: Array) -> BoolArray:

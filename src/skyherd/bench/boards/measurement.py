@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -17,7 +16,7 @@ from skyherd.bench.boards.accuracy import (
     turns_deg,
 )
 from skyherd.bench.boards.board_errors import BoardErrors, Fitted, learn_board_errors
-from skyherd.bench.boards.board_fit import MAD_PER_SIGMA
+from skyherd.bench.boards.image_noise import immerkaer_noise
 from skyherd.bench.boards.layout import BoardModel, board_corners
 from skyherd.bench.boards.lens_degree import choose_degrees, fit_images
 from skyherd.bench.entrants import REFERENCE
@@ -27,15 +26,12 @@ from skyherd.bench.photographs.confirmation import judge
 from skyherd.bench.photographs.sightings import Reader, Sightings, make_readers
 from skyherd.bench.result import Row
 from skyherd.errors import InputError
+from skyherd.geometry import MEDIAN_PER_SIGMA
 from skyherd.progress import NO_PROGRESS, Progress
 
 ADDED_NOISE = 5.0
 """Standard deviation of the noise added to images, grey levels. Chosen: moves detections by several times
 their resolution, and changes no threshold of a detector on boards of usual contrast."""
-
-NOISE_FILTER = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], dtype=float) / 6
-"""Filter that removes even shades and straight edges and leaves the variance of white noise as it is
-(Immerkær 1996). Derived: the squares of its numbers sum to 1."""
 
 COMMON_RECALL = 0.8
 """Recall from which a detector counts for the markers that all find. Chosen: one that is blind to most would
@@ -125,12 +121,6 @@ def measure_boards(
     return measured
 
 
-def image_noise(image: npt.NDArray[np.uint8]) -> float:
-    """Standard deviation, grey levels, of what changes from pixel to pixel in a grey image."""
-    filtered = cv2.filter2D(image.astype(np.float64), -1, NOISE_FILTER)
-    return float(np.median(np.abs(filtered)) / MAD_PER_SIGMA)
-
-
 def _run_set(
     image_set: ImageSet, board: BoardModel, readers: dict[str, Reader], progress: Progress
 ) -> _SetRun:
@@ -145,7 +135,7 @@ def _run_set(
                 reader.read(image)  # what is made once is no part of an image's time
         found = {name: reader.read(image) for name, reader in readers.items()}
         _count(run, found)
-        run.noises.append(image_noise(image))
+        run.noises.append(immerkaer_noise(image))
         for name, seen in found.items():
             run.times_ms[name].append(seen.time_ms)
         run.clean.append(found)
@@ -266,7 +256,7 @@ def _error_columns(
     for quantity in QUANTITIES:
         unit = "deg" if quantity == "heading" else "px"
         floor = floors[quantity]
-        median_of_sigma = MAD_PER_SIGMA if quantity == "heading" else RAYLEIGH_MEDIAN
+        median_of_sigma = MEDIAN_PER_SIGMA if quantity == "heading" else RAYLEIGH_MEDIAN
         lowest = None if floor is None else median_of_sigma * floor
         median = None if errors is None else errors.median(quantity)
         beyond = None if median is None or lowest is None else max(median**2 - lowest**2, 0.0) ** 0.5

@@ -7,9 +7,10 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from skyherd.bench.boards.measurement import Measurement
-from skyherd.bench.plots import style_of
+from skyherd.bench.detector_style import style_of
 from skyherd.bench.set_result import SetResult
 from skyherd.drawing.palette import INK, MUTED, UNIT_COLORS
+from skyherd.plots.panels import Panel
 from skyherd.plots.style import legend_above, new_figure
 
 LOWEST_PX = 0.005
@@ -18,6 +19,33 @@ LOWEST_PX = 0.005
 ARROW_SIDES = 0.35
 """Length of the median arrow in the figure of a board's errors, in marker sides. Chosen: arrows are seen, and
 hardly reach the next marker."""
+
+
+def make_panels(result: SetResult) -> tuple[Panel[Measurement], ...]:
+    """The figures of a result, to be drawn of what was measured, in the order shown."""
+    return (
+        Panel(
+            "distributions",
+            "Errors of the centre",
+            "Share of the markers found whose centre is off by less than a distance; the dotted line is "
+            "the floor's median.",
+            lambda measured: draw_distributions(result, measured),
+        ),
+        Panel(
+            "medians",
+            "Median errors",
+            "Of centre, corners and heading, in each set; the short line is the floor that all detectors "
+            "share.",
+            lambda _: draw_medians(result),
+        ),
+        Panel(
+            "boards",
+            "What the boards have wrong",
+            "Displacement of each corner from where the layout has it, learned from all detectors and "
+            "images; arrows are longer than they are.",
+            draw_boards,
+        ),
+    )
 
 
 def draw_distributions(result: SetResult, measured: Measurement) -> Figure | None:

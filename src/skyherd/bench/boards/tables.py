@@ -1,71 +1,36 @@
 """The result on boards as tables of texts, for the terminal, the page and Markdown alike."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 from skyherd.bench.result import Row
 from skyherd.bench.set_result import SetResult
-from skyherd.bench.tables import NONE, Table, share, short
+from skyherd.bench.table import NONE, Table, share, short
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A table that compares the detectors in each set: title and note, and what a row of the result says."""
+
+    title: str
+    note: str
+    cell: Callable[[Row], str]
+
+    def table(self, result: SetResult) -> Table:
+        """Rows of detectors, columns of sets; without detectors of which there is no number."""
+        sets = [name for name in result.sets if name not in result.unread()]
+        body = []
+        for detector in result.detectors:
+            rows = [result.row(name, detector) for name in sets]
+            cells = [NONE if row is None else self.cell(row) for row in rows]
+            if any(any(letter.isdigit() for letter in text) for text in cells):
+                body.append((detector, *cells))
+        return Table(self.title, self.note, ("detector", *sets), tuple(body))
 
 
 def make_tables(result: SetResult) -> list[Table]:
     """Make all tables of a result, in the order shown."""
-    return [
-        _table(
-            result,
-            "Accuracy, leaving one out",
-            "Median distance of centre / of corners from where all other markers put them, px / median error "
-            "of the heading, degrees; without the errors of that prediction.",
-            lambda row: " / ".join(fine(row[key]) for key in ("center_px", "corner_px", "heading_deg")),
-        ),
-        _table(
-            result,
-            "Beyond the floor",
-            "The same with the floor taken off in quadrature: what two independent detectors have in common, "
-            "which is board, lens and image rather than detector.",
-            lambda row: " / ".join(
-                fine(row[key])
-                for key in ("center_beyond_floor_px", "corner_beyond_floor_px", "heading_beyond_floor_deg")
-            ),
-        ),
-        _table(
-            result,
-            "On the markers that all find",
-            "Median error of centre / corners / heading, of the markers found by all detectors that find "
-            "four of five.",
-            lambda row: " / ".join(
-                fine(row[key]) for key in ("center_common_px", "corner_common_px", "heading_common_deg")
-            ),
-        ),
-        _table(
-            result,
-            "Large errors",
-            "95th percentile of the errors of centre / corners / heading, and the number of markers that lie "
-            "far from where they must be.",
-            lambda row: " / ".join(
-                [
-                    *(fine(row[key]) for key in ("center_p95_px", "corner_p95_px", "heading_p95_deg")),
-                    str(row["outliers"]),
-                ]
-            ),
-        ),
-        _table(
-            result,
-            "Covariance compared with the errors",
-            "Mean of error² over the variance reported, of the centre / of the heading; in brackets with the "
-            "floor's variance added to it. 1 is right, more means variances that are too small.",
-            _nees,
-        ),
-        _table(
-            result,
-            "Recall and time",
-            "Share of the markers that two independent detectors confirm; median time of an image, ms; its "
-            "median ratio to opencv.",
-            lambda row: (
-                f"{share(row['recall'])}, {short(row['ms_median'])}, {short(row['times_reference'])}x"
-            ),
-        ),
-        _floors(result),
-    ]
+    return [*(comparison.table(result) for comparison in COMPARISONS), _floors(result)]
 
 
 def set_tables(result: SetResult) -> list[Table]:
@@ -83,11 +48,7 @@ def set_tables(result: SetResult) -> list[Table]:
         )
 
     header = ("detector", "recall", "centre px", "corner px", "heading deg", "NEES", "x opencv")
-    return [
-        Table(name, "", header, tuple(cells(row) for row in result.rows if row["set"] == name))
-        for name in result.sets
-        if name not in result.unread()
-    ]
+    return result.tables_by_set(header, cells)
 
 
 def fine(value: float | None) -> str:
@@ -105,16 +66,10 @@ def _nees(row: Row) -> str:
     return f"{plain} ({beside})"
 
 
-def _table(result: SetResult, title: str, note: str, cell: Callable[[Row], str]) -> Table:
-    """Rows of detectors, columns of sets."""
-    sets = [name for name in result.sets if name not in result.unread()]
-    body = []
-    for detector in result.detectors:
-        rows = [result.row(name, detector) for name in sets]
-        cells = [NONE if row is None else cell(row) for row in rows]
-        if any(any(letter.isdigit() for letter in text) for text in cells):
-            body.append((detector, *cells))
-    return Table(title, note, ("detector", *sets), tuple(body))
+def _errors(row: Row, kind: str = "") -> str:
+    """Errors of centre, corners and heading, of a kind such as `_common`: px, px and degrees."""
+    keys = (f"center{kind}_px", f"corner{kind}_px", f"heading{kind}_deg")
+    return " / ".join(fine(row[key]) for key in keys)
 
 
 def _floors(result: SetResult) -> Table:
@@ -122,9 +77,7 @@ def _floors(result: SetResult) -> Table:
     for name in result.sets:
         row = next((row for row in result.rows if row["set"] == name), None)
         if row is not None:
-            floors = (
-                fine(row[f"{key}"]) for key in ("center_floor_px", "corner_floor_px", "heading_floor_deg")
-            )
+            floors = (fine(row[key]) for key in ("center_floor_px", "corner_floor_px", "heading_floor_deg"))
             body.append((name, row["board"], str(row["images"]), str(row["degree"]), *floors))
     return Table(
         "Sets and floors",
@@ -132,3 +85,44 @@ def _floors(result: SetResult) -> Table:
         ("set", "board", "images", "degree", "centre px", "corner px", "heading deg"),
         tuple(body),
     )
+
+
+COMPARISONS = (
+    Comparison(
+        "Accuracy, leaving one out",
+        "Median distance of centre / of corners from where all other markers put them, px / median error "
+        "of the heading, degrees; without the errors of that prediction.",
+        _errors,
+    ),
+    Comparison(
+        "Beyond the floor",
+        "The same with the floor taken off in quadrature: what two independent detectors have in common, "
+        "which is board, lens and image rather than detector.",
+        lambda row: _errors(row, "_beyond_floor"),
+    ),
+    Comparison(
+        "On the markers that all find",
+        "Median error of centre / corners / heading, of the markers found by all detectors that find "
+        "four of five.",
+        lambda row: _errors(row, "_common"),
+    ),
+    Comparison(
+        "Large errors",
+        "95th percentile of the errors of centre / corners / heading, and the number of markers that lie "
+        "far from where they must be.",
+        lambda row: f"{_errors(row, '_p95')} / {row['outliers']}",
+    ),
+    Comparison(
+        "Covariance compared with the errors",
+        "Mean of error² over the variance reported, of the centre / of the heading; in brackets with the "
+        "floor's variance added to it. 1 is right, more means variances that are too small.",
+        _nees,
+    ),
+    Comparison(
+        "Recall and time",
+        "Share of the markers that two independent detectors confirm; median time of an image, ms; its "
+        "median ratio to opencv.",
+        lambda row: f"{share(row['recall'])}, {short(row['ms_median'])}, {short(row['times_reference'])}x",
+    ),
+)
+"""The tables that compare detectors, in the order shown."""

@@ -28,8 +28,9 @@ height."""
 TEXT_PX, LINE_PX = 11, 14
 """Height of letters and of a line of text below a tile, px. Chosen: about as small as can be read."""
 
-LETTERS = 21
-"""Letters of a line below a tile; of longer names the end is shown. Chosen: what fits its width."""
+LETTERS = 18
+"""Letters of a line below a tile; of longer names the end is shown. Chosen: capitals, which are
+the widest, fit its width."""
 
 
 @dataclass(frozen=True)

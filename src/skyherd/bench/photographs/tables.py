@@ -1,13 +1,39 @@
 """The result on photographs as tables of texts, for the terminal, the page and Markdown alike."""
 
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+
 from skyherd.bench.photographs.result import PhotographsResult
 from skyherd.bench.result import Row
-from skyherd.bench.tables import NONE, Table, share, short
+from skyherd.bench.table import NONE, Table, share, short
 
 
 def make_tables(result: PhotographsResult) -> list[Table]:
     """Make all tables of a result, in the order shown."""
-    return [_found(result), _false(result), _times(result)]
+    return [
+        _by_set(
+            result,
+            "Markers found",
+            "Of the markers that two independent detectors find at the same place: how many a detector "
+            "finds. A dash: the detector cannot read this kind of marker.",
+            lambda row: f"{row['found']} ({share(row['recall'])})",
+            {"confirmed": lambda row: str(row["confirmed"])},
+        ),
+        _by_set(
+            result,
+            "Wrong ids, and places that nobody confirms",
+            "Confirmed markers that a detector reads as another id / places where only detectors of its "
+            "family find anything, of which most show no marker.",
+            lambda row: f"{row['wrong_ids']} / {row['alone']}",
+        ),
+        _by_set(
+            result,
+            "Time",
+            "Median time of an image, ms, and the median over images of its ratio to opencv on the same "
+            "image, on one thread.",
+            _time,
+        ),
+    ]
 
 
 def set_tables(result: PhotographsResult) -> list[Table]:
@@ -26,65 +52,26 @@ def set_tables(result: PhotographsResult) -> list[Table]:
         )
 
     header = ("detector", "conf.", "found", "recall", "wrong", "alone", "ms", "x opencv")
-    return [
-        Table(name, "", header, tuple(cells(row) for row in result.rows if row["set"] == name))
-        for name in result.sets
-        if name not in result.unread()
-    ]
+    return result.tables_by_set(header, cells)
 
 
-def _found(result: PhotographsResult) -> Table:
-    rows = []
+def _by_set(
+    result: PhotographsResult,
+    title: str,
+    note: str,
+    cell: Callable[[Row], str],
+    about: Mapping[str, Callable[[Row], str]] = MappingProxyType({}),
+) -> Table:
+    """Rows of sets, columns of detectors, and before these what `about` says of a set by any row of it."""
+    body = []
     for name in result.sets:
-        of_set = [result.row(name, detector) for detector in result.detectors]
-        known = next((row for row in of_set if row is not None), None)
-        confirmed = NONE if known is None else str(known["confirmed"])
-        rows.append((name, confirmed, *(_recall(row) for row in of_set)))
-    return Table(
-        "Markers found",
-        "Of the markers that two independent detectors find at the same place: how many a detector finds. "
-        "A dash: the detector cannot read this kind of marker.",
-        ("set", "confirmed", *result.detectors),
-        tuple(rows),
-    )
+        rows = [result.row(name, detector) for detector in result.detectors]
+        known = next((row for row in rows if row is not None), None)
+        said = (NONE if known is None else say(known) for say in about.values())
+        body.append((name, *said, *(NONE if row is None else cell(row) for row in rows)))
+    return Table(title, note, ("set", *about, *result.detectors), tuple(body))
 
 
-def _recall(row: Row | None) -> str:
-    return NONE if row is None else f"{row['found']} ({share(row['recall'])})"
-
-
-def _false(result: PhotographsResult) -> Table:
-    rows = (
-        (name, *(_wrong(result.row(name, detector)) for detector in result.detectors)) for name in result.sets
-    )
-    return Table(
-        "Wrong ids, and places that nobody confirms",
-        "Confirmed markers that a detector reads as another id / places where only detectors of its family "
-        "find anything, of which most show no marker.",
-        ("set", *result.detectors),
-        tuple(rows),
-    )
-
-
-def _wrong(row: Row | None) -> str:
-    return NONE if row is None else f"{row['wrong_ids']} / {row['alone']}"
-
-
-def _times(result: PhotographsResult) -> Table:
-    rows = (
-        (name, *(_time(result.row(name, detector)) for detector in result.detectors)) for name in result.sets
-    )
-    return Table(
-        "Time",
-        "Median time of an image, ms, and the median over images of its ratio to opencv on the same image, "
-        "on one thread.",
-        ("set", *result.detectors),
-        tuple(rows),
-    )
-
-
-def _time(row: Row | None) -> str:
-    if row is None:
-        return NONE
+def _time(row: Row) -> str:
     ratio = "" if row["times_reference"] is None else f" ({short(row['times_reference'])}x)"
     return f"{short(row['ms_median'])}{ratio}"

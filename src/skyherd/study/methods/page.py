@@ -8,8 +8,7 @@ import pyarrow as pa
 
 from skyherd.files.atomic import write_text
 from skyherd.geometry import Array, BoolArray
-from skyherd.plots.panels import save_figure
-from skyherd.plots.style import drawing_style
+from skyherd.plots.panels import Panel, write_panels
 from skyherd.report.pages import figure_card, render_page
 from skyherd.study.figures import MARKDOWN, complaints
 from skyherd.study.methods.outcomes import Method, make_methods
@@ -48,18 +47,15 @@ def write_methods(study: Study, table: pa.Table, folder: Path) -> list[Path]:
         OutputError: a file could not be written.
     """
     methods = make_methods(study, table)
-    (folder / "figures").mkdir(parents=True, exist_ok=True)
-    with drawing_style():
-        figure = save_figure(
-            draw_methods(methods), folder / "figures", "methods", "On the same starts", CAPTION
-        )
+    panel = Panel("methods", "On the same starts", CAPTION, draw_methods)
+    figures = write_panels([panel], methods, folder / "figures")
     starts = list(methods[0].outcomes)
     page = render_page(
         "skyherd.study",
         PAGE,
         title="Methods",
         description=study.spec.description,
-        figures=[figure_card(figure)],
+        figures=[figure_card(figure) for figure in figures],
         methods=methods,
         head=HEAD,
         tables=[{"start": start, "rows": [cells(method, start) for method in methods]} for start in starts],

@@ -1,0 +1,99 @@
+"""The record of an output folder, `.skyherd.json`: which files in it skyherd made, and who writes now."""
+
+import hashlib
+import json
+import os
+import socket
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from skyherd.errors import InputError
+from skyherd.files.atomic import write_text
+from skyherd.files.reading import read_json
+from skyherd.version import __version__
+
+RECORD = ".skyherd.json"
+"""Name of the record in a folder."""
+
+ABOUT = "What skyherd made in this folder. --force replaces these files and no others."
+"""What the record says of itself."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """What the record says of one file.
+
+    Attributes:
+        maker: the verb that made it.
+        digest: SHA-256 of its content, in hexadecimal digits; None while it is written, and for a folder.
+    """
+
+    maker: str
+    digest: str | None = None
+
+
+def read_entries(folder: Path) -> dict[str, Entry]:
+    """Read what the record of a folder says of its files, by name; nothing if there is no record.
+
+    Raises:
+        InputError: the record is damaged.
+    """
+    path = folder / RECORD
+    if not os.path.lexists(path):
+        return {}
+    allowed = "remove it: then nothing in the folder counts as skyherd's"
+    record = read_json(path, allowed)
+    try:
+        return {
+            str(name): Entry(str(said["made_by"]), said.get("sha256"))
+            for name, said in record["files"].items()
+        }
+    except (AttributeError, KeyError, TypeError):
+        raise InputError(str(path), "damaged", allowed) from None
+
+
+def write_record(folder: Path, entries: Mapping[str, Entry], *, writer: str | None = None) -> None:
+    """Write the record of a folder anew.
+
+    Args:
+        folder: the folder.
+        entries: what is said of each file, by its name.
+        writer: the verb that begins to write into the folder; None if nobody does.
+
+    Raises:
+        OutputError: it cannot be written.
+    """
+    record: dict[str, Any] = {"about": ABOUT, "skyherd": __version__}
+    if writer is not None:
+        record["writer"] = {
+            "verb": writer,
+            "process": os.getpid(),
+            "host": socket.gethostname(),
+            "since": datetime.now().astimezone().isoformat(timespec="seconds"),
+        }
+    record["files"] = {
+        name: {"made_by": entry.maker} | ({"sha256": entry.digest} if entry.digest else {})
+        for name, entry in sorted(entries.items())
+    }
+    write_text(folder / RECORD, json.dumps(record, indent=1) + "\n")
+
+
+def writer_of(folder: Path) -> str:
+    """Who writes into a folder, in words, as its record has it."""
+    try:
+        writer = read_json(folder / RECORD, "")["writer"]
+        return (
+            f"`skyherd {writer['verb']}` writes into it (process {writer['process']} on {writer['host']}, "
+            f"since {writer['since']})"
+        )
+    except (InputError, KeyError, TypeError):
+        return "another skyherd writes into it"
+
+
+def digest_of(path: Path) -> str:
+    """SHA-256 of a file, in hexadecimal digits."""
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()

@@ -1,0 +1,54 @@
+"""A single file that a verb writes, under the rules of output folders."""
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from skyherd.errors import InputError
+from skyherd.files.output_folder import OutputFolder, check_name
+
+WAIT_S = 2.0
+"""How long a single file waits for a folder that another process writes into, s. *Chosen*: longer than any
+single file takes, and short enough for a person."""
+
+
+class OutputFile:
+    """A single file that a verb writes in the body of a `with`, under the rules of `OutputFolder`.
+
+    Args:
+        path: the file; its folder has to be there.
+        verb: who writes.
+        force: the file may exist, if the verb made it.
+        inputs: files that are read, none of which may be replaced.
+
+    Entering raises InputError as `check` does, or if another process writes into the folder for long.
+    """
+
+    def __init__(self, path: Path, verb: str, *, force: bool = False, inputs: Sequence[Path] = ()) -> None:
+        self.path, self._force = path, force
+        self._folder = OutputFolder(path.parent, verb, [path.name], resume=True, inputs=inputs, wait_s=WAIT_S)
+
+    def check(self) -> None:
+        """Refuse a file that must not be written; change nothing.
+
+        Raises:
+            InputError: its folder is not there, it exists without `force`, or it is not the verb's.
+        """
+        check_name(self.path)
+        if not self.path.parent.is_dir():
+            raise InputError(str(self.path), f"no folder {self.path.parent}", "make it first")
+        if os.path.lexists(self.path) and not self._force:
+            raise InputError(str(self.path), "exists", "another --out, or --force to write it anew")
+        self._folder.check()
+
+    def __enter__(self) -> Self:
+        self.check()
+        self._folder.__enter__()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._folder.__exit__(kind, error, trace)

@@ -87,7 +87,8 @@ def test_a_team_forms_its_shape_and_is_replayed_to_the_bit(faults, tmp_path) -> 
 
 def test_a_replay_notices_a_message_that_was_changed(faults, tmp_path, monkeypatch) -> None:
     team = team_of(faults)
-    diary = recorded(team, tmp_path)["robot/3"]
+    diaries = recorded(team, tmp_path)
+    diary = diaries["robot/3"]
     put = Diary._put
     heard = []
 
@@ -101,7 +102,8 @@ def test_a_replay_notices_a_message_that_was_changed(faults, tmp_path, monkeypat
     monkeypatch.setattr(Diary, "_put", put_changed)
     for _ in range(45):
         team.step()
-    diary.__exit__(None, None, None)
+    for kept in diaries.values():
+        kept.__exit__(None, None, None)
     assert len(heard) > 30
     assert replay(tmp_path / "robot_3.mcap").different > 0
 

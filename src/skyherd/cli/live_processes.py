@@ -16,8 +16,8 @@ from skyherd.cli.console import say
 from skyherd.cli.live import Insecure, LabFile, Settings, open_team
 
 Out = Annotated[Path, typer.Option("--out", help="Folder to record in.")]
-Supervised = Annotated[bool, typer.Option("--supervised", hidden=True)]
-Offset = Annotated[float, typer.Option("--clock-offset", hidden=True)]
+Supervised = Annotated[bool, typer.Option("--supervised", help="End when standard input does.")]
+Offset = Annotated[float, typer.Option("--clock-offset", help="s; a clock that is off by this, for tests.")]
 
 
 @contextmanager

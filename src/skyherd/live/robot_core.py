@@ -185,7 +185,13 @@ class RobotCore:
             return self._halt(reason, v_mps, omega_radps, now_s)
         told = self._limiter.limit(Motion(v_mps, omega_radps), 0.0 if before_s is None else now_s - before_s)
         self._record(told, now_s)
-        return Order(told.forward_mps, told.turn_radps, DRIVING, v_mps, omega_radps)
+        return Order(
+            v_mps=told.forward_mps,
+            omega_radps=told.turn_radps,
+            reason=DRIVING,
+            wanted_v_mps=v_mps,
+            wanted_omega_radps=omega_radps,
+        )
 
     def _obstacle(self, now_s: float) -> str | None:
         """What holds the wheels still now; None if nothing does."""
@@ -206,7 +212,9 @@ class RobotCore:
         self._limiter.last = STILL
         if now_s is not None:
             self._record(STILL, now_s)
-        return Order(0.0, 0.0, reason, v_mps, omega_radps)
+        return Order(
+            v_mps=0.0, omega_radps=0.0, reason=reason, wanted_v_mps=v_mps, wanted_omega_radps=omega_radps
+        )
 
     def _record(self, motion: Motion, now_s: float) -> None:
         """Remember what the wheels are truly told, which takes the place of what the law asked for."""

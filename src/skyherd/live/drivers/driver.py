@@ -96,7 +96,14 @@ class RobotDriver:
     def send_flight(self, command: FlightCommand) -> None:
         """Take over a flight command of a unit whose camera looks down with its image's top ahead."""
         right_mps, back_mps = command.lateral_mps.tolist()
-        self.send_motion(Motion(-back_mps, command.yaw_rate_radps, -right_mps, command.climb_mps))
+        self.send_motion(
+            Motion(
+                forward_mps=-back_mps,
+                turn_radps=command.yaw_rate_radps,
+                left_mps=-right_mps,
+                up_mps=command.climb_mps,
+            )
+        )
 
     def send_motion(self, motion: Motion) -> None:
         """Take over a motion; its numbers may be anything, since they are limited before they are written."""

@@ -5,6 +5,7 @@ drawing it by one warp per image does not alias. What a camera that stands still
 """
 
 from collections import deque
+from functools import lru_cache
 from typing import Literal
 
 import cv2
@@ -83,15 +84,17 @@ class Ground:
         self.kind: GroundKind = "plain" if kind == "concrete" and contrast <= 0 else kind
         self.period_m = np.full(2, tile_m * (SLABS if kind == "tiles" else 1.0))
         self._sigma_px, texture = sigma_px, None
+        self._spectrum: npt.NDArray[np.complex128] | None = None
         if image is not None:
             texture = picture(image)
             self.mean = float(texture.mean())
             self.period_m = tile_m * np.array([1.0, image.shape[0] / image.shape[1]])
         elif self.kind == "concrete":
-            texture = concrete(seed, mean, contrast)
+            self._spectrum = _concrete_spectrum(seed, mean, contrast)
         elif self.kind == "tiles":
             texture = tiles(seed, mean, contrast)
-        self._spectrum = np.fft.rfft2(texture) if texture is not None else None
+        if texture is not None:
+            self._spectrum = np.fft.rfft2(texture)
         self._levels: dict[int, Image] = {}
         self._asked: deque[bytes] = deque(maxlen=KEPT)
         self._drawn: dict[bytes, Image] = {}
@@ -159,6 +162,17 @@ class Ground:
         near = np.eye(3)
         near[:2, 2] = -samples * np.floor(view.min(axis=0) / samples)
         return self._levels[samples], near @ sample_image
+
+
+@lru_cache(maxsize=2)
+def _concrete_spectrum(seed: int, mean: float, contrast: float) -> npt.NDArray[np.complex128]:
+    """Spectrum (PERIOD, PERIOD // 2 + 1) of concrete, not to be written to.
+
+    The last two are kept: making one takes half a second, and who runs a mission again has the same ground.
+    """
+    spectrum = np.fft.rfft2(concrete(seed, mean, contrast))
+    spectrum.flags.writeable = False
+    return spectrum
 
 
 def _warp(laid: Image, sample_image: Array, size_px: tuple[int, int]) -> Image:

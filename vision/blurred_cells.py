@@ -6,6 +6,7 @@ A marker's cells, seen through a Gaussian blur on a white ground without end, ha
 brightness and contrast.
 """
 
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -28,11 +29,16 @@ def blurred_darkness(white: BoolArray, blur_cells: float, samples_per_cell: int,
         samples_per_cell: values returned for each cell along each axis.
         samples: points that are averaged into one value along each axis.
     """
-    n = white.shape[1]
+    gathered = _gathered(white.shape[1], blur_cells, samples_per_cell, samples)
+    return np.asarray(gathered @ (~white).astype(float) @ gathered.T)
+
+
+@lru_cache(maxsize=64)
+def _gathered(n: int, blur_cells: float, samples_per_cell: int, samples: int) -> Array:
+    """Shares (S, n) of n cells in a row that each of its S values gathers; the last 64 are kept."""
     points = (np.arange(n * samples_per_cell * samples) + 0.5) / (samples_per_cell * samples)
     gathered = gather(points, np.arange(n + 1.0), blur_cells)
-    gathered = gathered.reshape(n * samples_per_cell, samples, n).mean(axis=1)
-    return np.asarray(gathered @ (~white).astype(float) @ gathered.T)
+    return np.asarray(gathered.reshape(n * samples_per_cell, samples, n).mean(axis=1))
 
 
 def standardised(rows: npt.NDArray[np.floating[Any]]) -> npt.NDArray[np.floating[Any]]:

@@ -24,8 +24,6 @@ from skyherd.cli import main
 from skyherd.errors import InputError
 from skyherd.geometry import wrap_angle
 
-pytestmark = pytest.mark.usefixtures("grounds_made_once")
-
 ROW_KEYS = {
     "detector", "side_px", "noise", "blur_px", "tilt_deg", "recall", "false_positives_per_image", "bias_px",
     "rmse_px", "rmse_deg", "crb_px", "crb_deg", "nees", "ms_median", "ms_p99",
@@ -369,12 +367,26 @@ def test_a_detector_that_has_spent_its_time_leaves():
     assert row["frames"] < 20
 
 
-@pytest.fixture(scope="module")
-def result():
+@pytest.fixture(scope="module", params=["base", pytest.param("all", marks=pytest.mark.slow)])
+def result(request):
+    """Of the quick design, each cell measured; or the base cell and those without markers, the first of which
+    stand in for all others.
+    """
     plan = Plan(("opencv", "photometric"), "4X4_50", seed=1)
     cells = [cell for cell in quick_design(2) if cell.side_px < 60]
     cells = [replace(cell, cameras=1, frames=1) for cell in cells]
-    rows = measure_cells(plan, cells)
+    if request.param == "all":
+        rows = measure_cells(plan, cells)
+    else:
+        base, empty = (
+            measure_cells(plan, [next(cell for cell in cells if (cell.sweep == EMPTY) == is_empty)])
+            for is_empty in (False, True)
+        )
+        rows = [
+            row | cell.factors() | ({} if cell.blur_px is None else {"blur_px": cell.blur_px})
+            for cell in cells
+            for row in (empty if cell.sweep == EMPTY else base)
+        ]
     times = measure_times(plan, timing_cells(WARM_UP + 2, ((320, 240), (400, 300))), 0.1)
     return Result(environment(seed=1, quick=True), rows, times)
 

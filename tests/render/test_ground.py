@@ -1,5 +1,7 @@
 """The ground: in its place, band-limited, and with what lies on it."""
 
+from functools import lru_cache
+
 import numpy as np
 import pytest
 
@@ -17,6 +19,7 @@ from skyherd.render import (
     homography_image_ground,
     project,
 )
+from skyherd.render import ground as ground_module
 
 
 def test_the_ground_stays_put_under_a_moving_camera() -> None:
@@ -175,3 +178,23 @@ def test_what_is_wrong_with_a_ground_is_said():
         Ground(0, kind="image", image=np.zeros((5, 5, 3), np.uint8))
     with pytest.raises(InputError, match="density_per_m2 0"):
         Clutter(0, 0, (1, 2))
+
+
+def test_concrete_is_made_once_for_each_seed_mean_and_contrast(monkeypatch) -> None:
+    made = []
+
+    def concrete(*asked: float) -> np.ndarray:
+        made.append(asked)
+        return np.full((4, 4), sum(asked))
+
+    monkeypatch.setattr(ground_module, "concrete", concrete)
+    monkeypatch.setattr(
+        ground_module, "_concrete_spectrum", lru_cache(8)(ground_module._concrete_spectrum.__wrapped__)
+    )
+    each = [(1, 128.0, 12.0), (2, 128.0, 12.0), (1, 100.0, 12.0), (1, 128.0, 8.0)]
+    grounds = [Ground(seed, mean=mean, contrast=contrast) for seed, mean, contrast in (*each, *each)]
+    assert made == each
+    sums = [kept._spectrum[0, 0].real / 16 for kept in grounds]
+    assert sums == [sum(asked) for asked in (*each, *each)]
+    with pytest.raises(ValueError, match="read-only"):
+        grounds[0]._spectrum[0, 0] = 0

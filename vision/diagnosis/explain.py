@@ -18,7 +18,7 @@ from skyherd.markers.dictionary import card_side
 from skyherd.messages import Detections
 from skyherd.vision.detectors.opencv_tuned import ArucoDetector
 from skyherd.vision.diagnosis.candidates import bright_groups, cut_squares, dark_patches, dark_quads
-from skyherd.vision.diagnosis.quad_reading import PROMISING, Reading, read_quad
+from skyherd.vision.diagnosis.quad_reading import PROMISING, Reading, read_likely, read_quad
 from skyherd.vision.diagnosis.reasons import (
     CERTAIN,
     ENOUGH_CELL_PX,
@@ -125,7 +125,8 @@ def _read_all(image: Image, dictionary: str, detections: Detections) -> list[Rea
     seen = [_read_grown(image, quad, dictionary) for quad in outlines]
     whole = [reading for reading in seen if not is_cut(reading, size_px)]
     doubtful = [reading for reading in seen if is_cut(reading, size_px)]
-    doubtful += [read_quad(image, quad, dictionary, promising=GUESS) for quad in guesses]
+    likely = (read_likely(image, quad, dictionary, GUESS) for quad in guesses)
+    doubtful += [reading for reading in likely if reading is not None]
     return whole + [
         r for r in doubtful if r.likeness >= SURE and r.wrong_bits == 0 and r.visible >= MIN_VISIBLE
     ]

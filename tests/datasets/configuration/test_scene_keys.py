@@ -9,8 +9,6 @@ from skyherd.loop import run_steps
 from skyherd.render import Camera, CameraPose, Motion
 from skyherd.sim.perception import make_renderer
 
-pytestmark = pytest.mark.usefixtures("grounds_made_once")
-
 CAMERA, POSE = Camera((320, 240), 300.0), CameraPose((1.0, 0.5), 12.0, 0.2)
 TEAM = (
     np.arange(4),

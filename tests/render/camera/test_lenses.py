@@ -190,7 +190,6 @@ def test_the_fisheye_sees_120_degrees():
     assert np.arctan((middle[0] - 399.5) / camera.focal_px) == pytest.approx(np.radians(60))
 
 
-@pytest.mark.usefixtures("grounds_made_once")
 @pytest.mark.parametrize("name", CAMERAS)
 def test_every_test_camera_can_be_used_and_reads_its_markers(name, scenario_tree):
     """Six robots within four tenths of the image, markers of 14 px or more: one image shows them all."""

@@ -358,11 +358,8 @@ def test_the_command_leaves_all_it_promises(photographed, tmp_path, capsys):
     rows = {row["detector"]: row for row in result["rows"]}
     assert list(rows) == ["opencv", "photometric"]
     ours, opencv = rows["photometric"], rows["opencv"]
-    assert ours["recall"] == opencv["recall"] == 1.0 and ours["found"] == 60
-    # Markers that the lens's polynomials follow wherever they are tell nothing, such as those in the corners.
-    assert 40 <= ours["markers"] <= 60
-    # The interpolation of the warp feigns leans, which each marker is free to have where no plane fits.
-    assert ours["center_px"] < 0.08 < opencv["center_px"] < 0.5
+    assert ours["recall"] == opencv["recall"] == 1.0 and ours["markers"] == ours["found"] == 60
+    assert ours["center_px"] < 0.03 < opencv["center_px"] < 0.5
     assert ours["nees_center"] is not None and opencv["nees_center"] is None
     assert ours["center_floor_px"] < 0.05
     page = (out / "boards.html").read_text()

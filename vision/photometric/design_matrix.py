@@ -3,13 +3,13 @@
 With a marker's pattern T (`skyherd.vision.photometric.pattern`) at marker coordinates z = z(p) = x + iy, the
 grey level of pixel p is
 
-    I(p) ≈ a + b T + b (T_z · δz + T_log σ δ log σ) + g (1 - A) + (l_x x + l_y y) (r + T),
+    I(p) ≈ a + b T + b (T_z · δz + T_log σ δ log σ) + g (1 - A) + (l_x x + l_y y) (r + T) + c T (1 - T),
 
 with black level a, contrast b (white minus black), a step of the pose δz = d + (s + iθ) z + e z̄ - z Re(q̄ z)
 (shift d, scale s, rotation θ, squeeze e, lean q), a change of the blur's logarithm δ log σ, ground level g
-beyond the card, of which the card covers the share A, and light l that changes over the marker, with
-r = a / b. Everything that the pixels depend on is thus an unknown of one linear model, 14 in all; eight of
-them make up a homography.
+beyond the card, of which the card covers the share A, light l that changes over the marker, with r = a / b,
+and a bend c of the tone curve, by which a camera's gamma shifts edges towards black. Everything that the
+pixels depend on is thus an unknown of one linear model, 15 in all; eight of them make up a homography.
 
 The pattern and its derivatives are read *at the image's own pixels*; the image itself is never resampled, so
 that its noise stays white.
@@ -39,7 +39,10 @@ BLACK, CONTRAST, RIGHT, DOWN, TURN, GROW, BLUR, GROUND = range(8)
 SQUEEZE, LIGHT, LEAN = [8, 9], [10, 11], [12, 13]
 """Indices of the unknowns with two components each."""
 
-UNKNOWNS = 14
+TONE = [14]
+"""Index of the bend of the tone curve, in a list as those of two components are."""
+
+UNKNOWNS = 15
 """Number of unknowns of a marker. Derived: the indices above."""
 
 PIXEL_ROW = UNKNOWNS
@@ -49,8 +52,8 @@ POSE = [RIGHT, DOWN, TURN, GROW, *SQUEEZE, *LEAN]
 """Indices of the unknowns that make up a step of the pose."""
 
 PADDED_COLUMNS = 16
-"""Rows allocated in `DesignMatrices.columns`: the 14 unknowns and the pixels, filled up with zeros. Chosen:
-the next multiple of 16, at which products of single-precision matrices are fastest."""
+"""Rows allocated in `DesignMatrices.columns`: the 15 unknowns and the pixels. Products of single-precision
+matrices are fastest at multiples of 16; if there were fewer unknowns, the rest would be zeros."""
 
 MIDDLE_GREY = 128.0
 """Grey level that is subtracted from the pixels, so that sums of their squares keep their digits in single
@@ -78,6 +81,7 @@ class DesignMatrices:
         self.rows = rows
         support = pixels_within(homographies, appearances.read_limits, image.shape)
         self.x, self.y, self.counts, self._mask = support.x, support.y, support.counts, support.mask
+        self._flat_indices, self._width = support.flat_indices, image.shape[1]
         self.columns = np.empty((rows.size, PADDED_COLUMNS, self.x.shape[1]), dtype=np.float32)
         self.columns[:, PIXEL_ROW + 1 :] = 0.0
         self._set_weights(appearances, homographies)
@@ -88,7 +92,7 @@ class DesignMatrices:
         self._fill(appearances, homographies)
 
     def gram_matrices(self) -> Floats:
-        """Return the inner products (N, 15, 15) of the weighted columns and the pixels."""
+        """Return the inner products (N, 16, 16) of the weighted columns and the pixels."""
         size = PIXEL_ROW + 1
         return (self.columns @ self.columns.transpose(0, 2, 1))[:, :size, :size]
 
@@ -98,13 +102,13 @@ class DesignMatrices:
         self.counts = np.count_nonzero(self.columns[:, BLACK], axis=1)
 
     def residuals(self, solutions: Array) -> Floats:
-        """Return the weighted residuals (N, M), grey levels, of the model at `solutions` (N, 14)."""
+        """Return the weighted residuals (N, M), grey levels, of the model at `solutions` (N, 15)."""
         model = np.zeros((self.rows.size, PADDED_COLUMNS), dtype=np.float32)
         model[:, :UNKNOWNS], model[:, PIXEL_ROW] = -solutions, 1.0
         return (model[:, None] @ self.columns)[:, 0]
 
     def cell_residuals(self, solutions: Array, n_cells: int) -> tuple[Array, Array]:
-        """Return what the model at `solutions` (N, 14) leaves of the pixels, grey levels.
+        """Return what the model at `solutions` (N, 15) leaves of the pixels, grey levels.
 
         Returns:
             The mean residual over each cell (N, n, n), and the largest absolute residual of a pixel (N,).
@@ -113,6 +117,36 @@ class DesignMatrices:
         sizes = self._sum_over_cells(cells, self.columns[:, BLACK] > 0, n_cells)
         means = self._sum_over_cells(cells, residuals, n_cells) / np.maximum(sizes, 1)
         return means, np.maximum(residuals.max(axis=1), -residuals.min(axis=1)).astype(np.float64)
+
+    def squared_box_sums(
+        self, solutions: Array, influences: Array, picked: IntArray, box_px: int
+    ) -> tuple[Array, Array, Array]:
+        """Return how influences times residuals add up over boxes of pixels, for some of the markers.
+
+        Args:
+            solutions: (N, 15) of the model.
+            influences: (N, K, 15) by how much each of K quantities changes with what the model's columns do.
+            picked: (P,) which of these N markers.
+            box_px: side of the small boxes; large ones have twice as much.
+
+        Returns:
+            The sums (P, K) over all small boxes, and over all large ones, of the square of what influence
+            times residual adds up to in a box; and the number (P,) of large boxes that have pixels.
+        """
+        columns = self.columns[picked]
+        weighted = influences[picked].astype(np.float32) @ columns[:, :UNKNOWNS]
+        weighted *= self.residuals(solutions)[picked][:, None]
+        v, u = np.divmod(self._flat_indices[picked], self._width)
+        used = columns[:, BLACK] > 0
+        rows, across = _boxes_along(v, used, box_px), _boxes_along(u, used, box_px)
+        n_rows, n_across = (2 * (int(boxes.max()) // 2 + 1) for boxes in (rows, across))
+        count, shape = picked.size * n_rows * n_across, (picked.size, n_rows // 2, 2, n_across // 2, 2)
+        boxes = ((np.arange(picked.size)[:, None] * n_rows + rows) * n_across + across).ravel()
+        sums = [np.bincount(boxes, one.ravel(), count).reshape(shape) for one in weighted.transpose(1, 0, 2)]
+        small = np.stack([np.square(one).sum(axis=(1, 2, 3, 4)) for one in sums], axis=1)
+        large = np.stack([np.square(one.sum(axis=(2, 4))).sum(axis=(1, 2)) for one in sums], axis=1)
+        filled = np.bincount(boxes, used.ravel(), count).reshape(shape).any(axis=(2, 4))
+        return small, large, filled.sum(axis=(1, 2))
 
     def cell_support(self, n_cells: int) -> Array:
         """Return the share (N, n, n) of each cell's pixels that is used; 0 for a cell off the image."""
@@ -143,6 +177,8 @@ class DesignMatrices:
         if appearances.anisotropies:
             self._add_anisotropy(drawn, appearances.anisotropies, homographies)
         np.multiply(drawn[..., 0], weights, out=columns[CONTRAST])
+        np.subtract(1, drawn[..., 0], out=columns[TONE[0]])
+        columns[TONE[0]] *= columns[CONTRAST]
         slope_x, slope_y = (np.multiply(drawn[..., axis], weights) for axis in (1, 2))
         np.multiply(drawn[..., 3], weights, out=columns[BLUR])
         np.negative(slope_x, out=columns[RIGHT])
@@ -197,6 +233,13 @@ class DesignMatrices:
         cells = along * np.float32(n_cells)
         cells += np.float32(n_cells / 2 + 1)
         return np.clip(cells, 0, n_cells + 1.5, out=cells).astype(np.int64)
+
+
+def _boxes_along(along: IntArray, used: BoolArray, box_px: int) -> IntArray:
+    """Numbers (P, M) of the boxes of lines or columns `along`, from 0 at the first that is used."""
+    boxes = along // box_px
+    first = np.where(used, boxes, np.iinfo(boxes.dtype).max).min(axis=1, keepdims=True)
+    return np.where(used, boxes - first, 0)
 
 
 def _read(patterns: list[Pattern], x: Floats, y: Floats) -> Floats:

@@ -127,7 +127,7 @@ class PhotometricDetector:
             found = found.take(np.argsort(found.ids, kind="stable")) if self.repeats else _unambiguous(found)
             known.unsearched = 0
         self._learn(known, found, time_s)
-        return _detections(found, image, time_s, unit_id)
+        return _detections(found, known.ratios.factors(), image, time_s, unit_id)
 
     def _follow(self, image: Image, known: ImageEstimates, time_s: float) -> tuple[FitResults, bool]:
         """Markers found where they were predicted, and whether one is missing or has left the view."""
@@ -239,6 +239,7 @@ class PhotometricDetector:
         sigma_px, noise = usual_sigma_px(found), weighted_median(found.noise_stds, found.pixels)
         known.sigma_px = _moved_towards(sigma_px, known.sigma_px)
         known.noise = _moved_towards(noise, known.noise)
+        known.ratios = known.ratios.updated(found.variance_ratios, found.boxes)
         sigmas_px = with_usual_blur(found)
         sigmas_px[sigmas_px == sigma_px] = known.sigma_px
         known.tracks = known.tracks.updated(time_s, found.ids, found.homographies, sigmas_px)
@@ -294,7 +295,11 @@ def _unambiguous(fits: FitResults) -> FitResults:
     return fits.take(first[counts == 1])
 
 
-def _detections(found: FitResults, image: Image, time_s: float, unit_id: int) -> Detections:
+def _detections(
+    found: FitResults, variance_factors: Array, image: Image, time_s: float, unit_id: int
+) -> Detections:
+    """Detections of what was found, with variances of positions and headings times two factors (2,)."""
+    scales = np.sqrt(variance_factors[[0, 0, 1]])
     return Detections(
         unit_id=unit_id,
         time_s=time_s,
@@ -304,5 +309,5 @@ def _detections(found: FitResults, image: Image, time_s: float, unit_id: int) ->
         headings_rad=found.homographies.headings_rad(),
         sides_px=found.homographies.sides_px(),
         corners_px=to_points(found.homographies.images(SQUARE_CORNERS)),
-        covariances=found.covariances,
+        covariances=scales[:, None] * found.covariances * scales,
     )

@@ -19,6 +19,7 @@ from skyherd.vision.grey import Image
 from skyherd.vision.photometric import design_matrix
 from skyherd.vision.photometric.appearance import MarkerAppearances, anisotropies_of, appearances_of
 from skyherd.vision.photometric.common_unknowns import hold_common_unknowns
+from skyherd.vision.photometric.correlated_noise import BOX_PX, MOST_MARKERS, box_ratios
 from skyherd.vision.photometric.design_matrix import (
     BLACK,
     LEAN,
@@ -28,7 +29,7 @@ from skyherd.vision.photometric.design_matrix import (
     DesignMatrices,
     design_matrices_of,
 )
-from skyherd.vision.photometric.fit_result import FitResults, fit_results_of
+from skyherd.vision.photometric.fit_result import FitResults, fit_results_of, pose_influences
 from skyherd.vision.photometric.least_squares import LeastSquaresSolution
 from skyherd.vision.photometric.local_homography import LocalHomographies
 from skyherd.vision.photometric.plane import Plane
@@ -98,7 +99,7 @@ class PixelSamples:
             rows: indices of the markers to be read.
             start: homographies of all N markers, about which the model is linear.
             appearances: of all N markers.
-            inlier_limits: a solution (N, 14) and limits (N,), grey levels; only pixels whose residual from
+            inlier_limits: a solution (N, 15) and limits (N,), grey levels; only pixels whose residual from
                 that solution is below their marker's limit are used. All are if left out.
         """
         for pixels in design_matrices_of(image, rows, start, appearances):
@@ -135,6 +136,30 @@ class PixelSamples:
         for pixels in self._latest_parts(rows):
             shares[pixels.rows] = pixels.cell_support(n_cells)
         return shares[rows]
+
+    def variance_ratios(
+        self, right: BoolArray, solution: LeastSquaresSolution, homographies: LocalHomographies
+    ) -> tuple[Array, Array]:
+        """Return how correlated noise changes the variances of some of the markers that are `right` (N,).
+
+        Returns:
+            The ratios (N, 2) of positions and of headings, and the numbers (N,) of boxes that they are of, 0
+            for markers that were not looked at (`skyherd.vision.photometric.correlated_noise`).
+        """
+        rows = np.flatnonzero(right)[:: max(1, -(-np.count_nonzero(right) // MOST_MARKERS))]
+        ratios, numbers = np.ones((right.size, 2)), np.zeros(right.size)
+        if not rows.size:
+            return ratios, numbers
+        influences, maps = pose_influences(solution, homographies)
+        variances = (influences * maps).sum(axis=2) * (solution.noise_stds() ** 2)[:, None]
+        for pixels in self._latest_parts(rows):
+            picked = np.flatnonzero(np.isin(pixels.rows, rows))
+            here = pixels.rows[picked]
+            small, large, boxes = pixels.squared_box_sums(
+                solution.values[pixels.rows], influences[pixels.rows], picked, BOX_PX
+            )
+            ratios[here], numbers[here] = box_ratios(small, large, variances[here]), boxes
+        return ratios, numbers
 
     def _latest_parts(self, rows: IntArray) -> list[DesignMatrices]:
         """The parts that hold the latest pixels of the markers `rows`, in the order of reading."""
@@ -207,7 +232,11 @@ def fit_markers(
             break
     residuals = samples.cell_residuals(np.arange(ids.size), solution, n_cells)
     variances = plane.variances(homographies.centers - middle) if plane.shared else np.zeros(ids.size)
-    return fit_results_of(ids, solution, homographies, residuals, moved_px, blurs, variances), plane
+    correlation = samples.variance_ratios(right, solution, homographies)
+    results = fit_results_of(
+        ids, solution, homographies, residuals, moved_px, blurs, variances, correlation=correlation
+    )
+    return results, plane
 
 
 def image_middle(image: Image) -> complex:

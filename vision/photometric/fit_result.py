@@ -35,6 +35,8 @@ class FitResults(RowRecord):
         cell_means: (N, n, n) mean residual over each cell, grey levels.
         peaks: (N,) largest absolute residual of a pixel, grey levels.
         moved_px: (N,) how far the last step moved the middles of the sides, px.
+        variance_ratios: (N, 2) of positions and headings; see `skyherd.vision.photometric.correlated_noise`.
+        boxes: (N,) number of boxes that the ratios are of; 0 for a marker without.
     """
 
     ids: IntArray
@@ -50,6 +52,8 @@ class FitResults(RowRecord):
     cell_means: Array
     peaks: Array
     moved_px: Array
+    variance_ratios: Array
+    boxes: Array
 
     def print_contrasts(self) -> Array:
         """Return the print contrasts (N,), a share of white; see the function of this name."""
@@ -94,6 +98,8 @@ def no_fit_results(dictionary: str) -> FitResults:
         covariances=np.zeros((0, 3, 3)),
         cell_means=np.zeros((0, n, n)),
         moved_px=empty,
+        variance_ratios=np.ones((0, 2)),
+        boxes=empty,
         **scalars,
     )
 
@@ -106,6 +112,7 @@ def fit_results_of(
     moved_px: Array,
     blurs: Array,
     squeeze_variances: Array,
+    correlation: tuple[Array, Array] | None = None,
 ) -> FitResults:
     """Return the results of N markers from the solution of the fit's last step.
 
@@ -117,8 +124,10 @@ def fit_results_of(
         moved_px: (N,) how far the last step moved the middles of the sides.
         blurs: (N,) standard deviations of the blurs that were assumed, in marker sides.
         squeeze_variances: (N,) variances of each component of the squeezes that were held.
+        correlation: as `PixelSamples.variance_ratios` returns it; not known if left out.
     """
     cell_means, peaks = cell_residuals
+    variance_ratios, boxes = correlation or (np.ones((ids.size, 2)), np.zeros(ids.size))
     log_blurs = solution.values[:, BLUR] / solution.contrasts()
     found = np.clip(log_blurs, -MAX_LOG_BLUR, MAX_LOG_BLUR)
     return FitResults(
@@ -135,25 +144,36 @@ def fit_results_of(
         cell_means=cell_means,
         peaks=peaks,
         moved_px=moved_px,
+        variance_ratios=variance_ratios,
+        boxes=boxes,
     )
 
 
 def _covariances(
     solution: LeastSquaresSolution, homographies: LocalHomographies, squeeze_variances: Array
 ) -> Array:
-    """Covariances (N, 3, 3) of (u, v, heading): those of the unknowns, mapped through the homographies.
+    """Covariances (N, 3, 3) of (u, v, heading) if noise is independent from pixel to pixel.
 
-    A step moves the centre by `m d + k d̄` and turns forward by `Re((m + k) / (m - k)) (θ - e_shear)`. A
-    shear that is held at the plane's value varies as the plane does.
+    A shear that is held at the plane's value varies as the plane does.
+    """
+    influences, maps = pose_influences(solution, homographies)
+    covariances = influences @ maps.transpose(0, 2, 1) * (solution.noise_stds() ** 2)[:, None, None]
+    covariances[:, 2, 2] += maps[:, 2, SQUEEZE[1]] ** 2 * solution.contrasts() ** 2 * squeeze_variances
+    return np.asarray(covariances)
+
+
+def pose_influences(solution: LeastSquaresSolution, homographies: LocalHomographies) -> tuple[Array, Array]:
+    """Return how (u, v, heading) change with each column's product with the pixels, and with each unknown.
+
+    Both are (N, 3, 15): P C and P, with C the inverse normal matrices. A step moves the centre by
+    `m d + k d̄` and turns forward by `Re((m + k) / (m - k)) (θ - e_shear)`; steps are unknowns over contrast.
     """
     right = homographies.arms + homographies.squeezes
     down = 1j * (homographies.arms - homographies.squeezes)
     turn = (right / (homographies.arms - homographies.squeezes)).real
-    to_pose = np.zeros((len(homographies), 3, UNKNOWNS))
+    maps = np.zeros((len(homographies), 3, UNKNOWNS))
     for column, axis in ((design_matrix.RIGHT, right), (design_matrix.DOWN, down)):
-        to_pose[:, 0, column], to_pose[:, 1, column] = axis.real, axis.imag
-    to_pose[:, 2, design_matrix.TURN], to_pose[:, 2, SQUEEZE[1]] = turn, -turn
-    scale = (solution.noise_stds() / solution.contrasts()) ** 2
-    covariances = to_pose @ solution.inverse_normals @ to_pose.transpose(0, 2, 1) * scale[:, None, None]
-    covariances[:, 2, 2] += turn**2 * squeeze_variances
-    return np.asarray(covariances)
+        maps[:, 0, column], maps[:, 1, column] = axis.real, axis.imag
+    maps[:, 2, design_matrix.TURN], maps[:, 2, SQUEEZE[1]] = turn, -turn
+    maps /= solution.contrasts()[:, None, None]
+    return maps @ solution.inverse_normals, maps

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 
+from skyherd.vision.photometric.correlated_noise import PooledRatios
 from skyherd.vision.photometric.plane import Plane
 from skyherd.vision.photometric.tracks import Tracks, no_tracks
 
@@ -18,6 +19,7 @@ class ImageEstimates:
         tracks: the markers being followed.
         unsearched: number of images since the whole image was searched.
         found: number of markers in the last image.
+        ratios: of the markers' variances to those that independent noise would give.
     """
 
     sigma_px: float | None = None
@@ -26,3 +28,4 @@ class ImageEstimates:
     tracks: Tracks = field(default_factory=no_tracks)
     unsearched: int = 0
     found: int = 0
+    ratios: PooledRatios = field(default_factory=PooledRatios)

@@ -48,8 +48,8 @@ class LeastSquaresSolution:
     """Least-squares solutions for N markers.
 
     Attributes:
-        values: (N, 14) the unknowns, in the order of `skyherd.vision.photometric.design_matrix`.
-        inverse_normals: (N, 14, 14) inverse normal matrices C; rows and columns of held unknowns are zero.
+        values: (N, 15) the unknowns, in the order of `skyherd.vision.photometric.design_matrix`.
+        inverse_normals: (N, 15, 15) inverse normal matrices C; rows and columns of held unknowns are zero.
         residual_squares: (N,) sums of squared weighted residuals, grey levels squared.
         pixels: (N,) number of pixels used.
         free: number of unknowns that are not held.
@@ -63,7 +63,7 @@ class LeastSquaresSolution:
 
     @classmethod
     def of_grams(cls, grams: Array, pixels: Array) -> "LeastSquaresSolution":
-        """Solve for all unknowns, from Gram matrices (N, 15, 15) of `pixels` (N,) pixels each.
+        """Solve for all unknowns, from Gram matrices (N, 16, 16) of `pixels` (N,) pixels each.
 
         The last row and column of a Gram matrix are the inner products with the pixels' values.
         """

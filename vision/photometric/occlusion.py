@@ -17,7 +17,7 @@ from skyherd.geometry import Array
 from skyherd.markers.dictionary import border_cells, cells_per_side
 from skyherd.vision.grey import Image
 from skyherd.vision.photometric.appearance import appearances_of
-from skyherd.vision.photometric.common_unknowns import on_common_plane
+from skyherd.vision.photometric.common_unknowns import on_common_plane, with_common_tone
 from skyherd.vision.photometric.design_matrix import BLACK, CONTRAST, MIDDLE_GREY, POSE, UNKNOWNS
 from skyherd.vision.photometric.fit import PixelSamples, image_middle, stepped
 from skyherd.vision.photometric.fit_result import FitResults, fit_results_of
@@ -72,10 +72,9 @@ def fit_visible(
     for _ in range(_rounds(fits.contrasts, noise)):
         values[:, POSE] = 0.0  # the last round's step was taken
         samples.read(image, rows, homographies, appearances, inlier_limits=(values, limits))
-        solution = samples.solution()
-        solution, plane = on_common_plane(
-            solution, homographies, middle, np.ones(rows.size, dtype=bool), plane, lean_std=0.0
-        )
+        everyone = np.ones(rows.size, dtype=bool)
+        solution = with_common_tone(samples.solution(), everyone)
+        solution, plane = on_common_plane(solution, homographies, middle, everyone, plane, level=True)
         values = solution.values.copy()
         homographies, moved_px = stepped(solution, homographies)
         homographies = replace(homographies, horizons=plane.horizons(homographies.centers - middle))

@@ -1,0 +1,51 @@
+"""Measure the constants of `skyherd.vision.photometric.correlated_noise` on raw images, whose noise is white.
+
+    python benchmarks/correlated_noise.py
+
+For markers of several sides it prints the number of large boxes, the mean ratio before what the fit takes off
+is made good, and the standard deviation of the ratio times the root of the number of boxes.
+"""
+
+import numpy as np
+
+from skyherd.bench.design import Cell
+from skyherd.bench.frames import rendered_frames
+from skyherd.vision.photometric.correlated_noise import KEPT_SHARE
+from skyherd.vision.photometric.detector import PhotometricDetector
+from skyherd.vision.photometric.fit import PixelSamples
+
+SIDES_PX, CAMERAS, FRAMES, SEED = (12.0, 16.0, 24.0, 36.0, 60.0), 4, 6, 1
+
+
+def measure(side_px: float) -> tuple[float, float, float]:
+    """Return the mean number of boxes of markers, the mean of their ratios, and the ratios' deviation."""
+    ratios, boxes = [], []
+    one_of_each = PixelSamples.variance_ratios
+
+    def noted(*arguments):  # type: ignore[no-untyped-def]
+        found = one_of_each(*arguments)
+        kept = found[1] > 0
+        ratios.append(found[0][kept])
+        boxes.append(found[1][kept])
+        return found
+
+    PixelSamples.variance_ratios = noted  # type: ignore[method-assign]
+    try:
+        for frame in rendered_frames(Cell(side_px=side_px, cameras=CAMERAS, frames=FRAMES), "4X4_50", SEED):
+            PhotometricDetector("4X4_50", following=False).detect(frame.image)
+    finally:
+        PixelSamples.variance_ratios = one_of_each  # type: ignore[method-assign]
+    number, found = np.concatenate(boxes), np.concatenate(ratios)
+    deviation = float(np.std((found - found.mean(axis=0)) * np.sqrt(number)[:, None]))
+    return float(number.mean()), float(KEPT_SHARE * found.mean()), deviation
+
+
+def main() -> None:
+    """Print a line for each side."""
+    for side_px in SIDES_PX:
+        boxes, ratio, deviation = measure(side_px)
+        print(f"{side_px:4.0f} px: {boxes:6.1f} boxes, ratio {ratio:.3f}, deviation {deviation:.2f}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,150 @@
+"""Variances of poses where noise is correlated from pixel to pixel, and edges where a tone curve is bent."""
+
+import cv2
+import numpy as np
+import pytest
+
+from skyherd.bench.design import Cell
+from skyherd.bench.frames import rendered_frames
+from skyherd.geometry import to_complex
+from skyherd.vision.photometric import common_unknowns
+from skyherd.vision.photometric.correlated_noise import (
+    FORGOTTEN,
+    MAX_RATIO,
+    RATIO_ERROR,
+    SIGNIFICANT_SIGMAS,
+    PooledRatios,
+    box_ratios,
+)
+from skyherd.vision.photometric.design_matrix import BLACK, UNKNOWNS, DesignMatrices
+from skyherd.vision.photometric.detector import PhotometricDetector
+
+DICTIONARY, NOISE = "4X4_50", 5.0
+
+
+def box_sums_by_hand(values, u, v, box_px):
+    """Σ over boxes of `(Σ values)²`, box by box."""
+    sums = {}
+    for value, column, line in zip(values, u, v, strict=True):
+        key = (int(column) // box_px, int(line) // box_px)
+        sums[key] = sums.get(key, 0.0) + value
+    return sum(total**2 for total in sums.values()), len(sums)
+
+
+def test_boxes_are_added_up_as_by_hand():
+    """Of two markers with 300 and 200 random pixels of 64 x 64; the rest of their rows is padding."""
+    rng = np.random.default_rng(0)
+    pixels = DesignMatrices.__new__(DesignMatrices)
+    pixels.rows, pixels._width = np.arange(2), 64
+    pixels.columns = rng.normal(size=(2, UNKNOWNS + 1, 300)).astype(np.float32)
+    pixels.columns[:, BLACK] = np.arange(300) < np.array([[300], [200]])
+    pixels.columns *= pixels.columns[:, BLACK : BLACK + 1]
+    # Boxes are counted from the first pixel that is used, so that large ones are aligned with it.
+    pixels._flat_indices = np.stack([rng.permutation(64 * 64)[:300] for _ in range(2)])
+    pixels._flat_indices[:, 0] = 0
+    solutions, influences = rng.normal(size=(2, UNKNOWNS)), rng.normal(size=(2, 3, UNKNOWNS))
+    small, large, boxes = pixels.squared_box_sums(solutions, influences, np.array([1, 0]), 2)
+    residuals = pixels.residuals(solutions)
+    for place, marker in enumerate((1, 0)):
+        used = pixels.columns[marker, BLACK] > 0
+        v, u = np.divmod(pixels._flat_indices[marker][used], 64)
+        weighted = influences[marker] @ pixels.columns[marker, :UNKNOWNS] * residuals[marker]
+        for quantity in range(3):
+            values = weighted[quantity][used]
+            expected, _ = box_sums_by_hand(values, u, v, 2)
+            assert small[place, quantity] == pytest.approx(expected, rel=1e-4)
+            expected, count = box_sums_by_hand(values, u, v, 4)
+            assert large[place, quantity] == pytest.approx(expected, rel=1e-4) and boxes[place] == count
+
+
+def test_ratios_are_of_positions_and_of_headings():
+    small, large = np.array([[1.0, 2.0, 3.0]]), np.array([[2.0, 3.0, 5.0]])
+    ratios = box_ratios(small, large, np.array([[1.0, 2.0, 1.0]]))
+    assert ratios[0, 0] / ratios[0, 1] == pytest.approx((3 / 1 + 4 / 2) / 2 / 7)
+
+
+def test_ratios_near_one_count_as_one_and_old_images_are_forgotten():
+    assert PooledRatios().factors().tolist() == [1.0, 1.0]
+    limit = SIGNIFICANT_SIGMAS * RATIO_ERROR / np.sqrt(2500)
+    one = PooledRatios().updated(np.array([[1 + 0.99 * limit, 1 + 1.01 * limit]]), np.array([2500.0]))
+    np.testing.assert_allclose(one.factors(), [1.0, 1 + 1.01 * limit])
+    boxes = np.array([300.0, 100.0, 0.0])
+    many = PooledRatios().updated(np.array([[3.0, 4.0], [7.0, 8.0], [1e9, 1e9]]), boxes)
+    np.testing.assert_allclose(many.factors(), [4.0, 5.0])
+    later = many.updated(np.full((1, 2), 9.0), np.array([400.0]))
+    np.testing.assert_allclose(
+        later.factors(), ((1 - FORGOTTEN) * np.array([4.0, 5.0]) + 9) / (2 - FORGOTTEN)
+    )
+    huge = PooledRatios().updated(np.full((1, 2), 1e9), np.array([100.0]))
+    assert huge.factors().tolist() == [MAX_RATIO, MAX_RATIO]
+
+
+@pytest.fixture(scope="module")
+def quiet():
+    """Frames of 16 markers of 30 px without any noise but that of rounding, of three cameras."""
+    cell = Cell(side_px=30.0, noise=0.0, blur_px=0.8, cameras=3, frames=3)
+    return [frame for frame in rendered_frames(cell, DICTIONARY, 5) if frame.whole.all()]
+
+
+def smoothed(white):
+    noise = cv2.GaussianBlur(white, (0, 0), 0.9)
+    return noise * NOISE / noise.std()
+
+
+def sharpened(white):
+    noise = 2.0 * white - cv2.GaussianBlur(white, (0, 0), 1.2)
+    return noise * NOISE / noise.std()
+
+
+def nees(frames, noise_of, *, seed):
+    """Mean of error² over the variance reported, of positions along u and v, and of headings."""
+    rng = np.random.default_rng(seed)
+    positions, headings = [], []
+    for frame in frames:
+        noise = noise_of(rng.normal(0, NOISE, frame.image.shape))
+        noisy = np.clip(np.rint(frame.image + noise), 0, 255).astype(np.uint8)
+        seen = PhotometricDetector(DICTIONARY, following=False).detect(noisy)
+        assert seen.ids.tolist() == frame.ids.tolist()
+        off = to_complex(seen.centers_px - frame.centers_px)
+        variances = np.diagonal(seen.covariances, axis1=1, axis2=2)
+        positions += [*(off.real**2 / variances[:, 0]), *(off.imag**2 / variances[:, 1])]
+        turn = np.angle(np.exp(1j * (seen.headings_rad - frame.headings_rad)))
+        headings += [*(turn**2 / variances[:, 2])]
+    return np.mean(positions), np.mean(headings)
+
+
+@pytest.mark.parametrize(
+    ("noise_of", "alone"),
+    [(np.asarray, 1.0), (smoothed, 3.0), (sharpened, 0.6)],
+    ids=["white", "smooth", "sharp"],
+)
+def test_covariances_hold_where_noise_is_correlated(quiet, noise_of, alone, monkeypatch):
+    """And would not without the ratio: smooth noise moves markers by more, sharpened noise by less.
+
+    288 squares have a mean of standard deviation `sqrt(2 / 288)` = 0.08, 144 one of 0.12, and the ratio of an
+    image is known to 0.12; three times both together are allowed.
+    """
+    position, heading = nees(quiet, noise_of, seed=7)
+    assert position == pytest.approx(1.0, abs=0.43) and heading == pytest.approx(1.0, abs=0.5)
+    monkeypatch.setattr(PooledRatios, "factors", lambda self: np.ones(2))
+    without, _ = nees(quiet, noise_of, seed=7)
+    assert without > alone if alone > 1 else without < 1.45 * alone
+
+
+def test_a_bent_tone_curve_moves_no_marker(quiet, monkeypatch):
+    """Light to the power of 1 / 2.2, as cameras deliver it: errors, and how much larger they are without."""
+
+    def errors():
+        off = []
+        for number, frame in enumerate(quiet):
+            noise = np.random.default_rng([9, number]).normal(0, 1.0, frame.image.shape)
+            bent = 255 * (np.clip(frame.image + noise, 0, 255) / 255) ** (1 / 2.2)
+            seen = PhotometricDetector(DICTIONARY, following=False).detect(np.rint(bent).astype(np.uint8))
+            assert seen.ids.tolist() == frame.ids.tolist()
+            off += [*(seen.centers_px - frame.centers_px).ravel()]
+        return float(np.sqrt(np.mean(np.square(off))))
+
+    free = errors()
+    monkeypatch.setattr(common_unknowns, "FREE_SIGMAS", np.inf)
+    held = errors()
+    assert held > 1.5 * free

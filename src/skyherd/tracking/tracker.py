@@ -22,8 +22,14 @@ from skyherd.vision import DEFAULT_DICTIONARY, Detector, create_detector
 VERB = "track"
 """Verb by which a folder's record knows what was made here."""
 
-TRACKS, SHAPE, FIGURE = "tracks.csv", "shape.csv", "tracks.png"
-"""Names of the tables and of the figure."""
+TRACKS = "tracks.csv"
+"""Name of the table of tracks."""
+
+SHAPE = "shape.csv"
+"""Name of the table of shape errors."""
+
+FIGURE = "tracks.png"
+"""Name of the figure."""
 
 TRACK_COLUMNS = (
     *("file", "frame", "time_s", "id", "x_sides", "y_sides", "heading_deg"),

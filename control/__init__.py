@@ -32,6 +32,7 @@ from skyherd.control.policy import (
 from skyherd.control.rectification.ground_map import GroundMap
 from skyherd.control.rectification.rectifier import Rectifier, rectified
 from skyherd.control.robot_team import GoalFollowers
+from skyherd.control.robots.dead_reckoning import DeadReckoning
 from skyherd.control.robots.goal_fusion import GoalInboxes
 from skyherd.control.robots.unicycle import (
     MarkerGains,
@@ -62,6 +63,7 @@ __all__ = [
     "BodyRule",
     "Conditions",
     "ControlSets",
+    "DeadReckoning",
     "Decision",
     "Delivery",
     "Detour",

@@ -8,6 +8,7 @@ import numpy as np
 from skyherd.control.avoidance.neighbor_memory import NeighborMemory
 from skyherd.control.avoidance.speed_bound import AvoidanceRule, avoiding_law
 from skyherd.control.policy import Delivery, RobotTeam, TeamOrders
+from skyherd.control.robots.dead_reckoning import DeadReckoning
 from skyherd.control.robots.goal_fusion import GoalInboxes
 from skyherd.control.robots.unicycle import RobotLaw, Wheels, robot_commands
 from skyherd.messages import MotionGoals, VelocityCommand
@@ -23,6 +24,8 @@ class GoalFollowers(RobotTeam):
         wheels: what the robots' wheels can do.
         neighbors: bodies near each robot, as units reported them; None where robots are points.
         avoidance: how robots keep apart from these; None where they do not.
+        motion: what each robot has driven since, which it takes off goals of images in the past; None where
+            goals are followed as they come.
     """
 
     inboxes: GoalInboxes
@@ -30,6 +33,7 @@ class GoalFollowers(RobotTeam):
     wheels: Wheels
     neighbors: NeighborMemory | None = None
     avoidance: AvoidanceRule | None = None
+    motion: DeadReckoning | None = None
 
     def decide(self, time_s: float, delivered: Sequence[Delivery]) -> TeamOrders:
         """Take in the messages; then steer by all goals that are not too old."""
@@ -39,14 +43,18 @@ class GoalFollowers(RobotTeam):
             elif self.neighbors is not None:
                 self.neighbors.receive(delivery.message, delivery.received)
         commanded = self.inboxes.ids[self.inboxes.fresh(time_s).any(axis=0)]
-        return TeamOrders(self._command(time_s), np.asarray(commanded))
+        inboxes = self.inboxes if self.motion is None else self.motion.up_to_date(self.inboxes, time_s)
+        command = self._command(inboxes, time_s)
+        if self.motion is not None:
+            self.motion.record(command, time_s)
+        return TeamOrders(command, np.asarray(commanded))
 
-    def _command(self, time_s: float) -> VelocityCommand:
+    def _command(self, inboxes: GoalInboxes, time_s: float) -> VelocityCommand:
         if self.neighbors is None or self.avoidance is None:
-            return robot_commands(self.inboxes, self.gains, time_s, wheels=self.wheels)
-        rho = self.gains.follow(self.inboxes, time_s)
+            return robot_commands(inboxes, self.gains, time_s, wheels=self.wheels)
+        rho = self.gains.follow(inboxes, time_s)
         v_mps, omega_radps = avoiding_law(
             rho, self.gains, memory=self.neighbors, rule=self.avoidance, time_s=time_s
         )
         self.neighbors.record_rotation(omega_radps, time_s, self.avoidance.step_s)
-        return VelocityCommand(self.inboxes.ids, v_mps, omega_radps)
+        return VelocityCommand(inboxes.ids, v_mps, omega_radps)

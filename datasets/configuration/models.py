@@ -78,6 +78,10 @@ class ControlModel(Model):
     b_th: NotNegative = Field(
         0.01, description="marker sides, or px with pixel gains; robots nearer to their goal than this stop"
     )
+    compensate: bool = Field(
+        False,
+        description="whether robots take off their goals what they have driven since the image was taken",
+    )
     rectify: bool = Field(
         True, description="whether units learn tilt and lens of their cameras from the markers, and undo them"
     )

@@ -14,6 +14,7 @@ from skyherd.analysis.summary import held_to_the_end, reached_s, summarize
 from skyherd.datasets import load_mission
 from skyherd.errors import InputError
 from skyherd.loop import run_steps
+from skyherd.recording.mcap_log import McapLog
 from skyherd.recording.reader import read_messages, read_recording, read_steps
 from skyherd.recording.writer import McapRecorder
 
@@ -138,13 +139,13 @@ def older_step(topic, record):
 def test_a_recording_of_another_version_is_refused_in_one_line(
     tmp_path, mission, steps, monkeypatch, change, at
 ):
-    put = McapRecorder._put
+    put = McapLog.put
 
     def put_changed(self, topic, time_s, record, *schema):
         change(topic, record)
         put(self, topic, time_s, record, *schema)
 
-    monkeypatch.setattr(McapRecorder, "_put", put_changed)
+    monkeypatch.setattr(McapLog, "put", put_changed)
     path = record(tmp_path / "run.mcap", mission, steps[:3])
     with pytest.raises(InputError, match=f"another version of skyherd .*{at}") as refusal:
         read_recording(path)

@@ -26,12 +26,15 @@ from skyherd.cli.interrupts import (
     signals_as_interrupts,
     telling_of_interrupts,
 )
+from skyherd.cli.live import live_app
+from skyherd.cli.live_processes import robot, unit, world
 from skyherd.cli.markers import markers
 from skyherd.cli.report import report
 from skyherd.cli.run import run
 from skyherd.cli.scenario import scenario_app
 from skyherd.cli.study import study
 from skyherd.cli.topology import topology
+from skyherd.cli.track import track
 from skyherd.errors import SkyherdError
 from skyherd.version import __version__
 
@@ -59,7 +62,12 @@ app.command()(report)
 app.command()(topology)
 app.command()(detect)
 app.command()(markers)
+app.command()(track)
 app.command()(study)
+app.command()(unit)
+app.command()(robot)
+app.command()(world)
+app.add_typer(live_app, name="live")
 app.add_typer(scenario_app, name="scenario")
 app.add_typer(bench_app, name="bench")
 app.add_typer(dataset_app, name="dataset")

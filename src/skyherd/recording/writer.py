@@ -33,7 +33,6 @@ metadata of the file and no message.
 
 import base64
 import math
-import sys
 from collections.abc import Mapping
 from dataclasses import fields
 from pathlib import Path
@@ -42,7 +41,6 @@ from typing import Any, Protocol, Self
 
 import cv2
 import numpy as np
-from mcap.writer import CompressionType, Writer
 
 from skyherd.control import GroundMap, Template
 from skyherd.datasets import Mission
@@ -56,13 +54,9 @@ from skyherd.messages import (
     UnitReport,
     VelocityCommand,
 )
-from skyherd.recording.json_codec import json_schema, to_json
+from skyherd.recording.mcap_log import CHUNK_BYTES, McapLog, Schema, nanoseconds
 from skyherd.sim.truth_metrics import TruthMetrics
 from skyherd.version import __version__
-
-CHUNK_BYTES = 1 << 16
-"""Size at which a chunk of messages is compressed and written before its time is over. Chosen: smaller chunks
-compress worse, larger ones lose more where one is damaged."""
 
 FLUSH_S = 0.5
 """Simulated time, s, of which a run that is killed loses less than this and one step. Chosen: a
@@ -71,9 +65,6 @@ formation hardly moves in it; shorter chunks compress worse."""
 JPEG_QUALITY = 90
 """Quality of recorded images, in per cent. Chosen: a video made of them looks like one of the originals; they
 are not for measuring, since JPEG moves edges."""
-
-Schema = tuple[str, type | dict[str, Any]]
-"""Name of a schema, and the dataclass or the JSON schema that it is of."""
 
 OBJECT: dict[str, Any] = {"type": "object"}
 """JSON schema of messages that are no dataclass."""
@@ -168,19 +159,13 @@ class McapRecorder:
     def __init__(self, path: Path, mission: Mission, *, images: bool = False) -> None:
         self.images = images
         self._step_s = mission.scenario.step_s
-        self._file = path.open("wb")
-        # A chunk ends where this class says so, never within a step.
-        self._writer = Writer(
-            self._file, chunk_size=sys.maxsize, compression=CompressionType.ZSTD, enable_data_crcs=True
-        )
-        self._writer.start(library=f"skyherd {__version__}")
         topics = recorded_topics(len(mission.scenario.units))
-        self._channels = self._register(topics)
-        self._sequence = self._steps = self._bytes = 0
+        self._log = McapLog(path, topics)
+        self._steps = 0
         self._flushed_s = -math.inf
         record = _mission_record(mission) | {"topics": list(topics)}
         for _ in range(2):
-            self._put("/mission", 0.0, record)
+            self._log.put("/mission", 0.0, record)
             self._flush(0.0)
         self._flushed_s = -math.inf
 
@@ -188,22 +173,22 @@ class McapRecorder:
         """Append all messages of one step, and flush what would be too much to lose."""
         for unit, frame in step.frames.items():
             self._write_frame(f"/unit/{unit}", step.time_s, frame)
-        self._put("/robots/command", step.time_s, step.command)
+        self._log.put("/robots/command", step.time_s, step.command)
         world = {
             "positions_m": step.positions_m,
             "headings_rad": step.headings_rad,
             "fleet": step.fleet,
         }
-        self._put("/world", step.time_s, world)
+        self._log.put("/world", step.time_s, world)
         record = {field.name: getattr(step.metrics, field.name) for field in fields(TruthMetrics)} | {
             "control_sets": step.control_sets,
             "commanded_ids": step.commanded_ids,
             "roles": step.roles,
         }
-        self._put("/metrics", step.time_s, record)
+        self._log.put("/metrics", step.time_s, record)
         self._steps += 1
         next_s = step.time_s + self._step_s
-        if self._bytes >= CHUNK_BYTES or next_s - self._flushed_s > FLUSH_S + TIME_TOLERANCE_S:
+        if self._log.pending_bytes >= CHUNK_BYTES or next_s - self._flushed_s > FLUSH_S + TIME_TOLERANCE_S:
             self._flush(step.time_s)
 
     def finish(self, time_s: float, wall_s: float) -> None:
@@ -213,63 +198,42 @@ class McapRecorder:
             time_s: simulated time of the last step.
             wall_s: wall time that the run took.
         """
-        self._put("/end", time_s, {"steps": self._steps})
+        self._log.put("/end", time_s, {"steps": self._steps})
         self._flush(time_s)
-        self._writer.add_metadata("wall", {"wall_s": repr(wall_s)})
+        self._log.add_metadata("wall", {"wall_s": repr(wall_s)})
 
     def _write_frame(self, topic: str, time_s: float, frame: UnitFrame) -> None:
         sight, decision = frame.sight, frame.decision
-        self._put(f"{topic}/detections", time_s, sight.detections)
+        self._log.put(f"{topic}/detections", time_s, sight.detections)
         if decision.goals is not None:
-            self._put(f"{topic}/goals", time_s, decision.goals)
+            self._log.put(f"{topic}/goals", time_s, decision.goals)
         if decision.proximity is not None:
-            self._put(f"{topic}/proximity", time_s, decision.proximity)
-        self._put(f"{topic}/report", time_s, decision.report)
-        self._put(f"{topic}/flight", time_s, decision.flight)
+            self._log.put(f"{topic}/proximity", time_s, decision.proximity)
+        self._log.put(f"{topic}/report", time_s, decision.report)
+        self._log.put(f"{topic}/flight", time_s, decision.flight)
         if not frame.decision.ground_map.ideal:
-            self._put(f"{topic}/map", time_s, frame.decision.ground_map)
+            self._log.put(f"{topic}/map", time_s, frame.decision.ground_map)
         truth = {
             "whole_ids": sight.whole_ids,
             "found_ids": sight.found_ids,
             "false_detections": sight.false_detections,
         }
-        self._put(f"{topic}/truth", time_s, truth)
+        self._log.put(f"{topic}/truth", time_s, truth)
         if self.images and sight.image is not None:
             _, data = cv2.imencode(".jpg", sight.image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
-            nanoseconds = _nanoseconds(time_s)
+            at_ns = nanoseconds(time_s)
             record = {
-                "timestamp": {"sec": nanoseconds // 10**9, "nsec": nanoseconds % 10**9},
+                "timestamp": {"sec": at_ns // 10**9, "nsec": at_ns % 10**9},
                 "frame_id": topic,
                 "data": base64.b64encode(data.tobytes()).decode(),
                 "format": "jpeg",
             }
-            self._put(f"{topic}/image", time_s, record)
-
-    def _register(self, topics: Mapping[str, Schema]) -> dict[str, int]:
-        """Make the channels, numbered from 1 in the order of the topics, and each schema once."""
-        schemas: dict[str, int] = {}
-        for name, content in topics.values():
-            if name not in schemas:
-                text = to_json(content if isinstance(content, dict) else json_schema(content))
-                schemas[name] = self._writer.register_schema(name, "jsonschema", text)
-        return {
-            topic: self._writer.register_channel(topic, "json", schemas[name])
-            for topic, (name, _) in topics.items()
-        }
-
-    def _put(self, topic: str, time_s: float, record: Any) -> None:
-        """Append a message with the next number."""
-        at, data = _nanoseconds(time_s), to_json(record)
-        self._writer.add_message(
-            self._channels[topic], log_time=at, publish_time=at, data=data, sequence=self._sequence
-        )
-        self._sequence += 1
-        self._bytes += len(data)
+            self._log.put(f"{topic}/image", time_s, record)
 
     def _flush(self, time_s: float) -> None:
         """Write what there is as a chunk, so that it stays if the process is killed now."""
-        self._writer.flush()  # type: ignore[no-untyped-call]
-        self._bytes, self._flushed_s = 0, time_s
+        self._log.flush()
+        self._flushed_s = time_s
 
     def __enter__(self) -> Self:
         return self
@@ -277,18 +241,11 @@ class McapRecorder:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        try:
-            self._writer.finish()  # type: ignore[no-untyped-call]
-        finally:
-            self._file.close()
+        self._log.close()
 
 
 def _pairs(template: Template) -> list[list[float]]:
     return [[z.real, z.imag] for z in template.points_px.tolist()]
-
-
-def _nanoseconds(time_s: float) -> int:
-    return round(time_s * 1e9)
 
 
 def _mission_record(mission: Mission) -> dict[str, Any]:

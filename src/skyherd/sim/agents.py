@@ -9,6 +9,7 @@ from skyherd.control import (
     AerialController,
     AvoidanceRule,
     BodyRule,
+    DeadReckoning,
     Decision,
     FlightLaw,
     Follow,
@@ -215,11 +216,34 @@ def make_team(mission: Mission, world: World) -> RobotTeam:
         return OracleTeam(world, law, gains, wheels)
     units = np.arange(len(scenario.units))
     inboxes = GoalInboxes(mission.ids, units, scenario.robots.timeout_s, distances=gains.needs_distances)
+    motion = make_dead_reckoning(scenario, mission.ids.size)
     if not scenario.avoidance.on:
-        return GoalFollowers(inboxes, gains, wheels)
+        return GoalFollowers(inboxes, gains, wheels, motion=motion)
     bodies = np.union1d(mission.ids, mission.obstacle_ids)
     neighbors = NeighborMemory(mission.ids, bodies, scenario.avoidance.lifetime_s)
-    return GoalFollowers(inboxes, gains, wheels, neighbors=neighbors, avoidance=make_avoidance(scenario))
+    return GoalFollowers(
+        inboxes, gains, wheels, neighbors=neighbors, avoidance=make_avoidance(scenario), motion=motion
+    )
+
+
+def make_dead_reckoning(scenario: Scenario, count: int) -> DeadReckoning | None:
+    """What `count` robots know of their own motion; None where they follow goals as they come."""
+    if not scenario.control.compensate:
+        return None
+    drive = scenario.robots.drive
+    slowest_s = max(model.latency_s for model in scenario.units)
+    return DeadReckoning(
+        count,
+        scenario.marker.side_m,
+        axis_offset_m=drive.axis_offset_m,
+        delay_s=_whole_steps(drive.delay_s, scenario.step_s),
+        memory_s=scenario.robots.timeout_s + slowest_s + scenario.network.delay_s,
+    )
+
+
+def _whole_steps(delay_s: float, step_s: float) -> float:
+    """A drive's delay as the wheels keep it: rounded up to whole time steps."""
+    return float(np.ceil(delay_s / step_s - ROUNDING_STEPS) * step_s)
 
 
 def make_wheels(scenario: Scenario) -> Wheels:
@@ -241,7 +265,7 @@ def make_avoidance(scenario: Scenario) -> AvoidanceRule:
         nominal_age_s=max(unit.latency_s + 1 / unit.frame_rate_hz for unit in scenario.units),
         superseded_age_s=min(unit.latency_s for unit in scenario.units) + apart_s,
         step_s=step_s,
-        lag_s=np.ceil(drive.delay_s / step_s - ROUNDING_STEPS) * step_s + brakes_s,
+        lag_s=_whole_steps(drive.delay_s, step_s) + brakes_s,
         overshoot=drive.gain_error + SLIP_DEVIATIONS * drive.slip,
         creep_mps=drive.wheel_step_mps / 2,
         turn_error_radps=2 * wheel_mps / drive.track_m + SLIP_DEVIATIONS * drive.slip * robots.max_turn_radps,

@@ -1,0 +1,168 @@
+"""How fast may robots be, and how fast does the shape come, at what latency, with and without compensation?
+
+    export OPENBLAS_NUM_THREADS=1
+    python benchmarks/latency.py --json latency.jsonl            # all gains, latencies, both ways: minutes
+    python benchmarks/latency.py --json latency.jsonl --figure docs/latency.png --table docs/latency_table.md
+
+Each row is one run of a scenario on exact points with wheels that have no limits, so that nothing but the
+latency bounds the gain; k_omega is four times k throughout. `settled_s` is the time from which the shape
+error stays below the scenario's goal of half a per cent, null if it does not by the end. `overshoot` is the
+greatest rise of the shape error above the least it had been before, as a share of the error at the start. The
+largest stable gain is the largest of the gains up to which every smaller one settled, too.
+"""
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rows import gather, read_rows
+
+from skyherd.datasets import load_mission
+from skyherd.files.atomic import write_text
+from skyherd.loop import run_steps
+
+SCENARIOS = ("triangle", "star")
+LATENCIES_S = (0.0, 0.1, 0.3, 1.0)
+GAINS = tuple(float(f"{gain:.2g}") for gain in (*np.geomspace(0.2, 1, 5), *np.geomspace(1.25, 10, 9)))
+DURATION_S = 40.0
+GOAL = 0.005
+
+RUNS = [
+    (scenario, latency_s, compensate, gain)
+    for scenario in SCENARIOS
+    for latency_s in LATENCIES_S
+    for compensate in (False, True)
+    for gain in GAINS
+]
+
+
+def run(number: int) -> dict[str, Any]:
+    """One run, as a row."""
+    scenario, latency_s, compensate, gain = RUNS[number]
+    settings = [
+        "perception=ideal",
+        "control.rectify=false",
+        f"duration_s={DURATION_S}",
+        f"units.*.latency_s={latency_s}",
+        f"robots.timeout_s={latency_s + 0.5}",
+        f"control.k={gain}",
+        f"control.k_omega={4 * gain}",
+        "robots.max_speed_mps=1000",
+        "robots.max_turn_radps=1000",
+        f"control.compensate={str(compensate).lower()}",
+    ]
+    errors = np.array([s.metrics.shape.error for s in run_steps(load_mission(scenario, settings))])
+    times_s = np.linspace(0.0, DURATION_S, errors.size)
+    above = np.flatnonzero(~(errors < GOAL))
+    settled = above.size == 0 or above[-1] + 1 < errors.size
+    rises = errors - np.minimum.accumulate(errors)
+    return {
+        "seed": number,
+        "scenario": scenario,
+        "latency_s": latency_s,
+        "compensate": compensate,
+        "gain": gain,
+        "settled_s": float(times_s[above[-1] + 1 if above.size else 0]) if settled else None,
+        "overshoot": float(rises.max() / errors[0]),
+        "end_error": float(errors[-1]),
+    }
+
+
+def select(rows: list[dict[str, Any]], **wanted: Any) -> list[dict[str, Any]]:
+    """The rows with these values, by ascending gain."""
+    found = [row for row in rows if all(row[key] == value for key, value in wanted.items())]
+    return sorted(found, key=lambda row: row["gain"])
+
+
+def largest_stable(rows: list[dict[str, Any]]) -> float | None:
+    """Largest gain that settled, before the first larger than a gain that settled that did not.
+
+    The least gains may be too slow to settle in the time of a run: what counts begins at the first that did.
+    """
+    best = None
+    for row in rows:
+        if row["settled_s"] is not None:
+            best = row["gain"]
+        elif best is not None:
+            break
+    return best
+
+
+def table(rows: list[dict[str, Any]]) -> str:
+    """Markdown: for each scenario and latency the largest gain and the quickest run, both ways."""
+    lines = [
+        "| scenario | latency, s | largest stable k, 1/s | compensated | ratio | "
+        "least time to settle, s | compensated | overshoot at k = 1 /s | compensated |",
+        "|---|---|---|---|---|---|---|---|---|",
+    ]
+    for scenario in SCENARIOS:
+        for latency_s in LATENCIES_S:
+            gains, times, overs = [], [], []
+            for compensate in (False, True):
+                here = select(rows, scenario=scenario, latency_s=latency_s, compensate=compensate)
+                gains.append(largest_stable(here))
+                settled = [row["settled_s"] for row in here if row["settled_s"] is not None]
+                times.append(f"{min(settled):.1f}" if settled else "–")
+                overs += [f"{row['overshoot']:.1%}" for row in here if row["gain"] == 1.0]
+            ratio = f"{gains[1] / gains[0]:.1f}" if all(gains) else "–"
+            shown = [f"{gain:g}" if gain else "–" for gain in gains]
+            lines.append(
+                f"| {scenario} | {latency_s:g} | " + " | ".join([*shown, ratio, *times, *overs]) + " |"
+            )
+    return "\n".join(lines) + "\n"
+
+
+def draw(rows: list[dict[str, Any]], path: Path) -> None:
+    """Time to settle and overshoot over the gain, one column a scenario, one colour a latency."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    figure, axes = pyplot.subplots(2, len(SCENARIOS), figsize=(9, 6), sharex=True, squeeze=False)
+    colours = ("#222222", "#0072b2", "#e69f00", "#d55e00")
+    for column, scenario in enumerate(SCENARIOS):
+        for latency_s, colour in zip(LATENCIES_S, colours, strict=True):
+            for compensate in (False, True):
+                here = select(rows, scenario=scenario, latency_s=latency_s, compensate=compensate)
+                style = "-" if compensate else "--"
+                gains = [row["gain"] for row in here]
+                settled = [np.nan if row["settled_s"] is None else row["settled_s"] for row in here]
+                label = f"{latency_s:g} s, compensated" if compensate else f"{latency_s:g} s"
+                axes[0, column].plot(gains, settled, style, color=colour, marker=".", label=label)
+                overshoot = [min(row["overshoot"], 10.0) for row in here]
+                axes[1, column].plot(gains, overshoot, style, color=colour, marker=".")
+        axes[0, column].set(title=scenario, xscale="log", yscale="log")
+        axes[1, column].set(xlabel="gain k, 1/s", yscale="symlog", xscale="log")
+        axes[1, column].set_yscale("symlog", linthresh=0.01)
+    axes[0, 0].set_ylabel("time to a shape error below 0.5 %, s")
+    axes[1, 0].set_ylabel("overshoot, share of the start's error")
+    axes[0, -1].legend(fontsize=7)
+    for axis in axes.flat:
+        axis.grid(alpha=0.3)
+    figure.tight_layout()
+    figure.savefig(path, dpi=110)
+
+
+def main() -> None:
+    """Run what is missing, and draw what there is."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--json", type=Path, default=Path("latency.jsonl"))
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--figure", type=Path)
+    parser.add_argument("--table", type=Path)
+    options = parser.parse_args()
+    gather(run, range(len(RUNS)), options.jobs, options.json)
+    rows = read_rows(options.json)
+    if options.figure:
+        draw(rows, options.figure)
+    if options.table:
+        write_text(options.table, table(rows))
+    print(table(rows))
+    print(json.dumps({"rows": len(rows)}))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,408 @@
+"""What live processes do when things go wrong: each fault ten times, judged at the wheels.
+
+    python benchmarks/live_faults.py --json faults.json --table docs/live/faults.md
+
+The processes' own cores run in one process and in simulated time, each with a clock of its own, over a radio
+in memory: the code between camera, radio and driver is the very one that runs in processes, and the faults
+hit exactly where and when they are meant to, ten different times of ten different starts. The world is the
+scenario `triangle` on exact points: one unit, six robots, ten images a second.
+
+Columns: `longest blind s` is the longest time that any wheel turned after the newest image that its robot had
+a goal from; the limit is `goal_timeout_s` and one period. `moved off` counts runs in which it was exceeded,
+`formed` those whose shape error was below 2 % at the end, `told` the lines that a person would have read.
+"""
+
+import argparse
+import json
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from skyherd.datasets import load_mission
+from skyherd.files.atomic import write_text
+from skyherd.live.lab import Lab, load_lab
+from skyherd.live.radio import Air, MemoryRadio, Post
+from skyherd.live.robot_core import RobotCore
+from skyherd.live.unit_core import UnitCore
+from skyherd.live.wire import MOST_BYTES, Arm
+from skyherd.messages import VelocityCommand
+from skyherd.sim.perception import ProjectedPerception
+from skyherd.sim.physics import make_world
+from skyherd.sim.truth_metrics import TruthObserver
+
+PERIOD_S = 0.1
+TIMES = 10
+FAULT_S = 20.0
+DURATION_S = 30.0
+BEAT_STEPS = 3
+HOLD_S = 0.5
+FORMED = 0.02
+KINDS = {
+    "unit": ("report/**", "beat/**", "stop/**"),
+    "robot": ("goals/**", "proximity/**", "sighting/**", "beat/unit/*", "arm/**", "stop/**"),
+}
+
+
+@dataclass
+class Process:
+    """One live process: its core, its post, and its clock.
+
+    Attributes:
+        name: such as `robot/3`.
+        core: of a unit or a robot.
+        post: its messages.
+        offset_s: what its clock shows more than the world's.
+        dead_until_s: it is killed until then.
+        told: reasons that it gave, in order, each once in a row.
+    """
+
+    name: str
+    core: Any
+    post: Post
+    radio: MemoryRadio
+    offset_s: float = 0.0
+    dead_until_s: float = -1.0
+    told: list[str] = field(default_factory=list)
+
+    def say(self, line: str) -> None:
+        """Keep a line unless it was the last one."""
+        if not self.told or self.told[-1] != line:
+            self.told.append(line)
+
+
+class Team:
+    """A live team in memory, in simulated time, over a radio that can be made to fail.
+
+    Attributes:
+        now_s: the world's time.
+        processes: by name.
+        air: the radio.
+        lab: the set-up.
+        blind_s: by robot, the longest time that its wheels turned after its newest image.
+        errors: shape error at each step.
+        see: filters the time at which an image seems to be taken; None loses the image.
+    """
+
+    def __init__(self, lab: Lab, settings: list[str], seed: int) -> None:
+        self.lab = lab
+        self.mission = load_mission(
+            "triangle", ["perception=ideal", "units.*.tilt_deg=[3.0,2.0]", *settings], seed=seed
+        )
+        scenario = self.mission.scenario
+        self.world = make_world(self.mission)
+        rng = np.random.default_rng(seed)
+        self.world.headings_rad += rng.uniform(-1, 1, self.mission.ids.size)
+        self.perception = ProjectedPerception(scenario.marker.side_m, scenario.marker.dictionary)
+        self.observer = TruthObserver(self.mission.template, self.mission.ids)
+        self.air = Air(now_s=1000.0)
+        self.now_s, self.start_s, self._step = 1000.0, 1000.0, 0
+        self.offsets: dict[str, float] = {}
+        self.processes: dict[str, Process] = {}
+        for unit in range(len(lab.model.cameras)):
+            self.start(f"unit/{unit}")
+        for robot in lab.ids:
+            self.start(f"robot/{robot}")
+        self.operator = Post(
+            self.air.radio("operator"), lab.model.team, "operator", lambda: self.now_s, ("beat/**",)
+        )
+        self.wheels = {robot: (0.0, 0.0, -np.inf) for robot in lab.ids}
+        self.imaged_s = dict.fromkeys(lab.ids, -np.inf)
+        self.blind_s = dict.fromkeys(lab.ids, 0.0)
+        self.errors: list[float] = []
+        self.armed_s: float | None = 2.0
+        self.see: Callable[[int, float], float | None] = lambda unit, time_s: time_s
+
+    def start(self, name: str) -> Process:
+        """Start a process, or start it anew with nothing that it knew."""
+        kind, number = name.split("/")
+        if name in self.processes:
+            self.processes[name].radio.close()
+        radio = self.air.radio(name)
+        process = Process(name, None, None, radio, self.offsets.get(name, 0.0))  # type: ignore[arg-type]
+        process.post = Post(
+            radio,
+            self.lab.model.team,
+            name,
+            lambda: self.now_s + process.offset_s,
+            KINDS[kind],
+            process.say,
+        )
+        process.core = getattr(self.lab, f"make_{kind}")(int(number))
+        self.processes[name] = process
+        return process
+
+    def kill(self, name: str, for_s: float) -> None:
+        """End a process at once; it is started again after a while."""
+        self.start(name).dead_until_s = self.now_s + for_s
+
+    @property
+    def time_s(self) -> float:
+        """Time since the start."""
+        return self.now_s - self.start_s
+
+    def step(self) -> None:
+        """A tenth of a second."""
+        self.air.advance(self.now_s)
+        self._command()
+        for process in self.processes.values():
+            self.air.advance(self.now_s)
+            clock_s = self.now_s + process.offset_s
+            if self.now_s < process.dead_until_s:
+                list(process.post.fetch())
+                continue
+            for arrival in process.post.fetch():
+                process.core.receive(arrival.envelope, arrival.received_s)
+            if isinstance(process.core, UnitCore):
+                self._look(process, clock_s)
+            else:
+                self._drive(process, clock_s)
+            if self._step % BEAT_STEPS == 0:
+                process.post.send(process.core.beat(clock_s, ""))
+        self._move()
+        self._step += 1
+        self.now_s = self.start_s + self._step * PERIOD_S
+
+    def _command(self) -> None:
+        """The operator arms all robots, once, as `skyherd live arm` does: asking until it is heard."""
+        if self.armed_s is None or not self.armed_s <= self.time_s < self.armed_s + 3.0:
+            list(self.operator.fetch())
+            return
+        sessions = {
+            arrival.envelope.sender: arrival.envelope.message.session for arrival in self.operator.fetch()
+        }
+        if sessions := {name: session for name, session in sessions.items() if session}:
+            self.operator.send(Arm(sessions))
+
+    def _look(self, process: Process, clock_s: float) -> None:
+        unit = process.core.unit_id
+        taken_s = self.see(unit, clock_s)
+        if taken_s is None:
+            return
+        sight = self.perception.look(self.world, [unit], taken_s)[0]
+        news = process.core.see(sight.detections, clock_s)
+        if process.core.trouble:
+            process.say(process.core.trouble)
+        if news is None:
+            return
+        for message in news.messages:
+            process.post.send(message)
+        self.world.fly(news.decision.flight)
+
+    def _drive(self, process: Process, clock_s: float) -> None:
+        core: RobotCore = process.core
+        order = core.decide(clock_s)
+        process.say(order.reason)
+        self.wheels[core.robot_id] = order.v_mps, order.omega_radps, self.now_s
+        age_s = core.image_age_s(clock_s)
+        if age_s is not None:
+            self.imaged_s[core.robot_id] = self.now_s - age_s
+
+    def _move(self) -> None:
+        """Wheels do as they were told last, unless that is longer ago than their keep-alive."""
+        told = []
+        for robot, (v_mps, omega_radps, told_s) in self.wheels.items():
+            live = self.now_s - told_s <= HOLD_S
+            told.append((v_mps, omega_radps) if live else (0.0, 0.0))
+            if any(told[-1]):
+                blind_s = self.now_s - self.imaged_s[robot]
+                self.blind_s[robot] = max(self.blind_s[robot], blind_s)
+        command = VelocityCommand(np.array(self.lab.ids), *np.array(told).T)
+        metrics = self.observer.observe(self.world.positions_m, {}, (), self.mission.template)
+        self.errors.append(metrics.shape.error)
+        self.world.advance(self.world.limit(command), self.time_s, PERIOD_S)
+
+
+Fault = Callable[[Team, np.random.Generator, float], None]
+
+
+def unit_killed(team: Team, rng: np.random.Generator, at_s: float) -> None:
+    """The unit is killed, and back after three seconds."""
+    if abs(team.time_s - at_s) < PERIOD_S / 2:
+        team.kill("unit/0", 3.0)
+
+
+def robot_killed(team: Team, rng: np.random.Generator, at_s: float) -> None:
+    """A robot's process is killed, back after two seconds, and armed again ten seconds later."""
+    if abs(team.time_s - at_s) < PERIOD_S / 2:
+        team.kill(f"robot/{rng.integers(6)}", 2.0)
+    if abs(team.time_s - at_s - 10.0) < PERIOD_S / 2:
+        team.armed_s = team.time_s
+
+
+def stream_stalls(team: Team, rng: np.random.Generator, at_s: float) -> None:
+    """No picture for three seconds."""
+    team.see = lambda unit, time_s: None if at_s <= team.time_s < at_s + 3.0 else time_s
+
+
+def stream_repeats(team: Team, rng: np.random.Generator, at_s: float) -> None:
+    """For three seconds each picture is one that was shown before, with its old stamp."""
+    frozen_s = team.start_s + at_s
+    team.see = lambda unit, time_s: frozen_s if at_s <= team.time_s < at_s + 3.0 else time_s
+
+
+def stream_late(team: Team, rng: np.random.Generator, at_s: float) -> None:
+    """For five seconds pictures are two seconds old."""
+    team.see = lambda unit, time_s: time_s - 2.0 * (at_s <= team.time_s < at_s + 5.0)
+
+
+def messages_lost(team: Team, rng: np.random.Generator, at_s: float) -> None:
+    """From then on 30 % of all messages are lost, and the others up to 0.2 s late."""
+    if abs(team.time_s - at_s) < PERIOD_S / 2:
+        team.air.drop = lambda topic, receiver: bool(rng.random() < 0.3)
+        team.air.delay_s = lambda topic, receiver: float(rng.uniform(0, 0.2))
+
+
+def clock_off(offset_s: float) -> Fault:
+    """The unit's clock is off from the start."""
+
+    def fault(team: Team, rng: np.random.Generator, at_s: float) -> None:
+        if team.time_s < PERIOD_S / 2:
+            team.processes["unit/0"].offset_s = offset_s * (1 if rng.random() < 0.5 else -1)
+
+    fault.__doc__ = f"The unit's clock is {offset_s:g} s off, from the start."
+    return fault
+
+
+def clock_set(team: Team, rng: np.random.Generator, at_s: float) -> None:
+    """The unit's clock is set by 20 s."""
+    if abs(team.time_s - at_s) < PERIOD_S / 2:
+        team.processes["unit/0"].offset_s += 20.0 * (1 if rng.random() < 0.5 else -1)
+
+
+def partition(team: Team, rng: np.random.Generator, at_s: float) -> None:
+    """For ten seconds nothing passes between the unit and the robots."""
+    team.air.drop = lambda topic, receiver: at_s <= team.time_s < at_s + 10.0
+
+
+def two_teams(team: Team, rng: np.random.Generator, at_s: float) -> None:
+    """Another team's unit of the same number sends to all topics of ours, under its own name."""
+    if not hasattr(team, "other"):
+        team.other = team.air.radio("other")  # type: ignore[attr-defined]
+        team.heard = []  # type: ignore[attr-defined]
+        team.other.subscribe("skyherd/*/goals/**", team.heard.append)  # type: ignore[attr-defined]
+    for data in team.heard[-1:]:  # type: ignore[attr-defined]
+        ours = f'"team":"{team.lab.model.team}"'.encode()
+        team.other.publish("skyherd/others/goals/unit/0", data.replace(ours, b'"team":"others"'))  # type: ignore[attr-defined]
+
+
+def garbage(team: Team, rng: np.random.Generator, at_s: float) -> None:
+    """Bytes of all kinds, up to twice the largest size, to every topic."""
+    radio = getattr(team, "noise", None) or team.air.radio("noise")
+    team.noise = radio  # type: ignore[attr-defined]
+    name = team.lab.model.team
+    samples = [
+        rng.bytes(100),
+        b"[]",
+        b"null",
+        json.dumps(
+            {"team": name, "version": 1, "sender": "unit/0", "sent_s": 1e308, "kind": "goals"}
+        ).encode(),
+        json.dumps(
+            {
+                "team": name,
+                "version": 1,
+                "sender": "unit/0",
+                "sent_s": 5.0,
+                "kind": "goals",
+                "body": {"ids": 3},
+            }
+        ).encode(),
+        json.dumps({"team": name, "version": 9, "sender": "x", "sent_s": 5.0, "kind": "stop"}).encode(),
+        b"{" * 10_000,
+    ]
+    if rng.random() < 0.02:
+        samples.append(b"x" * (2 * MOST_BYTES))
+    data = samples[int(rng.integers(len(samples)))]
+    for topic in ("goals/unit/0", "sighting/unit/0", "beat/unit/0", "report/unit/1", "arm/x", "stop/x"):
+        radio.publish(f"skyherd/{name}/{topic}", data)
+
+
+def nothing(team: Team, rng: np.random.Generator, at_s: float) -> None:
+    """Nothing goes wrong."""
+
+
+FAULTS: dict[str, Fault] = {
+    "none": nothing,
+    "unit killed": unit_killed,
+    "robot killed": robot_killed,
+    "stream stalls 3 s": stream_stalls,
+    "stream repeats": stream_repeats,
+    "stream 2 s late": stream_late,
+    "30 % lost": messages_lost,
+    "clock 0.2 s off": clock_off(0.2),
+    "clock 2 s off": clock_off(2.0),
+    "clock 20 s off": clock_off(20.0),
+    "clock set by 20 s": clock_set,
+    "partition 10 s": partition,
+    "two teams": two_teams,
+    "garbage": garbage,
+}
+
+
+def run(fault: str, seed: int, duration_s: float = DURATION_S) -> dict[str, Any]:
+    """One run with one fault, as a row."""
+    rng = np.random.default_rng([seed, 20])
+    lab = load_lab("triangle", ["control.k=0.3", "control.k_omega=1.2"])
+    team = Team(lab, [], seed)
+    at_s = round(float(rng.uniform(0.2, 0.5)) * FAULT_S, 1)
+    for _ in range(round(duration_s / PERIOD_S)):
+        FAULTS[fault](team, rng, at_s)
+        team.step()
+    limit_s = lab.model.limits.goal_timeout_s + PERIOD_S
+    told: list[str] = []
+    for process in team.processes.values():
+        told += [f"{process.name.split('/')[0]}: {line}" for line in process.told]
+    return {
+        "fault": fault,
+        "seed": seed,
+        "blind_s": max(team.blind_s.values()),
+        "exceeded": max(team.blind_s.values()) > limit_s + 1e-9,
+        "error": team.errors[-1],
+        "formed": team.errors[-1] < FORMED,
+        "refused": sum(sum(p.post.refusals.counts.values()) for p in team.processes.values()),
+        "told": sorted(set(told)),
+    }
+
+
+def table(rows: list[dict[str, Any]]) -> str:
+    """Markdown: a line a fault."""
+    lines = [
+        "| fault | runs | longest blind, s | moved off | formed | messages refused |",
+        "|---|---|---|---|---|---|",
+    ]
+    for fault in FAULTS:
+        here = [row for row in rows if row["fault"] == fault]
+        if here:
+            lines.append(
+                f"| {fault} | {len(here)} | {max(row['blind_s'] for row in here):.2f} "
+                f"| {sum(row['exceeded'] for row in here)} | {sum(row['formed'] for row in here)} "
+                f"| {sum(row['refused'] for row in here)} |"
+            )
+    return "\n".join(lines) + "\n"
+
+
+def main() -> None:
+    """All faults, ten times each."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--json", type=Path)
+    parser.add_argument("--table", type=Path)
+    parser.add_argument("--times", type=int, default=TIMES)
+    parser.add_argument("--fault", choices=[*FAULTS], help="this one alone")
+    options = parser.parse_args()
+    rows: list[dict[str, Any]] = []
+    for seed in range(options.times):
+        for fault in [options.fault] if options.fault else FAULTS:
+            rows.append(run(fault, seed))
+            print(json.dumps(rows[-1]), flush=True)
+            if options.json:
+                write_text(options.json, json.dumps(rows, indent=1) + "\n")
+    if options.table:
+        write_text(options.table, table(rows))
+    print(table(rows))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,115 @@
+"""Where robots have gone since an image was taken, by what their wheels were told; goals brought up to date.
+
+A goal says how to get from where the robot was, when the image was taken, to its desired point. Until the
+robot can act on it the image has been exposed, searched, sent and waited for, and the robot has driven on.
+What it has driven it knows without any sensor: it is what it told its wheels. So it takes that off the goal,
+and a late goal leads to the same point as a fresh one, which is why latency no longer limits the gain.
+Metres and pixels meet in the robot's own marker, whose side is `side_m` metres and `side_px` pixels.
+"""
+
+from collections import deque
+from copy import copy
+
+import numpy as np
+
+from skyherd.control.robots.goal_fusion import GoalInboxes
+from skyherd.geometry import Array, ComplexArray
+from skyherd.messages import TIME_TOLERANCE_S, VelocityCommand
+from skyherd.messages.checks import check_numbers
+
+
+class DeadReckoning:
+    """Poses of N robots, each from its own commands alone, in the frame that it had at the start.
+
+    Between two commands a robot drives an arc, so that with `h` the heading at the last command
+
+        z(t) = z + v Δt sinc(ω Δt / 2) e^{i (h + ω Δt / 2)},   h(t) = h + ω Δt.
+
+    Attributes:
+        side_m: side of the robots' markers.
+        axis_offset_m: distance by which a marker's centre lies ahead of the wheel axis.
+        delay_s: time from a command to its effect, as the robots know it of their drives.
+        memory_s: age up to which poses are remembered; goals of older images are taken as of that age.
+
+    Args:
+        count: N.
+        side_m: as the attribute.
+        axis_offset_m: as the attribute.
+        delay_s: as the attribute.
+        memory_s: as the attribute.
+
+    Raises:
+        InputError: a number is not finite or of the wrong sign.
+    """
+
+    def __init__(
+        self, count: int, side_m: float, *, axis_offset_m: float = 0.0, delay_s: float = 0.0, memory_s: float
+    ) -> None:
+        self.side_m, self.axis_offset_m = side_m, axis_offset_m
+        self.delay_s, self.memory_s = delay_s, memory_s
+        check_numbers(
+            self,
+            positive=("side_m", "memory_s"),
+            not_negative=("delay_s",),
+            finite=("axis_offset_m",),
+        )
+        still: Array = np.zeros(count)
+        start: ComplexArray = np.zeros(count, dtype=np.complex128)
+        self._knots: deque[tuple[float, ComplexArray, Array, Array, Array]] = deque(
+            [(-np.inf, start, still, still, still)]
+        )
+
+    def record(self, command: VelocityCommand, time_s: float) -> None:
+        """Remember what the wheels are told from `time_s` on; called in the order of time."""
+        places_m, headings_rad = self._pose_after(len(self._knots) - 1, np.asarray(time_s))
+        self._knots.append((time_s, places_m, headings_rad, command.v_mps, command.omega_radps))
+        while len(self._knots) > 2 and self._knots[1][0] <= time_s - self.memory_s - self.delay_s:
+            self._knots.popleft()
+
+    def up_to_date(self, inboxes: GoalInboxes, time_s: float) -> GoalInboxes:
+        """The inboxes as if every image had been taken now, with goals in the robots' present frames.
+
+        With d what the marker of robot i has moved since the image of unit j, and θ what it has turned, both
+        in its frame of then, `ρ' = (ρ - d side_px / side_m) e^{-iθ}`. Where the drive acts with a delay, now
+        is the instant at which a command that is given now takes effect.
+
+        Args:
+            inboxes: what arrived; it is not changed.
+            time_s: now.
+        """
+        moved_m, turned_rad = self._motion_since(inboxes.imaged_s - self.delay_s, time_s)
+        current = copy(inboxes)
+        current.rho_px = (inboxes.rho_px - moved_m * (inboxes.sides_px / self.side_m)) * np.exp(
+            -1j * turned_rad
+        )
+        return current
+
+    def _motion_since(self, times_s: Array, now_s: float) -> tuple[ComplexArray, Array]:
+        """Motion (U, N) of the markers, m, in the frames of `times_s` (U, N), and turns (U, N), rad."""
+        last = len(self._knots) - 1
+        place_m, heading_rad = self._pose_after(last, np.asarray(now_s))
+        starts_s = np.array([knot[0] for knot in self._knots])
+        oldest_s = starts_s[1] if last else now_s
+        when_s = np.clip(times_s, oldest_s, now_s)
+        rows = np.searchsorted(starts_s, when_s + TIME_TOLERANCE_S, side="right") - 1
+        places_m = np.zeros(times_s.shape, dtype=complex)
+        headings_rad = np.zeros(times_s.shape)
+        for row in np.unique(rows).tolist():
+            there, then_rad = self._pose_after(row, when_s)
+            places_m, headings_rad = (
+                np.where(rows == row, there, places_m),
+                np.where(rows == row, then_rad, headings_rad),
+            )
+        ahead = self.axis_offset_m
+        moved = place_m + ahead * np.exp(1j * heading_rad) - places_m - ahead * np.exp(1j * headings_rad)
+        return np.asarray(moved * np.exp(-1j * headings_rad)), np.asarray(heading_rad - headings_rad)
+
+    def _pose_after(self, row: int, times_s: Array) -> tuple[ComplexArray, Array]:
+        """Places, m, and headings, rad, of all robots at times after a knot, by that knot's command."""
+        start_s, places_m, headings_rad, v_mps, omega_radps = self._knots[row]
+        if start_s == -np.inf:
+            return places_m, headings_rad
+        ran_s = np.maximum(times_s - start_s, 0.0)
+        half_rad = omega_radps * ran_s / 2
+        chord_m = v_mps * ran_s * np.sinc(half_rad / np.pi)
+        return places_m + chord_m * np.exp(1j * (headings_rad + half_rad)), headings_rad + 2 * half_rad

@@ -1,0 +1,197 @@
+"""`skyherd live`: a lab of real cameras and robots: checked, run, armed, stopped, and decided anew."""
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from skyherd.cli.console import say, say_table, warn
+
+if TYPE_CHECKING:
+    from skyherd.live.lab import Lab
+    from skyherd.live.radio import Radio
+
+live_app = typer.Typer(help="Real cameras and robots: check, run, arm and stop a lab.", rich_markup_mode=None)
+
+LabFile = Annotated[str, typer.Argument(help="A lab.toml, or the name of an example.")]
+Insecure = Annotated[
+    bool,
+    typer.Option("--insecure", help="Allow a radio beyond this machine without TLS: anybody can drive."),
+]
+Settings = Annotated[
+    list[str] | None, typer.Option("--set", help="key=value put over the lab, such as control.k=0.2.")
+]
+
+
+@live_app.command()
+def show(
+    name: Annotated[str | None, typer.Argument(help="An example; all are listed if left out.")] = None,
+) -> None:
+    """Print an example of a lab file, to be saved and changed."""
+    from skyherd.live.lab import lab_names, lab_text
+
+    typer.echo(lab_text(name) if name else "\n".join(lab_names()), nl=not name)
+
+
+@live_app.command()
+def schema() -> None:
+    """Print the JSON schema of lab files."""
+    from skyherd.live.lab import LabModel
+
+    typer.echo(json.dumps(LabModel.model_json_schema(), indent=2))
+
+
+@live_app.command()
+def check(
+    lab_file: LabFile,
+    no_cameras: Annotated[
+        bool, typer.Option("--no-cameras", help="Check the file alone, and open no camera.")
+    ] = False,
+    settings: Settings = None,
+) -> int:
+    """Check a lab file, and open every camera once. Exit code 0 if all is well, 2 if not."""
+    from skyherd.live.lab import load_lab
+
+    lab = load_lab(lab_file, settings or [])
+    radio = lab.model.radio
+    if not radio.is_secured:
+        warn("radio: reaches beyond this machine without TLS: `live run` asks for --insecure")
+    fine = True
+    for unit, camera in enumerate(lab.model.cameras):
+        fine &= no_cameras or _check_camera(lab, unit, camera.address)
+    good = f"{len(lab.ids)} robots, {len(lab.model.cameras)} camera(s)"
+    say(f"{lab_file}: good: {good}" if fine else f"{lab_file}: {good}, but not all cameras show robots")
+    return 0 if fine else 2
+
+
+def _check_camera(lab: "Lab", unit: int, address: str) -> bool:
+    """Open a camera, and say what is seen in its first pictures."""
+    from skyherd.errors import InputError
+    from skyherd.live.cameras import open_camera
+    from skyherd.messages import among
+    from skyherd.vision import create_detector
+
+    try:
+        with open_camera(address) as reader:
+            frame = reader.newest(5.0)
+            if frame is None:
+                say(f"camera {unit}: {reader.trouble or 'no picture within 5 s'}")
+                return False
+            detector = create_detector(
+                lab.model.cameras[unit].detector, dictionary=lab.model.markers.dictionary
+            )
+            found = detector.detect(frame.image, time_s=frame.captured_s, unit_id=unit)
+            robots = found.ids[among(found.ids, lab.ids)].tolist()
+            height, width = frame.image.shape
+            say(f"camera {unit}: {width}x{height}, robots {robots or 'none'}, stamped by {frame.stamped_by}")
+            return bool(robots)
+    except InputError as error:
+        say(f"camera {unit}: {error}")
+        return False
+
+
+@live_app.command()
+def run(
+    lab_file: LabFile,
+    out_dir: Annotated[
+        Path | None, typer.Option("--out", help="Folder to make; runs/TEAM-TIME if left out.")
+    ] = None,
+    cameras: Annotated[
+        str | None, typer.Option(help="Addresses in place of the lab's cameras, with commas between.")
+    ] = None,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Print commands in place of sending them.")
+    ] = False,
+    armed: Annotated[
+        bool, typer.Option("--arm", help="Arm the robots as soon as all of them are there.")
+    ] = False,
+    duration_s: Annotated[float | None, typer.Option("--duration", help="End after so many seconds.")] = None,
+    settings: Settings = None,
+    insecure: Insecure = False,
+) -> int:
+    """Start every unit and robot of a lab on this machine, and keep them running until Ctrl-C.
+
+    Robots are disarmed: `skyherd live arm`, or the key a. The space bar stops them.
+    """
+    from skyherd.live.lab import load_lab
+    from skyherd.live.session import run_session
+
+    lab = load_lab(lab_file, settings or [])
+    return run_session(
+        lab,
+        lab_file,
+        out_dir,
+        cameras=cameras.split(",") if cameras else [],
+        dry_run=dry_run,
+        armed=armed,
+        duration_s=duration_s,
+        settings=settings or [],
+        insecure=insecure,
+        say=say,
+    )
+
+
+@live_app.command()
+def arm(lab_file: LabFile, settings: Settings = None, insecure: Insecure = False) -> int:
+    """Let the wheels of all robots of a running lab turn. Exit code 1 if some robot did not answer."""
+    from skyherd.live import operator
+    from skyherd.live.live_clock import LiveClock
+
+    lab, radio = open_team(lab_file, settings, insecure)
+    try:
+        outcome = operator.arm(lab, operator.watch(lab, radio, LiveClock()))
+    finally:
+        radio.close()
+    say(f"armed: {outcome.done or 'none'}")
+    if outcome.missing:
+        say(f"NOT armed: {outcome.missing}: these robots did not answer")
+    return 1 if outcome.missing else 0
+
+
+@live_app.command()
+def stop(lab_file: LabFile, settings: Settings = None, insecure: Insecure = False) -> int:
+    """Stop and disarm all robots of a running lab. Exit code 1 if some robot did not answer."""
+    from skyherd.live import operator
+    from skyherd.live.live_clock import LiveClock
+
+    lab, radio = open_team(lab_file, settings, insecure)
+    try:
+        outcome = operator.stop(lab, operator.watch(lab, radio, LiveClock()), "skyherd live stop")
+    finally:
+        radio.close()
+    say(f"stopped: {outcome.done or 'none'}")
+    if outcome.missing:
+        say(f"no answer from: {outcome.missing}; a robot that hears nothing stops by itself")
+    return 1 if outcome.missing else 0
+
+
+@live_app.command()
+def replay(
+    folder: Annotated[Path, typer.Argument(help="A folder of `skyherd live run`, or one of its files.")],
+) -> int:
+    """Decide anew from what each process recorded, and compare bit for bit; exit code 1 if they differ."""
+    from skyherd.errors import InputError
+    from skyherd.live.replay import replay as replay_file
+
+    names = sorted(folder.glob("unit_*.mcap")) + sorted(folder.glob("robot_*.mcap"))
+    files = names if folder.is_dir() else [folder]
+    if not files:
+        raise InputError(str(folder), "no recordings of units or robots", "a folder of `skyherd live run`")
+    rows, same = [], True
+    for path in files:
+        found = replay_file(path)
+        same &= found.different == 0
+        verdict = "same" if not found.different else f"{found.different} differ, first at {found.first_s}"
+        rows.append((path.name, str(found.decisions), verdict, "yes" if found.ended else "no"))
+    say_table(("file", "decisions", "decided anew", "ended"), rows, right_aligned={"decisions"})
+    return 0 if same else 1
+
+
+def open_team(lab_file: str, settings: list[str] | None, insecure: bool) -> "tuple[Lab, Radio]":
+    """The lab and its radio."""
+    from skyherd.live.lab import load_lab
+    from skyherd.live.zenoh_radio import ZenohRadio
+
+    lab = load_lab(lab_file, settings or [])
+    return lab, ZenohRadio(lab.model.radio, lab.folder, insecure=insecure)

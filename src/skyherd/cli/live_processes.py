@@ -1,0 +1,139 @@
+"""`skyherd unit`, `skyherd robot` and `skyherd world`: single processes of a live team."""
+
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from types import FrameType
+from typing import Annotated
+
+import typer
+
+from skyherd.cli.console import say
+from skyherd.cli.live import Insecure, LabFile, Settings, open_team
+
+Out = Annotated[Path, typer.Option("--out", help="Folder to record in.")]
+Supervised = Annotated[bool, typer.Option("--supervised", help="End when standard input does.")]
+Offset = Annotated[float, typer.Option("--clock-offset", help="s; a clock that is off by this, for tests.")]
+
+
+@contextmanager
+def _asked_to_end(supervised: bool) -> Iterator[Callable[[], bool]]:
+    """Whether a signal asked for the end; of a supervised process, the end of its standard input as well."""
+    asked = threading.Event()
+
+    def ask(number: int, frame: FrameType | None) -> None:
+        asked.set()
+
+    names = [name for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+    before = {name: signal.signal(getattr(signal, name), ask) for name in names}
+    if supervised:
+        threading.Thread(target=_read_to_end, args=[asked], daemon=True).start()
+    try:
+        yield asked.is_set
+    finally:
+        for name, handler in before.items():
+            signal.signal(getattr(signal, name), handler)
+
+
+def _read_to_end(asked: threading.Event) -> None:
+    """Read standard input until whoever holds its other end is gone, which asks for the end."""
+    with suppress(OSError):
+        while os.read(sys.stdin.fileno(), 4096):
+            pass
+    asked.set()
+
+
+def _tell(line: str) -> None:
+    say(line)
+    sys.stdout.flush()
+
+
+def unit(
+    lab_file: LabFile,
+    number: Annotated[int, typer.Argument(help="Which unit: 0, 1, …")],
+    out_dir: Out = Path("runs/live"),
+    camera: Annotated[str | None, typer.Option(help="Address in place of the lab's camera.")] = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Send no flight commands.")] = False,
+    settings: Settings = None,
+    insecure: Insecure = False,
+    supervised: Supervised = False,
+    clock_offset_s: Offset = 0.0,
+) -> int:
+    """Be one aerial unit of a lab: its camera in, goals for its robots out, until Ctrl-C."""
+    from skyherd.live.live_clock import LiveClock
+    from skyherd.live.processes import Station, run_unit
+
+    lab, radio = open_team(lab_file, settings, insecure)
+    try:
+        with _asked_to_end(supervised) as ended:
+            station = Station(lab, radio, LiveClock(clock_offset_s), out_dir, _tell, ended)
+            run_unit(station, number, address=camera, dry_run=dry_run)
+    finally:
+        radio.close()
+    return 0
+
+
+def robot(
+    lab_file: LabFile,
+    marker: Annotated[int, typer.Argument(help="Which robot: its marker.")],
+    out_dir: Out = Path("runs/live"),
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Print commands, and send none.")] = False,
+    settings: Settings = None,
+    insecure: Insecure = False,
+    supervised: Supervised = False,
+    clock_offset_s: Offset = 0.0,
+) -> int:
+    """Be one robot of a lab: goals in, wheel commands out, until Ctrl-C, disarmed until armed."""
+    from skyherd.live.live_clock import LiveClock
+    from skyherd.live.processes import Station, run_robot
+
+    lab, radio = open_team(lab_file, settings, insecure)
+    try:
+        with _asked_to_end(supervised) as ended:
+            station = Station(lab, radio, LiveClock(clock_offset_s), out_dir, _tell, ended)
+            run_robot(station, marker, dry_run=dry_run)
+    finally:
+        radio.close()
+    return 0
+
+
+def world(
+    scenario: Annotated[str, typer.Argument(help="A built-in scenario or a TOML file.")],
+    lab_file: Annotated[
+        str | None, typer.Option("--lab", help="Whose radio and team; the example of the scenario's name.")
+    ] = None,
+    speed: Annotated[
+        float, typer.Option(min=0.01, max=10, help="Seconds of the scenario a second of real time.")
+    ] = 1.0,
+    settings: Annotated[
+        list[str] | None, typer.Option("--set", help="key=value put over the scenario.")
+    ] = None,
+    record: Annotated[Path | None, typer.Option(help="MCAP file to record the truth in.")] = None,
+    port: Annotated[int, typer.Option(min=1, max=65000, help="TCP port of the first camera.")] = 7461,
+    insecure: Insecure = False,
+) -> int:
+    """Be the world of a scenario: streams of its cameras out, wheel commands in, in real time."""
+    from skyherd.datasets import load_mission
+    from skyherd.live.world_process import run_world
+
+    mission = load_mission(scenario, settings or [])
+    lab, radio = open_team(lab_file or mission.scenario.name, None, insecure)
+    try:
+        with _asked_to_end(supervised=False) as ended:
+            run_world(
+                mission,
+                radio,
+                team=lab.model.team,
+                speed=speed,
+                path=record,
+                first_port=port,
+                tell=_tell,
+                ended=ended,
+            )
+    finally:
+        radio.close()
+    return 0

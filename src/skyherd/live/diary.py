@@ -1,0 +1,123 @@
+"""What one process hears, reads from its clock and does, as it happens, in an MCAP file of its own.
+
+Every input is there in the order in which it came, so that `skyherd.live.replay` decides anew from it:
+
+    /about       first, and once more: who it is, the lab as it was checked, and the versions
+    /heard       a message: its envelope, and when it arrived
+    /detections  of a unit: the markers found in an image, and when the unit looked at them
+    /beat        when it gave a sign of life, and what it said
+    /decide      of a robot: when it decided, and its order to the wheels
+    /sent        of a unit: what it sent on an image
+    /stages      of a unit: when an image was taken, came in, was searched and was decided on
+    /tell        a line for people
+    /end         the process ended as it should
+
+A process that is killed leaves all but the last half second.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from skyherd.live.lab import Lab
+from skyherd.live.radio import Arrival
+from skyherd.messages import Detections
+from skyherd.recording.mcap_log import CHUNK_BYTES, McapLog, Schema
+from skyherd.version import __version__
+
+FLUSH_S = 0.5
+"""Time of which a process that is killed loses less than this, s."""
+
+OBJECT: dict[str, Any] = {"type": "object"}
+
+TOPICS: Mapping[str, Schema] = {
+    "/about": ("skyherd.About", OBJECT),
+    "/heard": ("skyherd.Heard", OBJECT),
+    "/detections": ("skyherd.Seen", OBJECT),
+    "/beat": ("skyherd.Beating", OBJECT),
+    "/decide": ("skyherd.Decided", OBJECT),
+    "/sent": ("skyherd.Sent", OBJECT),
+    "/stages": ("skyherd.Stages", OBJECT),
+    "/tell": ("skyherd.Told", OBJECT),
+    "/end": ("skyherd.End", OBJECT),
+}
+"""Topics of a process, and their schemas."""
+
+
+class Diary:
+    """Keeps what a process takes in and gives out; a disk that is full ends it with a line, and no more.
+
+    Attributes:
+        trouble: why nothing is written any more; None while it is.
+
+    Args:
+        path: the file to make.
+        name: of the process, such as `robot/3`.
+        lab: the set-up.
+        now_s: now.
+
+    Raises:
+        OSError: the file cannot be made.
+    """
+
+    def __init__(self, path: Path, name: str, lab: Lab, now_s: float) -> None:
+        self.trouble: str | None = None
+        self._path, self._flushed_s = path, now_s
+        self._log: McapLog | None = McapLog(path, TOPICS)
+        about = {
+            "name": name,
+            "lab": lab.model.model_dump(mode="json"),
+            "version": __version__,
+            "topics": list(TOPICS),
+        }
+        for _ in range(2):
+            self._put("/about", now_s, about)
+            if self._log is not None:
+                self._log.flush()
+
+    def heard(self, arrival: Arrival) -> None:
+        """Keep a message that arrived."""
+        envelope = arrival.envelope
+        record = {
+            "sender": envelope.sender,
+            "sent_s": envelope.sent_s,
+            "kind": envelope.kind,
+            "received_s": arrival.received_s,
+            "body": envelope.message,
+        }
+        self._put("/heard", arrival.received_s, record)
+
+    def saw(self, detections: Detections, now_s: float) -> None:
+        """Keep what was found in an image, at the moment at which it is decided on."""
+        self._put("/detections", now_s, {"now_s": now_s, "detections": detections})
+
+    def put(self, topic: str, now_s: float, record: Any) -> None:
+        """Keep something else of `TOPICS`."""
+        self._put(topic, now_s, {"now_s": now_s} | record)
+
+    def _put(self, topic: str, now_s: float, record: Any) -> None:
+        if self._log is None:
+            return
+        try:
+            self._log.put(topic, max(0.0, min(now_s, 1e10)), record)
+            if self._log.pending_bytes >= CHUNK_BYTES or not 0 <= now_s - self._flushed_s < FLUSH_S:
+                self._log.flush()
+                self._flushed_s = now_s
+        except OSError as error:
+            self.trouble = f"{self._path}: {error.strerror or error}; nothing is recorded from now on"
+            self._log.abandon()
+            self._log = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._log is not None:
+            log, self._log = self._log, None
+            try:
+                log.close()
+            except OSError as failed:
+                self.trouble = f"{self._path}: {failed.strerror or failed}; its end is missing"

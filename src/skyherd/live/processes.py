@@ -1,0 +1,242 @@
+"""The two kinds of processes: a unit behind its camera, and a robot behind its driver."""
+
+import re
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from skyherd.live.cameras import CameraReader, MirrorWatch, open_camera
+from skyherd.live.diary import Diary
+from skyherd.live.drivers import Motion, RobotDriver, open_driver
+from skyherd.live.lab import Lab
+from skyherd.live.live_clock import LiveClock
+from skyherd.live.radio import Post, Radio
+from skyherd.live.robot_core import Order
+from skyherd.live.wire import Wheels
+from skyherd.messages import FlightCommand, VelocityCommand
+from skyherd.vision import create_detector
+
+BEAT_S = 0.25
+"""Time between two signs of life, s. Chosen: clocks are compared four times a second."""
+
+WORLD = "world"
+"""Driver address of wheels and autopilots that `skyherd world` simulates."""
+
+ROBOT_HEARS = ("goals/**", "proximity/**", "sighting/**", "beat/unit/*", "arm/**", "stop/**")
+UNIT_HEARS = ("report/**", "beat/**", "stop/**")
+"""Topics that robots and units listen to, after the team's name."""
+
+
+@dataclass
+class Station:
+    """What every live process has.
+
+    Attributes:
+        lab: the set-up.
+        radio: carries its messages.
+        clock: its own.
+        folder: where it records.
+        tell: says a line to people.
+        ended: asked before each round; True ends the process.
+    """
+
+    lab: Lab
+    radio: Radio
+    clock: LiveClock
+    folder: Path
+    tell: Callable[[str], None]
+    ended: Callable[[], bool] = lambda: False
+
+    def post(self, name: str, kinds: tuple[str, ...]) -> Post:
+        """The post of a process of this name."""
+        return Post(self.radio, self.lab.model.team, name, self.clock, kinds, self.tell)
+
+    def diary(self, name: str) -> Diary:
+        """A new file for a process of this name; earlier ones of the same run stay."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+        stem = name.replace("/", "_")
+        path = next(
+            path
+            for number in range(10_000)
+            if not (path := self.folder / f"{stem}{f'.{number}' if number else ''}.mcap").exists()
+        )
+        return Diary(path, name, self.lab, self.clock())
+
+
+_NUMBERS = re.compile(r"[\d.]+")
+
+
+class Told:
+    """Tells people a line when it changes, and keeps it."""
+
+    def __init__(self, station: Station, diary: Diary) -> None:
+        self._station, self._diary, self._last = station, diary, ""
+
+    def say(self, line: str) -> None:
+        """Say a line unless the last one was the same but for its numbers; nothing for an empty one."""
+        if (gist := _NUMBERS.sub("", line)) != self._last:
+            self._last = gist
+            if line:
+                self._diary.put("/tell", self._station.clock(), {"line": line})
+                self._station.tell(line)
+
+
+class WorldWheels:
+    """A link to the wheels of a simulated robot."""
+
+    def __init__(self, post: Post, robot_id: int) -> None:
+        self.name, self._post, self._robot_id = "world", post, robot_id
+
+    def write(self, motion: Motion) -> None:
+        """Send it to the world."""
+        self._post.send(Wheels(self._robot_id, motion.forward_mps, motion.turn_radps))
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+
+def run_robot(station: Station, robot_id: int, *, dry_run: bool = False) -> None:
+    """Be one robot until `station.ended`; wheels are told to stand still on the way out, whatever happens.
+
+    Args:
+        station: what the process has.
+        robot_id: the robot's marker.
+        dry_run: print commands in place of sending them.
+    """
+    lab, clock = station.lab, station.clock
+    core = lab.make_robot(robot_id)
+    post = station.post(core.name, ROBOT_HEARS)
+    with ExitStack() as stack:
+        diary = stack.enter_context(station.diary(core.name))
+        driver = stack.enter_context(_driver(station, post, robot_id, dry_run=dry_run))
+        told = Told(station, diary)
+        beat_s = -BEAT_S
+        next_s = time.monotonic()
+        while not station.ended():
+            while (left_s := next_s - time.monotonic()) > 0:
+                for arrival in post.fetch(left_s):
+                    diary.heard(arrival)
+                    core.receive(arrival.envelope, arrival.received_s)
+            next_s = max(next_s + lab.model.limits.period_s, time.monotonic())
+            now_s = clock()
+            order = core.decide(now_s)
+            driver.send(
+                VelocityCommand(np.array([robot_id]), np.array([order.v_mps]), np.array([order.omega_radps]))
+            )
+            diary.put("/decide", now_s, {"order": order, "image_age_s": core.image_age_s(now_s)})
+            told.say(_line(core.name, order, driver.trouble or diary.trouble))
+            if now_s - beat_s >= BEAT_S or now_s < beat_s:
+                beat_s = now_s
+                post.send(core.beat(now_s, order.reason))
+                diary.put("/beat", now_s, {"refused": post.refusals.counts, "dropped": post.dropped})
+        diary.put("/end", clock(), {})
+
+
+def _line(name: str, order: Order, trouble: str | None) -> str:
+    """What a robot says to people when it changes."""
+    return f"{name}: {order.reason}{f'; {trouble}' if trouble else ''}"
+
+
+def _driver(station: Station, post: Post, robot_id: int, *, dry_run: bool) -> RobotDriver:
+    lab = station.lab
+    address = "dry-run" if dry_run else lab.robot(robot_id).driver
+    if address == WORLD:
+        return RobotDriver(WorldWheels(post, robot_id), robot_id=robot_id, limits=lab.speed_limits)
+    return open_driver(address, robot_id=robot_id, limits=lab.speed_limits)
+
+
+def run_unit(station: Station, unit: int, *, address: str | None = None, dry_run: bool = False) -> None:
+    """Be one unit until `station.ended`, or until its recorded video is over.
+
+    Args:
+        station: what the process has.
+        unit: its number.
+        address: of a camera in place of the lab's.
+        dry_run: send no flight commands.
+    """
+    lab, clock = station.lab, station.clock
+    camera = lab.camera(unit)
+    core = lab.make_unit(unit)
+    post = station.post(core.name, UNIT_HEARS)
+    detector = create_detector(camera.detector, dictionary=lab.model.markers.dictionary)
+    with ExitStack() as stack:
+        diary = stack.enter_context(station.diary(core.name))
+        told = Told(station, diary)
+        reader = _open(station, told, address or camera.address)
+        if reader is None:
+            return
+        stack.enter_context(reader)
+        mirrored = MirrorWatch(lab.model.markers.dictionary, clock)
+        fly = _autopilot(station, post, stack, unit, dry_run=dry_run)
+        beat_s, state = -BEAT_S, "no image yet"
+        while not (station.ended() or reader.ended):
+            frame = reader.newest(0.02)
+            for arrival in post.fetch():
+                diary.heard(arrival)
+                core.receive(arrival.envelope, arrival.received_s)
+            trouble = reader.trouble
+            if frame is not None:
+                begun_s = clock()
+                detections = detector.detect(frame.image, time_s=frame.captured_s, unit_id=unit)
+                found_s = clock()
+                trouble = trouble or mirrored.look(frame, detections)
+                if trouble is None:
+                    diary.saw(detections, found_s)
+                    news = core.see(detections, found_s)
+                    for message in () if news is None else news.messages:
+                        post.send(message)
+                    sent_s = clock()
+                    diary.put("/sent", sent_s, {"messages": None if news is None else news.messages})
+                    if news is not None:
+                        fly(news.decision.flight)
+                    stages = {
+                        "captured_s": frame.captured_s,
+                        "arrived_s": frame.arrived_s,
+                        "begun_s": begun_s,
+                        "found_s": found_s,
+                        "sent_s": sent_s,
+                        "stamped_by": frame.stamped_by,
+                        "number": frame.number,
+                        "dropped": reader.dropped,
+                    }
+                    diary.put("/stages", sent_s, stages)
+                state = f"{len(detections)} markers"
+            told.say(f"{core.name}: {problem}" if (problem := trouble or core.trouble) else "")
+            now_s = clock()
+            if now_s - beat_s >= BEAT_S or now_s < beat_s:
+                beat_s = now_s
+                post.send(core.beat(now_s, problem or diary.trouble or state))
+                diary.put("/beat", now_s, {"refused": post.refusals.counts, "dropped": post.dropped})
+        diary.put("/end", clock(), {})
+
+
+def _open(station: Station, told: Told, address: str) -> CameraReader | None:
+    """The camera, which may take a while to be there; None if the process is to end before."""
+    from skyherd.errors import InputError
+
+    while not station.ended():
+        try:
+            return open_camera(address, clock=station.clock)
+        except InputError as error:
+            if "://" not in address:
+                raise
+            told.say(f"waits for its camera: {error}")
+            time.sleep(0.5)
+    return None
+
+
+def _autopilot(
+    station: Station, post: Post, stack: ExitStack, unit: int, *, dry_run: bool
+) -> Callable[[FlightCommand], object]:
+    """Where the flight commands of a unit go."""
+    address = station.lab.camera(unit).driver
+    if address is None or dry_run:
+        return lambda command: None
+    if address == WORLD:
+        return post.send
+    driver = stack.enter_context(open_driver(address, robot_id=unit, limits=station.lab.speed_limits))
+    return driver.send_flight

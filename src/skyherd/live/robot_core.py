@@ -1,0 +1,296 @@
+"""One robot's own computer without sockets: messages and clock readings in, a speed for its wheels out.
+
+The law is the simulator's (`GoalFollowers`, a team of one). Around it lies what keeps people and robots safe.
+Wheels turn only while every one of these holds, and each that does not is a reason in words:
+
+- the robot is armed, by a command that names the session that it is in now;
+- its own clock runs forwards, and no faster than decisions are made;
+- a goal from an image that is no older than `goal_timeout_s` is there, by clocks that were compared;
+- some unit has seen its marker within `unseen_s`, and none has seen it at two places since.
+
+What comes out is within the limits of speed and turn rate, whatever came in, and grows by no more than the
+limits of acceleration allow. To a stop there is no limit: zero is zero at once, and brakes are the drive's.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from skyherd.control import (
+    AvoidanceRule,
+    DeadReckoning,
+    GoalFollowers,
+    GoalInboxes,
+    NeighborMemory,
+    RobotLaw,
+    Wheels,
+)
+from skyherd.live.drivers.limits import Limiter, SpeedLimits
+from skyherd.live.drivers.link import STILL, Motion
+from skyherd.live.peers import ClockLimits, PeerClocks
+from skyherd.live.wire import Arm, Beat, Envelope, Sighting, Stop
+from skyherd.messages import MotionGoals, Proximity, VelocityCommand
+from skyherd.messages.checks import check_numbers
+
+FUTURE_S = 0.05
+"""An image may seem to be taken this much after now, beyond the uncertainty of the clocks, s. Chosen: less
+than the time between two images; more than what the estimate of an offset moves between two messages."""
+
+LONGEST_GAP_S = 1.0
+"""A robot whose decisions are farther apart than this has slept, or its clock was set, s. Chosen: ten times
+the time between decisions, and longer than what a busy machine makes a process wait."""
+
+DRIVING = "driving"
+"""The reason that is given where nothing stops the robot."""
+
+
+@dataclass(frozen=True)
+class RobotLimits:
+    """What a robot may do, and how long without news.
+
+    Attributes:
+        speeds: limits of speed, turn rate and their growth.
+        goal_timeout_s: age of an image, by the robot's clock, up to which the goal from it is followed.
+        unseen_s: time after which a marker that no unit has seen counts as outside all images.
+    """
+
+    speeds: SpeedLimits
+    goal_timeout_s: float
+    unseen_s: float
+
+    def __post_init__(self) -> None:
+        check_numbers(self, positive=("goal_timeout_s", "unseen_s"))
+
+
+@dataclass(frozen=True)
+class Order:
+    """What the wheels are told, and why.
+
+    Attributes:
+        v_mps: forward speed.
+        omega_radps: turn rate.
+        reason: `DRIVING`, or what holds the wheels still.
+        wanted_v_mps: speed that the law asks for; what would happen if the robot were armed and safe.
+        wanted_omega_radps: turn rate that it asks for.
+    """
+
+    v_mps: float
+    omega_radps: float
+    reason: str
+    wanted_v_mps: float = 0.0
+    wanted_omega_radps: float = 0.0
+
+
+class RobotCore:
+    """One robot, from the messages that it hears to the speeds of its wheels.
+
+    Everything that it does follows from the calls, so that a recording of them gives the same again.
+
+    Attributes:
+        robot_id: the marker.
+        armed: whether its wheels may turn.
+        clocks: what it knows of the others' clocks.
+
+    Args:
+        robot_id: as the attribute.
+        unit_ids: the units that may send goals.
+        law: the robots' gains.
+        wheels: what the drive can do.
+        limits: what it may do.
+        side_m: side of its marker.
+        delay_s: time from a command to its effect.
+        clock_limits: when another clock is not trusted.
+        other_ids: robots and obstacles that may be near; empty for robots that do not avoid each other.
+        avoidance: how it keeps apart from them; None where it does not.
+    """
+
+    def __init__(
+        self,
+        robot_id: int,
+        unit_ids: list[int],
+        law: RobotLaw,
+        wheels: Wheels,
+        limits: RobotLimits,
+        *,
+        side_m: float,
+        delay_s: float = 0.0,
+        clock_limits: ClockLimits = ClockLimits(),  # noqa: B008 - frozen
+        other_ids: list[int] | None = None,
+        avoidance: AvoidanceRule | None = None,
+    ) -> None:
+        self.robot_id, self.name, self.limits = robot_id, f"robot/{robot_id}", limits
+        self.armed = False
+        self.clocks = PeerClocks(self.name, clock_limits)
+        self._units = sorted(unit_ids)
+        self._law, self._wheels, self._side_m, self._delay_s = law, wheels, side_m, delay_s
+        self._avoidance, self._other_ids = avoidance, sorted(other_ids or [])
+        self._started_s: float | None = None
+        self._stops = 0
+        self._decided_s: float | None = None
+        self._seen_s, self._doubled_s = -math.inf, -math.inf
+        self._limiter = Limiter(limits.speeds)
+        self._refused = ""
+        self._forget()
+
+    @property
+    def session(self) -> str:
+        """What an arm command has to name: when the robot started, and how often it was stopped since."""
+        return "" if self._started_s is None else f"{self._started_s:.6f}/{self._stops}"
+
+    def stop(self) -> None:
+        """Disarm; arm commands under way mean nothing from now on."""
+        self.armed = False
+        self._stops += 1
+
+    def receive(self, envelope: Envelope, now_s: float) -> None:
+        """Take in a message that arrives now; nothing that it may hold raises."""
+        message = envelope.message
+        if isinstance(message, Stop):
+            self.stop()
+            return
+        if not math.isfinite(now_s):
+            return
+        self.clocks.hear(envelope, now_s)
+        if isinstance(message, Arm):
+            if self.session and message.sessions.get(self.name) == self.session:
+                self.armed = True
+        elif isinstance(message, MotionGoals | Proximity | Sighting):
+            self._hear_unit(message, envelope.sender, now_s)
+
+    def beat(self, now_s: float, state: str) -> Beat:
+        """A sign of life of this robot."""
+        return Beat(self.clocks.heard(now_s), state, self.session, self.armed)
+
+    def image_age_s(self, now_s: float) -> float | None:
+        """How old the newest image is that a goal came from; None if there was none."""
+        newest_s = float(self._team.inboxes.imaged_s.max())
+        return now_s - newest_s if math.isfinite(newest_s) else None
+
+    def decide(self, now_s: float) -> Order:
+        """What the wheels are to do from now on; called several times a second, come what may."""
+        if not math.isfinite(now_s):
+            return self._halt("its own clock shows no time")
+        if self._started_s is None:
+            self._started_s = now_s
+        before_s, self._decided_s = self._decided_s, now_s
+        if before_s is not None and not 0 <= now_s - before_s <= LONGEST_GAP_S:
+            was_doubled = before_s - self._doubled_s <= self.limits.unseen_s
+            self._forget()
+            self._doubled_s = now_s if was_doubled else self._doubled_s
+            return self._halt(f"its own clock moved by {now_s - before_s:+.3g} s between two decisions")
+        orders = self._team.decide(now_s, [])
+        v_mps, omega_radps = float(orders.command.v_mps[0]), float(orders.command.omega_radps[0])
+        if reason := self._obstacle(now_s):
+            return self._halt(reason, v_mps, omega_radps, now_s)
+        told = self._limiter.limit(Motion(v_mps, omega_radps), 0.0 if before_s is None else now_s - before_s)
+        self._record(told, now_s)
+        return Order(
+            v_mps=told.forward_mps,
+            omega_radps=told.turn_radps,
+            reason=DRIVING,
+            wanted_v_mps=v_mps,
+            wanted_omega_radps=omega_radps,
+        )
+
+    def _obstacle(self, now_s: float) -> str | None:
+        """What holds the wheels still now; None if nothing does."""
+        limits = self.limits
+        if now_s - self._doubled_s <= limits.unseen_s:
+            return "its marker is seen at two places"
+        if not self._team.inboxes.fresh(now_s).any():
+            if now_s - self._seen_s > limits.unseen_s:
+                return self._refused or "no unit sees its marker"
+            return self._refused or "no fresh goal"
+        if now_s - self._seen_s > limits.unseen_s:
+            return "no unit sees its marker"
+        return None if self.armed else "disarmed"
+
+    def _halt(
+        self, reason: str, v_mps: float = 0.0, omega_radps: float = 0.0, now_s: float | None = None
+    ) -> Order:
+        self._limiter.last = STILL
+        if now_s is not None:
+            self._record(STILL, now_s)
+        return Order(
+            v_mps=0.0, omega_radps=0.0, reason=reason, wanted_v_mps=v_mps, wanted_omega_radps=omega_radps
+        )
+
+    def _record(self, motion: Motion, now_s: float) -> None:
+        """Remember what the wheels are truly told, which takes the place of what the law asked for."""
+        told = np.array([motion.forward_mps]), np.array([motion.turn_radps])
+        self._motion.record(VelocityCommand(np.array([self.robot_id]), *told), now_s)
+
+    def _hear_unit(self, message: MotionGoals | Proximity | Sighting, sender: str, now_s: float) -> None:
+        """Take in news of an image, if its time by our clock is known and can be."""
+        if message.unit_id not in self._units:
+            self._refused = f"{sender} is no unit of this team"
+            return
+        if why := self.clocks.distrust(sender, now_s):
+            self._refused = why
+            return
+        known = self.clocks.estimate(sender, now_s)
+        age_s = now_s - (message.time_s - known.offset_s)
+        if age_s < -known.uncertainty_s - FUTURE_S:
+            self._refused = f"{sender} tells of an image {-age_s:.2g} s from now"
+            return
+        if age_s > self.limits.goal_timeout_s:
+            self._refused = f"{sender} tells of an image {age_s:.2g} s ago"
+            return
+        self._refused = ""
+        if isinstance(message, Sighting):
+            taken_s = min(now_s, message.time_s - known.offset_s)
+            if self.robot_id in message.repeated_ids:
+                self._doubled_s = max(self._doubled_s, taken_s)
+            elif self.robot_id in message.ids:
+                self._seen_s = max(self._seen_s, taken_s)
+            return
+        mine = np.asarray(message.ids == self.robot_id)
+        if isinstance(message, MotionGoals):
+            if mine.any():
+                ours = self.clocks.in_our_time(_only(message, mine), sender, now_s)
+                self._team.inboxes.receive(ours, min(now_s, ours.time_s))
+        elif self._team.neighbors is not None:
+            self._team.neighbors.receive(self.clocks.in_our_time(message, sender, now_s), mine)
+
+    def _forget(self) -> None:
+        """Start with empty inboxes, as after the start."""
+        ids = np.array([self.robot_id])
+        inboxes = GoalInboxes(
+            ids, np.array(self._units), self.limits.goal_timeout_s, distances=self._law.needs_distances
+        )
+        self._motion = DeadReckoning(
+            1,
+            self._side_m,
+            axis_offset_m=self._wheels.axis_offset_m,
+            delay_s=self._delay_s,
+            memory_s=self.limits.goal_timeout_s + FUTURE_S,
+        )
+        self._limiter.last = STILL
+        self._seen_s = self._doubled_s = -math.inf
+        neighbors = None
+        if self._avoidance is not None:
+            bodies = np.array(sorted({self.robot_id, *self._other_ids}))
+            neighbors = NeighborMemory(ids, bodies, self._avoidance.lifetime_s)
+        self._team = GoalFollowers(
+            inboxes,
+            self._law,
+            self._wheels,
+            neighbors=neighbors,
+            avoidance=self._avoidance,
+            motion=self._motion,
+        )
+
+
+def _only(goals: MotionGoals, mine: np.ndarray) -> MotionGoals:
+    """The goals of the robots of a mask alone."""
+    return MotionGoals(
+        unit_id=goals.unit_id,
+        time_s=goals.time_s,
+        ids=goals.ids[mine],
+        rho_px=goals.rho_px[mine],
+        bearings_rad=goals.bearings_rad[mine],
+        sides_px=goals.sides_px[mine],
+        neighbor_ids=goals.neighbor_ids[mine],
+        neighbor_distances_px=goals.neighbor_distances_px[mine],
+    )

@@ -1,0 +1,169 @@
+"""`skyherd live run`: every process of a lab on this machine, one log, and a dashboard with a stop."""
+
+import select
+import sys
+import time
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from rich.console import Console, Group
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
+
+from skyherd.errors import InputError
+from skyherd.live import operator
+from skyherd.live.lab import Lab
+from skyherd.live.live_clock import LiveClock
+from skyherd.live.supervisor import Supervisor
+from skyherd.live.zenoh_radio import ZenohRadio
+from skyherd.text import printable
+
+REFRESH_HZ = 4.0
+"""How often the dashboard is drawn anew, 1/s."""
+
+LINES = 12
+"""Lines of the log that the dashboard shows."""
+
+
+def run_session(
+    lab: Lab,
+    lab_file: str,
+    folder: Path | None,
+    *,
+    cameras: Sequence[str],
+    dry_run: bool,
+    armed: bool,
+    duration_s: float | None,
+    settings: Sequence[str],
+    insecure: bool,
+    say: Callable[[str], None],
+) -> int:
+    """Run a lab until Ctrl-C, the end of its videos, or `duration_s`; returns the exit code.
+
+    Args:
+        lab: the set-up.
+        lab_file: where it was read from, for the processes.
+        folder: where everything is recorded; made, and must not be there.
+        cameras: addresses in place of the lab's.
+        dry_run: nothing is sent to robots.
+        armed: arm as soon as all robots are there.
+        duration_s: end after so long.
+        settings: what was put over the lab, for the processes.
+        insecure: allow a radio beyond this machine without TLS.
+        say: prints a line.
+
+    Raises:
+        InputError: the folder is there, or the number of cameras is wrong.
+    """
+    if cameras and len(cameras) != len(lab.model.cameras):
+        raise InputError("--cameras", f"{len(cameras)} addresses", f"{len(lab.model.cameras)}, as in the lab")
+    folder = folder or Path("runs") / f"{lab.model.team}-{time.strftime('%Y%m%d-%H%M%S')}"
+    try:
+        folder.mkdir(parents=True)
+    except OSError as error:
+        raise InputError(str(folder), error.strerror or str(error), "a folder that is not there") from None
+    radio = ZenohRadio(lab.model.radio, lab.folder, insecure=insecure)
+    console = Console()
+    lines: deque[str] = deque(maxlen=LINES)
+    shows = console.is_terminal
+    supervisor = Supervisor(folder / "live.log", lines.append if shows else say)
+    watched = operator.watch(lab, radio, LiveClock(), "supervisor")
+    common = ["--out", str(folder), "--supervised"]
+    common += [part for setting in settings for part in ("--set", setting)]
+    common += ["--insecure"] * insecure + ["--dry-run"] * dry_run
+    end_s = float("inf") if duration_s is None else time.monotonic() + duration_s
+    waiting_to_arm = armed
+    try:
+        for unit in range(len(lab.model.cameras)):
+            camera = ["--camera", cameras[unit]] if cameras else []
+            supervisor.add(f"unit/{unit}", ["unit", lab_file, str(unit), *camera, *common])
+        for robot in lab.ids:
+            supervisor.add(f"robot/{robot}", ["robot", lab_file, str(robot), *common])
+        with _keys() as key, _display(console if shows else None) as draw:
+            while time.monotonic() < end_s and any(
+                child.process is not None or child.code is None or child.code not in (0, 2)
+                for child in supervisor.children
+                if child.name.startswith("unit/")
+            ):
+                supervisor.tend()
+                watched.listen(1 / REFRESH_HZ)
+                pressed = key()
+                if pressed == " ":
+                    waiting_to_arm = False
+                    _report(supervisor, "stopped", operator.stop(lab, watched, "space bar", 1.0))
+                elif pressed == "a" or (waiting_to_arm and _all_there(lab, watched)):
+                    outcome = operator.arm(lab, watched, 2.0)
+                    _report(supervisor, "armed", outcome)
+                    waiting_to_arm = waiting_to_arm and bool(outcome.missing)
+                draw(_page(lab, watched, supervisor, lines))
+    except KeyboardInterrupt:
+        supervisor.say("live", "interrupted")
+    finally:
+        operator.stop(lab, watched, "the end", 0.3)
+        supervisor.end()
+        radio.close()
+    say(f"recorded in {folder}; `skyherd live replay {folder}` decides anew")
+    return 0
+
+
+def _all_there(lab: Lab, watched: operator.Watch) -> bool:
+    alive = watched.alive()
+    return all(f"robot/{robot}" in alive for robot in lab.ids)
+
+
+def _report(supervisor: Supervisor, word: str, outcome: operator.Outcome) -> None:
+    rest = f"; no answer from {outcome.missing}" if outcome.missing else ""
+    supervisor.say("live", f"{word}: {outcome.done or 'none'}{rest}")
+
+
+def _page(lab: Lab, watched: operator.Watch, supervisor: Supervisor, lines: Sequence[str]) -> Group:
+    """The dashboard."""
+    alive = watched.alive()
+    armed = sum(beat.armed for beat in alive.values())
+    table = Table(box=None, header_style="bold")
+    for column in ("process", "starts", "armed", "what it says"):
+        table.add_column(column)
+    for child in supervisor.children:
+        beat = alive.get(child.name)
+        says = "no sign of life" if beat is None else printable(beat.state)
+        mark = "" if beat is None or not beat.session else "ARMED" if beat.armed else "no"
+        table.add_row(child.name, str(child.restarts + 1), mark, Text(says))
+    head = (
+        f"team {lab.model.team}: {armed} of {len(lab.ids)} robots armed.  a: arm   space: STOP   Ctrl-C: end"
+    )
+    return Group(Text(head, style="bold"), table, Text("\n".join(lines)))
+
+
+@contextmanager
+def _display(console: Console | None) -> Iterator[Callable[[Group], None]]:
+    """A place to draw the dashboard; nowhere without a terminal."""
+    if console is None:
+        yield lambda page: None
+        return
+    with Live(console=console, refresh_per_second=REFRESH_HZ, screen=True) as live:
+        yield live.update
+
+
+@contextmanager
+def _keys() -> Iterator[Callable[[], str]]:
+    """The key that was pressed since the last call, or an empty text; none without a terminal."""
+    if not sys.stdin.isatty() or sys.platform == "win32":
+        yield lambda: ""
+        return
+    import termios
+    import tty
+
+    before = termios.tcgetattr(sys.stdin)
+    tty.setcbreak(sys.stdin)
+
+    def pressed() -> str:
+        ready, _, _ = select.select([sys.stdin], [], [], 0)
+        return sys.stdin.read(1) if ready else ""
+
+    try:
+        yield pressed
+    finally:
+        termios.tcsetattr(sys.stdin, termios.TCSADRAIN, before)

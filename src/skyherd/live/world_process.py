@@ -1,0 +1,364 @@
+"""A scenario's world as a process of its own: to the rest of the system it is hardware.
+
+It renders what each camera sees, streams it as H.264 in FLV over TCP to whoever connects, and drives its
+robots and flies its units by the commands that come over the radio. Wheels stop by themselves when no command
+came for `HOLD_S`, as those of a robot with a keep-alive do. It alone knows the truth, and records it.
+"""
+
+import math
+import socket
+import threading
+import time
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import av
+import numpy as np
+
+from skyherd.datasets import Mission
+from skyherd.errors import InputError
+from skyherd.live.live_clock import LiveClock
+from skyherd.live.radio import Post, Radio
+from skyherd.live.wire import Wheels
+from skyherd.messages import FlightCommand, VelocityCommand
+from skyherd.random_streams import RunStream, generator
+from skyherd.recording.mcap_log import McapLog, Schema
+from skyherd.sim.perception import Image, make_renderer
+from skyherd.sim.physics import make_world
+from skyherd.sim.truth_metrics import TruthObserver
+
+HOLD_S = 0.5
+"""A wheel without a command for so long stands still, s of real time. Chosen: as the drivers of
+`skyherd.live.drivers` do."""
+
+FIRST_PORT = 7461
+"""Port of the first camera. Chosen: beside the radio's."""
+
+QUALITY = {"preset": "ultrafast", "tune": "zerolatency", "crf": "18"}
+"""How x264 encodes. Chosen: as a network camera does, each picture sent before the next is taken."""
+
+KEY_FRAME_S = 2.0
+"""Time between two pictures that need none before them, s."""
+
+FULL_RANGE = 2
+"""FFmpeg's number of grey levels from 0 to 255, where videos have 16 to 235 as a rule."""
+
+MILLISECOND = Fraction(1, 1000)
+"""Unit of time of FLV."""
+
+TOPICS: dict[str, Schema] = {
+    "/scenario": ("skyherd.WorldScenario", {"type": "object"}),
+    "/truth": ("skyherd.WorldTruth", {"type": "object"}),
+}
+"""What the world records: the scenario, and at each step where everything is and what wheels were told."""
+
+
+class CameraStream:
+    """One camera's pictures for whoever connects: the newest, encoded in a thread of its own.
+
+    Attributes:
+        port: where it listens on loopback.
+        sent: number of pictures that were sent.
+
+    Args:
+        size_px: width and height.
+        rate_hz: pictures a second of real time.
+        port: as the attribute; 0 for any that is free.
+
+    Raises:
+        InputError: the port is taken.
+    """
+
+    def __init__(self, size_px: tuple[int, int], rate_hz: float, port: int) -> None:
+        self.sent = 0
+        self._size_px, self._rate_hz = size_px, rate_hz
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            self._socket.bind(("127.0.0.1", port))
+        except OSError as error:
+            raise InputError(f"port {port}", error.strerror or str(error), "--port of a free one") from None
+        self.port = int(self._socket.getsockname()[1])
+        self._socket.listen(1)
+        self._socket.settimeout(0.2)
+        self._newest: tuple[Image, float] | None = None
+        self._news = threading.Condition()
+        self._closing = False
+        self._thread = threading.Thread(target=self._run, name=f"camera {self.port}", daemon=True)
+        self._thread.start()
+
+    def show(self, image: Image, taken_s: float) -> None:
+        """Let this be the newest picture, taken at a time of any clock."""
+        with self._news:
+            self._newest = image, taken_s
+            self._news.notify()
+
+    def close(self) -> None:
+        """End the stream."""
+        with self._news:
+            self._closing = True
+            self._news.notify()
+        self._thread.join(2.0)
+        self._socket.close()
+
+    def _run(self) -> None:
+        while not self._closing:
+            try:
+                viewer, _ = self._socket.accept()
+            except TimeoutError:
+                continue
+            except OSError:
+                return
+            viewer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            viewer.settimeout(5.0)
+            with viewer, suppress(OSError, av.FFmpegError):
+                self._serve(viewer)
+
+    def _serve(self, viewer: socket.socket) -> None:
+        """Send pictures to one viewer until it leaves."""
+        container = av.open(_Pipe(viewer), "w", format="flv")
+        stream = container.add_stream("libx264", rate=max(1, round(self._rate_hz)), options=QUALITY)
+        stream.width, stream.height = self._size_px
+        stream.pix_fmt = "yuv420p"
+        context = stream.codec_context
+        context.thread_count = 1
+        context.color_range = FULL_RANGE
+        context.gop_size = max(1, round(KEY_FRAME_S * self._rate_hz))
+        last = -1
+        try:
+            while True:
+                with self._news:
+                    self._news.wait_for(lambda: self._newest is not None or self._closing)
+                    if self._closing:
+                        return
+                    (image, taken_s), self._newest = self._newest, None  # type: ignore[misc]
+                picture = av.VideoFrame.from_ndarray(_yuv(image), format="yuv420p")
+                last = max(last + 1, round(taken_s * 1000))
+                picture.pts, picture.time_base = last, MILLISECOND
+                picture.color_range = FULL_RANGE
+                container.mux(stream.encode(picture))
+                self.sent += 1
+        finally:
+            with suppress(OSError, av.FFmpegError):
+                container.close()
+
+
+class _Pipe:
+    """A socket as PyAV writes to it."""
+
+    def __init__(self, viewer: socket.socket) -> None:
+        self._viewer = viewer
+
+    def write(self, data: bytes) -> int:
+        """Send all of it."""
+        self._viewer.sendall(data)
+        return len(data)
+
+
+def _yuv(image: Image) -> Image:
+    """A grey image (height, width) with the colour planes that H.264 wants, both even, colourless."""
+    height, width = image.shape
+    plane = np.full((height // 2, width), 128, dtype=np.uint8)
+    return np.concatenate([image, plane])
+
+
+@dataclass
+class WheelState:
+    """What one robot's wheels were told last.
+
+    Attributes:
+        v_mps: speed, in metres a second of real time.
+        omega_radps: turn rate, in radians a second of real time.
+        told_s: when, by the world's clock; -inf if never.
+    """
+
+    v_mps: float = 0.0
+    omega_radps: float = 0.0
+    told_s: float = -math.inf
+
+
+@dataclass
+class WorldProcess:
+    """The world of a mission, a step at a time, between a radio and viewers of its cameras.
+
+    Attributes:
+        mission: what is simulated.
+        speed: seconds of the scenario a second of real time.
+        clock: the time of the wheels' commands.
+        post: what it hears.
+        path: where it records the truth; None for nowhere.
+        streams: the cameras, by unit.
+    """
+
+    mission: Mission
+    speed: float
+    clock: Callable[[], float]
+    post: Post
+    path: Path | None = None
+    streams: Sequence[CameraStream] = ()
+    wheels: dict[int, WheelState] = field(default_factory=dict, init=False)
+
+    def __post_init__(self) -> None:
+        scenario = self.mission.scenario
+        self._world = make_world(self.mission)
+        self._observer = TruthObserver(self.mission.template, self.mission.ids)
+        self._renderer = make_renderer(self.mission, generator(scenario.seed, RunStream.PERCEPTION))
+        self._occluders = [occluder.make() for occluder in scenario.occluders]
+        self._time_s, self._images = 0.0, [0] * len(scenario.units)
+        self.wheels = {robot: WheelState() for robot in self.mission.ids.tolist()}
+        self._log = None if self.path is None else McapLog(self.path, TOPICS)
+        self._begun_s: float | None = None
+        if self._log is not None:
+            self._log.put("/scenario", self.clock(), scenario.model_dump(mode="json"))
+
+    @property
+    def time_s(self) -> float:
+        """Time of the scenario."""
+        return self._time_s
+
+    def hear(self) -> None:
+        """Take in what has come over the radio."""
+        for arrival in self.post.fetch():
+            message = arrival.envelope.message
+            if isinstance(message, Wheels) and message.robot_id in self.wheels:
+                state = WheelState(message.v_mps, message.omega_radps, arrival.received_s)
+                self.wheels[message.robot_id] = state
+            elif isinstance(message, FlightCommand) and 0 <= message.unit_id < len(self._images):
+                self._world.fly(self._slowed(message))
+
+    def step(self) -> float:
+        """Show the cameras what there is, and move on by a time step; returns the shape error before it."""
+        scenario, now_s = self.mission.scenario, self.clock()
+        self._begun_s = now_s if self._begun_s is None else self._begun_s
+        for unit, model in enumerate(scenario.units):
+            if self._time_s * model.frame_rate_hz >= self._images[unit] - 1e-9:
+                self._images[unit] += 1
+                if unit < len(self.streams):
+                    self.streams[unit].show(self._picture(unit), now_s - self._begun_s)
+        states = [self.wheels[robot] for robot in self.mission.ids.tolist()]
+        live = np.array([now_s - state.told_s <= HOLD_S for state in states])
+        v_mps = np.where(live, [state.v_mps for state in states], 0.0)
+        omega_radps = np.where(live, [state.omega_radps for state in states], 0.0)
+        told = VelocityCommand(self.mission.ids, v_mps / self.speed, omega_radps / self.speed)
+        shape = self.mission.shape_at(self._time_s, np.arange(self.mission.ids.size))
+        metrics = self._observer.observe(self._world.positions_m, {}, (), shape)
+        self._record(now_s, v_mps, omega_radps, states, metrics.shape.error)
+        self._world.advance(self._world.limit(told), self._time_s, scenario.step_s)
+        self._time_s += scenario.step_s
+        return float(metrics.shape.error)
+
+    def close(self) -> None:
+        """Finish the recording, and end the streams."""
+        if self._log is not None:
+            self._log.close()
+        for stream in self.streams:
+            stream.close()
+
+    def _picture(self, unit: int) -> Image:
+        world, markers = self._world, self._world.markers
+        return self._renderer.render(
+            world.cameras[unit],
+            world.camera_pose(unit),
+            markers.ids,
+            markers.positions_m,
+            markers.headings_rad,
+            motion=world.motion(unit),
+            occluders=self._occluders,
+            stream=unit,
+        )
+
+    def _slowed(self, command: FlightCommand) -> FlightCommand:
+        """A flight command in seconds of the scenario."""
+        share = 1 / self.speed
+        return replace(
+            command,
+            lateral_mps=command.lateral_mps * share,
+            climb_mps=command.climb_mps * share,
+            yaw_rate_radps=command.yaw_rate_radps * share,
+            zoom_rate_ps=command.zoom_rate_ps * share,
+        )
+
+    def _record(
+        self,
+        now_s: float,
+        v_mps: np.ndarray,
+        omega_radps: np.ndarray,
+        states: Sequence[WheelState],
+        error: float,
+    ) -> None:
+        if self._log is None:
+            return
+        record: dict[str, Any] = {
+            "now_s": now_s,
+            "time_s": self._time_s,
+            "positions_m": self._world.positions_m,
+            "headings_rad": self._world.headings_rad,
+            "v_mps": v_mps,
+            "omega_radps": omega_radps,
+            "told_age_s": [now_s - state.told_s if state.told_s > -math.inf else None for state in states],
+            "shape_error": error,
+        }
+        self._log.put("/truth", now_s, record)
+        if self._log.pending_bytes > 1 << 16:
+            self._log.flush()
+
+
+def run_world(
+    mission: Mission,
+    radio: Radio,
+    *,
+    team: str,
+    speed: float,
+    path: Path | None,
+    first_port: int = FIRST_PORT,
+    tell: Callable[[str], None] = lambda line: None,
+    ended: Callable[[], bool] = lambda: False,
+) -> None:
+    """Be a world in real time, or at a fraction of it, for the scenario's duration.
+
+    Each step lasts `step_s / speed`; where the machine is too slow for that, the world is late, and says so.
+
+    Args:
+        mission: what is simulated.
+        radio: brings the commands.
+        team: whose commands are obeyed.
+        speed: seconds of the scenario a second of real time.
+        path: where the truth is recorded; None for nowhere.
+        first_port: TCP port of the first camera; the others follow.
+        tell: says a line to people.
+        ended: asked before each step; True ends the world.
+    """
+    clock = LiveClock()
+    scenario = mission.scenario
+    post = Post(radio, team, "world", clock, ("wheels/**", "flight/**"), tell)
+    streams = [
+        CameraStream(model.camera.size_px, model.frame_rate_hz * speed, first_port + unit)
+        for unit, model in enumerate(scenario.units)
+    ]
+    world = WorldProcess(mission, speed, clock, post, path, streams)
+    period_s = scenario.step_s / speed
+    tell("cameras at " + " ".join(f"tcp://127.0.0.1:{stream.port}" for stream in streams))
+    next_s, told_s, late = time.monotonic(), -math.inf, 0
+    try:
+        while world.time_s <= scenario.duration_s and not ended():
+            world.hear()
+            error = world.step()
+            now_s = time.monotonic()
+            next_s += period_s
+            if now_s > next_s:
+                late, next_s = late + 1, now_s
+            if now_s - told_s >= 5.0:
+                told_s = now_s
+                tell(
+                    f"{world.time_s:6.1f} s  shape error {error:.4f}" + (f"  {late} steps late" * bool(late))
+                )
+            while (left_s := next_s - time.monotonic()) > 0:
+                time.sleep(min(left_s, 0.05))
+                world.hear()
+        tell(f"{world.time_s:6.1f} s  shape error {error:.4f}  over; {late} steps late")
+    finally:
+        world.close()

@@ -1,0 +1,88 @@
+"""The radio by Zenoh: each process a peer, and nothing between them."""
+
+import json
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from skyherd.errors import InputError
+from skyherd.live.drivers.extras import import_extra
+from skyherd.live.lab import LabRadio
+from skyherd.live.radio import Radio
+
+ANY_PORT = "tcp/127.0.0.1:0"
+"""Where a process listens besides: any port of loopback. On one machine one process gets the port of the
+file, and the others are told of each other by it."""
+
+
+RETRY_MS = 300
+"""Time between two tries to get the port of the file, ms. Chosen: closing waits for the present one."""
+
+
+class ZenohRadio(Radio):
+    """A Zenoh session in peer mode, which nothing finds that is not told where.
+
+    Multicast scouting is off. Peers tell each other of the peers that they know, so that it is enough for
+    each to reach one. Where the port of the file is taken, a process tries on, and takes it over once it is
+    free: no process is the middle.
+
+    Args:
+        places: where to listen and to connect to.
+        folder: the folder to which names of certificates are relative.
+        insecure: allow places beyond loopback without TLS and client certificates.
+
+    Raises:
+        InputError: Zenoh is not installed, the places are not secured, or Zenoh refuses them.
+    """
+
+    def __init__(self, places: LabRadio, folder: Path, *, insecure: bool = False) -> None:
+        places.check(insecure=insecure)
+        zenoh = import_extra("zenoh", "eclipse-zenoh", "radio")
+        config = zenoh.Config()
+        settings: dict[str, Any] = {
+            "mode": "peer",
+            "listen/endpoints": [*places.listen, ANY_PORT] if places.is_loopback else places.listen,
+            "listen/exit_on_failure": False,
+            "listen/timeout_ms": -1,
+            "listen/retry": {"period_init_ms": RETRY_MS, "period_max_ms": RETRY_MS},
+            "connect/endpoints": places.connect,
+            "connect/exit_on_failure": False,
+            "connect/timeout_ms": 0,
+            "scouting/multicast/enabled": False,
+            "transport/shared_memory/enabled": False,
+        }
+        if places.certificate and places.key and places.authority:
+            settings |= {
+                "transport/link/tls/root_ca_certificate": str(folder / places.authority),
+                "transport/link/tls/listen_certificate": str(folder / places.certificate),
+                "transport/link/tls/listen_private_key": str(folder / places.key),
+                "transport/link/tls/connect_certificate": str(folder / places.certificate),
+                "transport/link/tls/connect_private_key": str(folder / places.key),
+                "transport/link/tls/enable_mtls": True,
+            }
+        try:
+            for key, value in settings.items():
+                config.insert_json5(key, json.dumps(value))
+            self._session = zenoh.open(config)
+        except zenoh.ZError as error:
+            what = " ".join(str(error).split())
+            raise InputError("radio", what, "listen and connect as Zenoh writes them") from None
+        self._error = zenoh.ZError
+        self._drop = zenoh.CongestionControl.DROP
+        self._subscribers: list[Any] = []
+
+    def publish(self, topic: str, data: bytes) -> None:
+        """Send to all that listen now; dropped where the line is full."""
+        self._session.put(topic, data, congestion_control=self._drop)
+
+    def subscribe(self, pattern: str, take: Callable[[bytes], None]) -> None:
+        """Call `take`, from a thread of Zenoh's, with all that comes under a pattern."""
+        self._subscribers.append(
+            self._session.declare_subscriber(pattern, lambda sample: take(bytes(sample.payload)))
+        )
+
+    def close(self) -> None:
+        """Leave the others; on a busy machine they may have to find out by themselves."""
+        with suppress(self._error):
+            self._session.close()

@@ -1,0 +1,91 @@
+"""An MCAP file that is written while something goes on, so that a killed process leaves all but the end."""
+
+import sys
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from mcap.writer import CompressionType, Writer
+
+from skyherd.recording.json_codec import json_schema, to_json
+from skyherd.version import __version__
+
+CHUNK_BYTES = 1 << 16
+"""Size at which a chunk of messages is compressed and written before its time is over. Chosen: smaller chunks
+compress worse, larger ones lose more where one is damaged."""
+
+Schema = tuple[str, type | dict[str, Any]]
+"""Name of a schema, and the dataclass or the JSON schema that it is of."""
+
+
+class McapLog:
+    """Messages as JSON with schemas, numbered through, in chunks with checksums that end where `flush` says.
+
+    Attributes:
+        topics: the topics and their schemas; all are registered at the start, numbered from 1, so that no
+            chunk is needed to understand another one.
+        pending_bytes: size of what was put since the last `flush`, which is lost if the process is killed.
+
+    Args:
+        path: the file to make; one that is there is replaced.
+        topics: as the attribute.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+
+    def __init__(self, path: Path, topics: Mapping[str, Schema]) -> None:
+        self.topics, self.pending_bytes = topics, 0
+        self._file = path.open("wb")
+        # A chunk ends where `flush` says so, never between messages that belong together.
+        self._writer = Writer(
+            self._file, chunk_size=sys.maxsize, compression=CompressionType.ZSTD, enable_data_crcs=True
+        )
+        self._writer.start(library=f"skyherd {__version__}")
+        self._sequence = 0
+        schemas: dict[str, int] = {}
+        for name, content in topics.values():
+            if name not in schemas:
+                text = to_json(content if isinstance(content, dict) else json_schema(content))
+                schemas[name] = self._writer.register_schema(name, "jsonschema", text)
+        self._channels = {
+            topic: self._writer.register_channel(topic, "json", schemas[name])
+            for topic, (name, _) in topics.items()
+        }
+
+    def put(self, topic: str, time_s: float, record: Any) -> None:
+        """Append a message with the next number."""
+        at, data = nanoseconds(time_s), to_json(record)
+        self._writer.add_message(
+            self._channels[topic], log_time=at, publish_time=at, data=data, sequence=self._sequence
+        )
+        self._sequence += 1
+        self.pending_bytes += len(data)
+
+    def flush(self) -> None:
+        """Write what there is as a chunk, so that it stays if the process is killed now."""
+        self._writer.flush()  # type: ignore[no-untyped-call]
+        self._file.flush()
+        self.pending_bytes = 0
+
+    def add_metadata(self, name: str, texts: dict[str, str]) -> None:
+        """Add texts to the file that are no message."""
+        self._writer.add_metadata(name, texts)
+
+    def abandon(self) -> None:
+        """Close the file as it is, after it could not be written."""
+        with suppress(OSError):
+            self._file.close()
+
+    def close(self) -> None:
+        """Finish the file."""
+        try:
+            self._writer.finish()  # type: ignore[no-untyped-call]
+        finally:
+            self._file.close()
+
+
+def nanoseconds(time_s: float) -> int:
+    """A time as MCAP files have it."""
+    return round(time_s * 1e9)

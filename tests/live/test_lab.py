@@ -1,0 +1,86 @@
+"""Lab files: the examples are right, and what is wrong is one line that names the key."""
+
+import tomllib
+
+import numpy as np
+import pytest
+from command_line import call
+
+from skyherd.errors import InputError
+from skyherd.live.lab import LabRadio, lab_names, lab_text, load_lab, make_lab
+
+
+@pytest.mark.parametrize("name", lab_names())
+def test_examples_are_right_and_stay_on_loopback(name) -> None:
+    lab = load_lab(name)
+    assert lab.model.radio.is_loopback and lab.model.radio.is_secured
+    for unit in range(len(lab.model.cameras)):
+        lab.make_unit(unit)
+    core = lab.make_robot(lab.ids[0])
+    assert not core.armed
+
+
+def test_points_belong_to_robots_in_the_order_of_the_file() -> None:
+    tree = tomllib.loads(lab_text("webcams"))
+    tree["robots"] = [{"id": 9}, {"id": 2}, {"id": 5}]
+    tree["shape"] = {"points": [[0, 0], [1, 0], [0, 2]]}
+    lab = make_lab(tree)
+    np.testing.assert_array_equal(lab.template.ids, [2, 5, 9])
+    np.testing.assert_array_equal(lab.template.points_px, [1, -2j, 0])
+
+
+@pytest.mark.parametrize(
+    ("setting", "complaint"),
+    [
+        ("limits.max_speed_mps=inf", "limits.max_speed_mps"),
+        ("limits.max_speed_mps=-1", "limits.max_speed_mps"),
+        ("limits.max_speed_mps=500", "limits.max_speed_mps"),
+        ("limits.goal_timeout_s=0.05", "two period_s"),
+        ("markers.side_m=nan", "markers.side_m"),
+        ("markers.dictionary='5x5'", "dictionary"),
+        ("robots.0.id=999", "no marker 999"),
+        ("robots.0.id=1", "1 is there twice"),
+        ("shape.shape='heart'", "heart"),
+        ("cameras.0.detector='eyes'", "eyes"),
+        ("team='two words'", "team"),
+        ("radio.speed=3", "unknown key"),
+    ],
+)
+def test_wrong_values_are_one_line(setting, complaint) -> None:
+    with pytest.raises(InputError, match=complaint) as refusal:
+        load_lab("webcams", [setting])
+    assert "\n" not in str(refusal.value)
+
+
+FILES = {"authority": "a.pem", "certificate": "c.pem", "key": "k.pem"}
+
+
+@pytest.mark.parametrize(
+    ("radio", "secured"),
+    [
+        ({"listen": ["tcp/127.0.0.1:7450"], "connect": ["tcp/[::1]:7450"]}, True),
+        ({"listen": ["tcp/0.0.0.0:7450"]}, False),
+        ({"listen": ["tcp/192.168.0.2:7450"]}, False),
+        ({"listen": ["tls/192.168.0.2:7450"]}, False),
+        ({"listen": ["tls/192.168.0.2:7450"]} | FILES, True),
+        ({"listen": ["tcp/192.168.0.2:7450"]} | FILES, False),
+        ({"connect": ["tcp/lab-server:7450"]}, False),
+        ({"connect": ["tcp/127.0.0.1.evil.net:7450"]}, False),
+    ],
+)
+def test_a_radio_beyond_this_machine_needs_certificates_or_a_word(radio, secured) -> None:
+    places = LabRadio(**radio)
+    assert places.is_secured is secured
+    places.check(insecure=True)
+    if not secured:
+        with pytest.raises(InputError, match="--insecure"):
+            places.check(insecure=False)
+
+
+def test_verbs_show_and_check(capsys, tmp_path) -> None:
+    assert call(capsys, "live", "show")[1].split() == lab_names()
+    file = tmp_path / "lab.toml"
+    file.write_text(call(capsys, "live", "show", "webcams")[1])
+    assert call(capsys, "live", "check", file, "--no-cameras")[0] == 0
+    code, out, _ = call(capsys, "live", "check", file, "--set", "cameras.*.address='/dev/video77'")
+    assert code == 2 and "no such camera" in out

@@ -1,0 +1,197 @@
+"""A whole live team in memory, in simulated time: it forms its shape, and faults stop it as they should."""
+
+import numpy as np
+import pytest
+
+from skyherd.errors import InputError
+from skyherd.live.diary import Diary
+from skyherd.live.lab import load_lab
+from skyherd.live.radio import Post
+from skyherd.live.replay import read_diary, replay
+
+
+@pytest.fixture(scope="module")
+def faults(load_benchmark):
+    return load_benchmark("live_faults")
+
+
+def team_of(faults, seed=0):
+    return faults.Team(load_lab("triangle", ["control.k=0.3", "control.k_omega=1.2"]), [], seed)
+
+
+def recorded(team, tmp_path):
+    """Diaries of the unit and of robot 3, kept as the processes keep theirs."""
+    diaries = {}
+    for name in ("unit/0", "robot/3"):
+        process = team.processes[name]
+        diary = diaries[name] = Diary(tmp_path / f"{name.replace('/', '_')}.mcap", name, team.lab, team.now_s)
+        wrap(process, diary)
+    return diaries
+
+
+def wrap(process, diary):
+    core, fetch, beat = process.core, process.post.fetch, process.core.beat
+
+    def fetch_and_keep(timeout_s=0.0):
+        for arrival in fetch(timeout_s):
+            diary.heard(arrival)
+            yield arrival
+
+    def beat_and_keep(now_s, state):
+        diary.put("/beat", now_s, {})
+        return beat(now_s, state)
+
+    process.post.fetch, core.beat = fetch_and_keep, beat_and_keep
+    if process.name.startswith("robot"):
+        decide = core.decide
+
+        def decide_and_keep(now_s):
+            order = decide(now_s)
+            diary.put("/decide", now_s, {"order": order})
+            return order
+
+        core.decide = decide_and_keep
+    else:
+        see = core.see
+
+        def see_and_keep(detections, now_s):
+            diary.saw(detections, now_s)
+            news = see(detections, now_s)
+            diary.put("/sent", now_s, {"messages": None if news is None else news.messages})
+            return news
+
+        core.see = see_and_keep
+
+
+def test_a_team_forms_its_shape_and_is_replayed_to_the_bit(faults, tmp_path) -> None:
+    """Clocks differ by a fraction of a second, and a fifth of all messages is lost or late."""
+    rng = np.random.default_rng(2)
+    team = team_of(faults)
+    for process in team.processes.values():
+        process.offset_s = float(rng.uniform(-0.4, 0.4))
+    team.air.drop = lambda topic, receiver: bool(rng.random() < 0.1)
+    team.air.delay_s = lambda topic, receiver: 0.2 * float(rng.random() < 0.1)
+    diaries = recorded(team, tmp_path)
+    start_error = None
+    for _ in range(110):
+        team.step()
+        start_error = start_error or team.errors[0]
+    assert team.errors[-1] < 0.25 * start_error
+    assert max(team.blind_s.values()) <= team.lab.model.limits.goal_timeout_s + 2 * faults.PERIOD_S
+    for diary in diaries.values():
+        diary.__exit__(None, None, None)
+    robot, unit = replay(tmp_path / "robot_3.mcap"), replay(tmp_path / "unit_0.mcap")
+    assert (robot.different, unit.different) == (0, 0)
+    assert robot.decisions == 110 and unit.decisions == 110
+
+
+def test_a_replay_notices_a_message_that_was_changed(faults, tmp_path, monkeypatch) -> None:
+    team = team_of(faults)
+    diaries = recorded(team, tmp_path)
+    diary = diaries["robot/3"]
+    put = Diary._put
+    heard = []
+
+    def put_changed(self, topic, now_s, record):
+        if topic == "/heard" and record["kind"] == "goals" and self is diary:
+            heard.append(record)
+            if len(heard) == 25:
+                record = record | {"received_s": record["received_s"] + 5.0}
+        put(self, topic, now_s, record)
+
+    monkeypatch.setattr(Diary, "_put", put_changed)
+    for _ in range(45):
+        team.step()
+    for kept in diaries.values():
+        kept.__exit__(None, None, None)
+    assert len(heard) > 30
+    assert replay(tmp_path / "robot_3.mcap").different > 0
+
+
+def test_partition_stops_all_and_the_mission_goes_on_after_it(faults) -> None:
+    team = team_of(faults, seed=1)
+    speeds = []
+    for _ in range(90):
+        team.air.drop = lambda topic, receiver: 4.0 <= team.time_s < 7.0
+        team.step()
+        speeds.append(max(abs(v) + abs(w) for v, w, _ in team.wheels.values()))
+    limit = round((4.0 + team.lab.model.limits.goal_timeout_s) / faults.PERIOD_S) + 2
+    assert max(speeds[30:40]) > 0 and max(speeds[limit:70]) == 0 and max(speeds[78:]) > 0
+
+
+@pytest.mark.parametrize(
+    "fault",
+    [
+        "clock 20 s off",
+        "garbage",
+        *(
+            pytest.param(fault, marks=pytest.mark.slow)
+            for fault in ("two teams", "robot killed", "unit killed", "stream repeats", "clock set by 20 s")
+        ),
+    ],
+)
+def test_no_fault_moves_a_wheel_for_long(faults, fault) -> None:
+    row = faults.run(fault, 3, duration_s=6.0)
+    assert not row["exceeded"]
+    if "clock" in fault:
+        assert row["blind_s"] == 0 and any("s off, more than" in line for line in row["told"])
+    if fault in ("two teams", "garbage"):
+        assert row["refused"] > 10 and row["blind_s"] > 0
+
+
+def test_a_full_disk_ends_the_diary_with_a_line_and_nothing_else(tmp_path, monkeypatch) -> None:
+    lab = load_lab("triangle")
+    with Diary(tmp_path / "a.mcap", "robot/3", lab, 0.0) as diary:
+        diary.put("/tell", 0.1, {"line": "before"})
+
+        def full(*arguments):
+            raise OSError(28, "No space left on device")
+
+        monkeypatch.setattr(diary._log, "flush", full)
+        diary.put("/tell", 5.0, {"line": "after"})
+        assert "No space left" in diary.trouble
+        diary.put("/tell", 6.0, {"line": "later"})
+
+
+def test_a_diary_cut_short_reads_up_to_its_last_chunk(tmp_path) -> None:
+    lab = load_lab("triangle")
+    path = tmp_path / "a.mcap"
+    with Diary(path, "robot/3", lab, 0.0) as diary:
+        for step in range(100):
+            diary.put("/tell", step * 0.1, {"line": str(step)})
+        data = path.read_bytes()
+    (tmp_path / "cut.mcap").write_bytes(data[:-5])
+    lines = [record["line"] for topic, record in read_diary(tmp_path / "cut.mcap") if topic == "/tell"]
+    assert lines == [str(step) for step in range(len(lines))] and len(lines) >= 90
+
+
+@pytest.mark.parametrize("content", [b"", b"no MCAP at all, whatever it is"])
+def test_what_is_no_diary_is_refused_in_one_line(tmp_path, content) -> None:
+    path = tmp_path / "robot_1.mcap"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=r"robot_1\.mcap"):
+        replay(path)
+
+
+def test_arm_and_stop_insist_until_all_answer(faults) -> None:
+    """The operator's own loop, with time that passes whenever it listens."""
+    from skyherd.live import operator
+
+    team = team_of(faults, seed=2)
+    team.armed_s = None
+    for _ in range(10):
+        team.step()
+    rng = np.random.default_rng(0)
+    team.air.drop = lambda topic, receiver: bool(rng.random() < 0.3)
+    post = Post(team.air.radio("desk"), team.lab.model.team, "desk", lambda: team.now_s, operator.HEARS)
+    watched = operator.Watch(post, lambda: team.now_s)
+    listen = watched.listen
+
+    def listen_and_step(timeout_s):
+        team.step()
+        listen(0.0)
+
+    watched.listen = listen_and_step
+    assert operator.arm(team.lab, watched, settle_s=60.0).missing == []
+    assert operator.stop(team.lab, watched, "test", settle_s=60.0).missing == []
+    assert not any(p.core.armed for name, p in team.processes.items() if name.startswith("robot"))

@@ -1,0 +1,266 @@
+"""The safety rules of a robot: whatever comes in, wheels turn only while every condition holds."""
+
+import math
+from dataclasses import replace
+
+import hypothesis.strategies as st
+import numpy as np
+import pytest
+from hypothesis import given, settings
+
+from skyherd.control import MarkerGains, Wheels
+from skyherd.live.drivers import SpeedLimits
+from skyherd.live.peers import ClockLimits
+from skyherd.live.robot_core import DRIVING, RobotCore, RobotLimits
+from skyherd.live.wire import Arm, Beat, Envelope, Sighting, Stop
+from skyherd.messages import MotionGoals
+
+LIMITS = RobotLimits(
+    SpeedLimits(0.5, 2.0, 1.0, 8.0),
+    goal_timeout_s=0.5,
+    unseen_s=0.8,
+)
+ROBOT, STEP_S = 3, 0.05
+
+
+def make_core() -> RobotCore:
+    law = MarkerGains(k=2.0, k_omega=4.0, b_th=0.01, side_m=0.1)
+    return RobotCore(
+        ROBOT, [0, 1], law, Wheels(0.6, 3.0), LIMITS, side_m=0.1, clock_limits=ClockLimits(1.0, 0.1)
+    )
+
+
+def goals(time_s: float, unit: int = 0, rho: float = 200.0, bearing: float = 0.3) -> MotionGoals:
+    return MotionGoals(unit, time_s, [ROBOT], [rho], [bearing], [20.0], np.zeros((1, 0)), np.zeros((1, 0)))
+
+
+class Scene:
+    """A robot and one unit, whose clock shows `offset_s` more, exchanging messages without delay."""
+
+    def __init__(self, offset_s: float = 0.0, start_s: float = 100.0) -> None:
+        self.core, self.now_s, self.offset_s = make_core(), start_s, offset_s
+        self.orders = []
+
+    def unit_says(self, message) -> None:
+        self.core.receive(Envelope("unit/0", self.now_s + self.offset_s, message), self.now_s)
+
+    def compare_clocks(self) -> None:
+        self.unit_says(Beat({"robot/3": (self.now_s, self.now_s + self.offset_s)}))
+
+    def arm(self) -> None:
+        self.core.receive(Envelope("operator", self.now_s, Arm({"robot/3": self.core.session})), self.now_s)
+
+    def see(self, age_s: float = 0.0, repeated=()) -> None:
+        taken_s = self.now_s + self.offset_s - age_s
+        self.unit_says(Sighting(0, taken_s, [] if ROBOT in repeated else [ROBOT], list(repeated)))
+        self.unit_says(goals(taken_s))
+
+    def step(self):
+        self.now_s += STEP_S
+        self.orders.append(self.core.decide(self.now_s))
+        return self.orders[-1]
+
+    def drive(self, steps: int = 10):
+        self.core.decide(self.now_s)
+        self.compare_clocks()
+        self.arm()
+        for _ in range(steps):
+            self.see()
+            order = self.step()
+        return order
+
+
+def test_disarmed_at_start_and_says_what_would_happen() -> None:
+    scene = Scene()
+    scene.core.decide(scene.now_s)
+    scene.compare_clocks()
+    for _ in range(5):
+        scene.see()
+        order = scene.step()
+    assert order.reason == "disarmed"
+    assert (order.v_mps, order.omega_radps) == (0.0, 0.0)
+    assert order.wanted_v_mps > 0 and order.wanted_omega_radps > 0
+
+
+def test_armed_it_drives_within_acceleration_and_speed() -> None:
+    scene = Scene()
+    order = scene.drive(20)
+    assert order.reason == DRIVING and order.v_mps == LIMITS.speeds.speed_mps
+    speeds = [0.0] + [order.v_mps for order in scene.orders]
+    assert max(np.diff(speeds)) <= LIMITS.speeds.acceleration_mps2 * STEP_S + 1e-12
+    assert scene.orders[0].v_mps > 0
+
+
+@pytest.mark.parametrize("offset_s", [0.0, 0.2, -0.9])
+def test_stops_when_goals_are_older_than_the_timeout(offset_s) -> None:
+    scene = Scene(offset_s)
+    assert scene.drive().reason == DRIVING
+    last_s = scene.now_s - STEP_S  # the last image
+    reasons = []
+    while scene.now_s < last_s + 2.0:
+        order = scene.step()
+        reasons.append((scene.now_s - last_s, order))
+    for age_s, order in reasons:
+        if abs(age_s - LIMITS.goal_timeout_s) > 1e-6:
+            assert (order.v_mps != 0) == (age_s < LIMITS.goal_timeout_s), age_s
+    assert reasons[-1][1].reason == "no unit sees its marker"
+
+
+def test_old_images_do_not_count_however_often_they_come() -> None:
+    scene = Scene()
+    scene.drive()
+    for _ in range(30):
+        scene.see(age_s=LIMITS.goal_timeout_s + 0.01)
+        order = scene.step()
+    assert order.v_mps == 0 and "ago" in order.reason
+
+
+@pytest.mark.parametrize(("offset_s", "drives"), [(0.2, True), (-0.9, True), (2.0, False), (-20.0, False)])
+def test_a_clock_that_is_off_is_allowed_for_or_told(offset_s, drives) -> None:
+    order = Scene(offset_s).drive(20)
+    assert (order.reason == DRIVING) == drives
+    if not drives:
+        assert order.v_mps == 0 and f"{offset_s:+.2g} s off" in order.reason
+
+
+def test_images_from_the_future_are_refused() -> None:
+    scene = Scene()
+    scene.drive()
+    for _ in range(30):
+        scene.see(age_s=-0.3)
+        order = scene.step()
+    assert order.v_mps == 0 and "from now" in order.reason
+
+
+def test_without_compared_clocks_nothing_moves() -> None:
+    scene = Scene()
+    scene.core.decide(scene.now_s)
+    scene.arm()
+    for _ in range(10):
+        scene.see()
+        order = scene.step()
+    assert order.v_mps == 0 and "not compared" in order.reason
+
+
+def test_a_marker_at_two_places_stops_at_once_and_for_a_while() -> None:
+    scene = Scene()
+    scene.drive()
+    scene.see(repeated=[ROBOT])
+    assert scene.step().v_mps == 0
+    doubled_s = scene.now_s - STEP_S
+    while scene.now_s < doubled_s + 2.0:
+        scene.see()
+        order = scene.step()
+        if scene.now_s - doubled_s <= LIMITS.unseen_s - 1e-6:
+            assert order.v_mps == 0 and "two places" in order.reason
+    assert order.reason == DRIVING
+
+
+def test_goals_without_sightings_do_not_move_it() -> None:
+    scene = Scene()
+    scene.drive()
+    for _ in range(40):
+        scene.unit_says(goals(scene.now_s))
+        order = scene.step()
+    assert order.v_mps == 0 and order.reason == "no unit sees its marker"
+
+
+def test_stop_disarms_and_an_arm_command_under_way_means_nothing() -> None:
+    scene = Scene()
+    scene.drive()
+    late = Arm({"robot/3": scene.core.session})
+    scene.core.receive(Envelope("operator", scene.now_s, Stop("space bar")), scene.now_s)
+    scene.see()
+    assert scene.step().reason == "disarmed"
+    scene.core.receive(Envelope("operator", scene.now_s, late), scene.now_s)
+    scene.see()
+    assert scene.step().reason == "disarmed"
+    scene.arm()
+    scene.see()
+    assert scene.step().reason == DRIVING
+
+
+@pytest.mark.parametrize("jump_s", [-5.0, 3.0, math.nan, math.inf])
+def test_own_clock_that_jumps_stops_it(jump_s) -> None:
+    scene = Scene()
+    scene.drive()
+    order = scene.core.decide(scene.now_s + jump_s)
+    assert (order.v_mps, order.omega_radps) == (0.0, 0.0)
+    assert "its own clock" in order.reason
+
+
+def test_goals_for_other_robots_and_from_strangers_do_nothing() -> None:
+    scene = Scene()
+    scene.drive()
+    for _ in range(20):
+        scene.unit_says(replace(goals(scene.now_s), ids=[ROBOT + 1]))
+        stranger = Envelope("unit/7", scene.now_s, goals(scene.now_s, unit=7))
+        scene.core.receive(stranger, scene.now_s)
+        order = scene.step()
+    assert order.v_mps == 0
+
+
+actions = st.one_of(
+    st.tuples(st.just("see"), st.floats(-1, 2)),
+    st.tuples(st.just("double"), st.just(0.0)),
+    st.tuples(st.just("compare"), st.floats(-30, 30)),
+    st.tuples(st.just("arm"), st.just(0.0)),
+    st.tuples(st.just("stop"), st.just(0.0)),
+    st.tuples(st.just("goal"), st.floats(0, 1e300)),
+    st.tuples(st.just("clock"), st.one_of(st.floats(-3, 3), st.sampled_from([math.nan, math.inf, 1e300]))),
+    st.tuples(st.just("wait"), st.floats(0, 0.4)),
+)
+
+
+@given(st.lists(actions, max_size=60))
+@settings(max_examples=30)
+def test_wheels_turn_only_while_everything_holds(script) -> None:
+    """An independent account of when the robot may move, against any order of events."""
+    scene, core = Scene(), make_core()
+    scene.core = core
+    armed = False
+    newest_goal_s = newest_sight_s = -math.inf
+    since_double_s = math.inf
+    before = (0.0, 0.0)
+    decided_s = scene.now_s
+    core.decide(scene.now_s)
+    for action, value in [("compare", 0.0), ("arm", 0.0), ("see", 0.0), *script]:
+        if action == "see":
+            scene.see(age_s=value)
+            newest_goal_s = max(newest_goal_s, min(scene.now_s - value, scene.now_s))
+            newest_sight_s = max(newest_sight_s, min(scene.now_s - value, scene.now_s))
+        elif action == "double":
+            scene.see(repeated=[ROBOT])
+            since_double_s = 0.0 if abs(scene.offset_s) < 0.9 else since_double_s
+            newest_goal_s = scene.now_s
+        elif action == "compare":
+            scene.offset_s = value
+            scene.compare_clocks()
+        elif action == "arm":
+            scene.arm()
+            armed = True
+        elif action == "stop":
+            core.receive(Envelope("operator", scene.now_s, Stop("")), scene.now_s)
+            armed = False
+        elif action == "goal":
+            scene.unit_says(goals(scene.now_s + scene.offset_s, rho=value))
+            newest_goal_s = scene.now_s
+        elif action == "clock" and not math.isfinite(value):
+            assert core.decide(value).v_mps == 0
+        else:
+            scene.now_s += value
+        order = core.decide(scene.now_s)
+        gap_s = scene.now_s - decided_s
+        decided_s = scene.now_s
+        since_double_s += abs(gap_s)
+        assert abs(order.v_mps) <= LIMITS.speeds.speed_mps
+        assert abs(order.omega_radps) <= LIMITS.speeds.turn_radps
+        if order.v_mps or order.omega_radps:
+            assert armed and 0 <= gap_s <= 1.0
+            assert scene.now_s - newest_goal_s <= LIMITS.goal_timeout_s + 0.2
+            assert scene.now_s - newest_sight_s <= LIMITS.unseen_s + 0.2
+            grown = abs(order.v_mps) - abs(before[0]), abs(order.omega_radps) - abs(before[1])
+            assert grown[0] <= LIMITS.speeds.acceleration_mps2 * gap_s + 1e-9
+            assert grown[1] <= LIMITS.speeds.turn_acceleration_radps2 * gap_s + 1e-9
+            assert since_double_s >= LIMITS.unseen_s - 1e-6
+        before = order.v_mps, order.omega_radps

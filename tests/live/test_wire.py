@@ -1,0 +1,195 @@
+"""The door of the radio: what is ours comes through unchanged, and nothing else comes through at all."""
+
+import json
+
+import hypothesis.strategies as st
+import numpy as np
+import pytest
+from hypothesis import given, settings
+
+from skyherd.live.radio import Air, Post, matches
+from skyherd.live.wire import (
+    MOST_BYTES,
+    Arm,
+    Beat,
+    Envelope,
+    Refused,
+    Sighting,
+    Stop,
+    Wheels,
+    decode,
+    encode,
+)
+from skyherd.messages import FlightCommand, MotionGoals, Proximity, RoleMap, TreeStatus, UnitReport
+
+TEAM = "blue"
+
+
+def everything() -> list[Envelope]:
+    tree = TreeStatus(0, 1, 2, 3, True, [1], [4], [[5, 6]], [7], [1], [7], [8])
+    report = UnitReport(
+        0, 5.0, [640, 480], [1, 2], [[1.5, 2.5], [3, 4]], [1], [1], tree, 0.5, 20.0, RoleMap(1, 0, [1, 0])
+    )
+    from_unit = [
+        MotionGoals(0, 5.25, [3], [1.5], [0.1], [20.0], [[1, 2]], [[3.5, 4.5]]),
+        Proximity(0, 5.0, 8.0, [1, 2], [1], [2], [1.0], [0.5], [1.2], [0.5]),
+        report,
+        Sighting(0, 5.0, [1, 2], [3]),
+        Beat({"robot/3": (1.25, 1.5)}, "12 markers"),
+        FlightCommand(0, [0.1, 0.2], 0.3, 0.4, 0.5),
+    ]
+    return [Envelope("unit/0", 6.125, message) for message in from_unit] + [
+        Envelope("robot/3", 6.5, Wheels(3, 0.25, -0.5)),
+        Envelope("robot/3", 6.5, Beat({}, "disarmed", "6.5/0", True)),
+        Envelope("operator", 7.0, Arm({"robot/3": "6.5/0"})),
+        Envelope("operator", 7.0, Stop("space bar")),
+    ]
+
+
+@pytest.mark.parametrize("envelope", everything(), ids=lambda envelope: envelope.kind)
+def test_what_is_sent_arrives_to_the_bit(envelope) -> None:
+    data = encode(envelope, TEAM)
+    arrived = decode(data, TEAM)
+    assert (arrived.sender, arrived.sent_s) == (envelope.sender, envelope.sent_s)
+    assert type(arrived.message) is type(envelope.message)
+    assert encode(arrived, TEAM) == data
+
+
+def changed(**parts) -> bytes:
+    return json.dumps(json.loads(encode(everything()[0], TEAM)) | parts).encode()
+
+
+def body(**parts) -> bytes:
+    record = json.loads(encode(everything()[0], TEAM))
+    record["body"] |= parts
+    return json.dumps(record).encode()
+
+
+@pytest.mark.parametrize(
+    ("data", "why"),
+    [
+        (b"\xff\x00", "not JSON"),
+        (b"[" * 100_000, "not JSON"),
+        (b"[1]", "no message of skyherd"),
+        (b"x" * (MOST_BYTES + 1), "larger"),
+        (changed(team="red"), "another team, 'red'"),
+        (changed(version=2), "of format '2', here it is 1"),
+        (changed(version=True), "of format"),
+        (changed(sender=5), "nobody"),
+        (changed(sender=""), "nobody"),
+        (changed(sent_s=None), "time of sending"),
+        (changed(sent_s=1e300), "time of sending"),
+        (changed(sent_s=True), "time of sending"),
+        (changed(kind="order"), "unknown kind"),
+        (changed(kind=[]), "unknown kind"),
+        (changed(body=None), "goals of a wrong shape"),
+        (changed(body={}), "goals of a wrong shape"),
+        (changed(sender="unit/1"), "another's name"),
+        (changed(sender="operator"), "another's name"),
+        (body(ids="3"), "wrong shape"),
+        (body(ids=[3.5]), "wrong shape"),
+        (body(ids=[10**30]), "wrong shape"),
+        (body(rho_px=[-1.0]), "wrong shape"),
+        (body(rho_px=[None]), "wrong shape"),
+        (body(rho_px=[[1.0]]), "wrong shape"),
+        (body(unit_id="0"), "wrong shape"),
+        (body(unit_id=True), "wrong shape"),
+        (body(time_s=1e200), "wrong shape"),
+        (body(time_s="now"), "wrong shape"),
+    ],
+)
+def test_all_else_is_refused_with_a_reason(data, why) -> None:
+    with pytest.raises(Refused, match=why):
+        decode(data, TEAM)
+
+
+plain = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner, max_size=3),
+    max_leaves=8,
+)
+
+
+@given(
+    number=st.integers(0, len(everything()) - 1), where=st.integers(0, 30), inside=st.booleans(), value=plain
+)
+@settings(max_examples=60)
+def test_no_value_anywhere_raises_anything_else(number, where, inside, value) -> None:
+    record = json.loads(encode(everything()[number], TEAM))
+    part = record["body"] if inside and record["body"] else record
+    part[sorted(part)[where % len(part)]] = value
+    try:
+        data = json.dumps(record).encode("utf-8", "surrogatepass")
+        decoded = decode(data, TEAM)
+    except Refused:
+        return
+    assert decoded.sender == record["sender"]
+
+
+def test_refusals_are_counted_and_named_once_and_fill_no_memory() -> None:
+    air, told = Air(), []
+    post = Post(air.radio("robot/3"), TEAM, "robot/3", lambda: 9.0, ["goals/**"], told.append)
+    sender = air.radio("unit/0")
+    for _ in range(5):
+        sender.publish("skyherd/red/goals/unit/0", changed(team="red"))
+    for number in range(500):
+        sender.publish("skyherd/x/goals/unit/0", changed(team=f"t{number}"))
+    sender.publish("skyherd/blue/goals/unit/0", encode(everything()[0], TEAM))
+    air.advance(1.0)
+    arrived = list(post.fetch())
+    assert [arrival.received_s for arrival in arrived] == [9.0]
+    assert post.refusals.counts["of another team, 'red'"] == 5
+    assert sum(post.refusals.counts.values()) == 505 and len(post.refusals.counts) < 50
+    assert len(told) == len(post.refusals.counts) == len(set(told))
+
+
+def test_own_messages_are_not_heard_and_a_full_queue_drops_the_newest() -> None:
+    air = Air()
+    post = Post(air.radio("unit/0"), TEAM, "unit/0", lambda: 0.0, ["**"])
+    post.send(Stop("me"))
+    other = Post(air.radio("unit/1"), TEAM, "unit/1", lambda: 0.0, [])
+    for _ in range(6000):
+        other.send(Stop("other"))
+    air.advance(1.0)
+    assert len(list(post.fetch())) == 4999
+    assert post.dropped == 1001
+
+
+def test_the_air_loses_delays_and_keeps_order_of_arrival() -> None:
+    air = Air(drop=lambda topic, receiver: receiver == "deaf")
+    heard: dict[str, list[bytes]] = {"deaf": [], "near": []}
+    for name, into in heard.items():
+        air.radio(name).subscribe("skyherd/*/a/**", into.append)
+    late = iter([0.3, 0.1, 0.2])
+    air.delay_s = lambda topic, receiver: next(late)
+    sender = air.radio("sender")
+    for data in (b"1", b"2", b"3"):
+        sender.publish("skyherd/t/a/x", data)
+    air.advance(0.15)
+    assert heard == {"deaf": [], "near": [b"2"]}
+    air.advance(1.0)
+    assert heard["near"] == [b"2", b"3", b"1"]
+
+
+@pytest.mark.parametrize(
+    ("pattern", "topic", "fits"),
+    [
+        ("skyherd/*/goals/**", "skyherd/t/goals/unit/0", True),
+        ("skyherd/*/goals/**", "skyherd/t/goals", True),
+        ("skyherd/*/beat/unit/*", "skyherd/t/beat/robot/3", False),
+        ("skyherd/*/goals/**", "skyherd/t/u/goals/unit/0", False),
+        ("a/*", "a", False),
+    ],
+)
+def test_patterns_of_topics(pattern, topic, fits) -> None:
+    assert matches(pattern, topic) is fits
+
+
+def test_numbers_survive_as_they_are() -> None:
+    """Shortest decimal forms read back to the same double: replays compare bits."""
+    rng = np.random.default_rng(1)
+    times_s = 1.7e9 + rng.uniform(0, 1e6, 50)
+    for time_s in times_s.tolist():
+        sent = Envelope("unit/0", time_s, Sighting(0, time_s, [1], []))
+        arrived = decode(encode(sent, TEAM), TEAM)
+        assert arrived.sent_s == time_s and arrived.message.time_s == time_s

@@ -4,12 +4,9 @@ A detector of one's own enters without a change here: `create_detector("module:f
 one a name of its own, add it to `_DETECTORS`.
 """
 
-import os
-import sys
 from collections.abc import Callable
 from functools import partial
-from importlib import import_module
-from typing import Any, Protocol, cast
+from typing import Protocol, cast
 
 import cv2
 import numpy as np
@@ -17,6 +14,7 @@ import numpy as np
 from skyherd.errors import InputError, SkyherdError
 from skyherd.markers.dictionary import with_border
 from skyherd.messages import Detections
+from skyherd.plugins import import_factory
 from skyherd.vision.detectors.opencv_tuned import ArucoDetector
 from skyherd.vision.detectors.peers import PeerDetector, peer_names
 from skyherd.vision.grey import Image, check_grey
@@ -166,7 +164,7 @@ def _create_plain(name: str, dictionary: str, *, corrected: bool, repeats: bool)
 
 def _import_detector(name: str, dictionary: str) -> Detector:
     """The detector that the factory of `module:factory` returns; InputError says what fails."""
-    factory = _import_factory(name)
+    factory = import_factory(name, f"detector {name}", "a function that takes a dictionary's name")
     try:
         detector = factory(dictionary)
     except SkyherdError:
@@ -184,32 +182,6 @@ def _import_detector(name: str, dictionary: str) -> Detector:
             "an object as described by skyherd.vision.Detector",
         )
     return cast(Detector, detector)
-
-
-def _import_factory(name: str) -> Callable[[str], Any]:
-    """The callable that `module:factory` names, imported from the working directory too."""
-    where = f"detector {name}"
-    module_name, _, factory_name = name.partition(":")
-    if not module_name or not factory_name:
-        raise InputError(where, "lacks a module or a factory", "write it as module:factory")
-    if os.getcwd() not in sys.path:
-        sys.path.insert(0, os.getcwd())
-    try:
-        module = import_module(module_name)
-    except Exception as error:
-        raise InputError(
-            where, f"{type(error).__name__}: {error}", "a module that can be imported from here"
-        ) from error
-    if not hasattr(module, factory_name):
-        raise InputError(
-            where, f"has no attribute {factory_name!r}", "a function that takes a dictionary's name"
-        )
-    factory = getattr(module, factory_name)
-    if not callable(factory):
-        raise InputError(
-            where, f"{factory_name!r} is not callable", "a function that takes a dictionary's name"
-        )
-    return cast(Callable[[str], Any], factory)
 
 
 def explain_mirrored(image: Image, dictionary: str) -> str | None:

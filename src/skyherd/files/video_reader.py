@@ -4,7 +4,7 @@ Frames are upright, as the video's tag says that the camera was held, and have t
 for them: cameras and phones do not keep an even rate.
 """
 
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from fractions import Fraction
@@ -158,7 +158,7 @@ def _check_size(path: Path, width: int, height: int) -> None:
         raise InputError(str(path), what, f"at most {MAX_PIXELS / 1e6:.0f} megapixels can be read")
 
 
-def read_clip(clip: Clip) -> Iterator[Frame]:
+def read_clip(clip: Clip) -> Generator[Frame]:
     """Read the frames of a video, one at a time.
 
     Raises:
@@ -174,11 +174,16 @@ def read_clip(clip: Clip) -> Iterator[Frame]:
                 time_s = float(own_s)
             elif index:
                 time_s += float(1 / clip.rate_hz)
-            grey = np.asarray(picture.to_ndarray(format="gray"), dtype=np.uint8)
-            yield Frame(index, time_s, np.ascontiguousarray(_upright(grey, picture)))
+            yield Frame(index, time_s, upright_grey(picture))
             index += 1
     if not index:
         raise _unreadable(clip.path, None)
+
+
+def upright_grey(picture: av.VideoFrame) -> npt.NDArray[np.uint8]:
+    """Grey levels (height, width) of a decoded frame, as its display matrix says that the camera was held."""
+    grey = np.asarray(picture.to_ndarray(format="gray"), dtype=np.uint8)
+    return np.ascontiguousarray(_upright(grey, picture))
 
 
 def _upright(image: npt.NDArray[np.uint8], picture: av.VideoFrame) -> npt.NDArray[np.uint8]:

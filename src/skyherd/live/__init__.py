@@ -1,0 +1,1 @@
+"""The same code on real hardware: cameras in, robots out."""

@@ -1,0 +1,53 @@
+"""Cameras of one's own: `module:factory`, or `module:factory=TEXT`."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from typing import Any, Literal
+
+import numpy as np
+
+from skyherd.errors import InputError
+from skyherd.live.cameras.frame import Picture
+from skyherd.plugins import import_factory
+
+ALLOWED = "a function that takes a text and yields grey pictures (height, width) of 8 bits"
+"""What a factory has to be."""
+
+
+class PluginCamera:
+    """Pictures that a function of one's own yields.
+
+    `factory(text)` returns an iterable of pictures, each an array (height, width) of uint8 or a `Picture`,
+    which has times too. It is called anew after it ended or failed; what it returns is closed by its method
+    `close`, if it has one.
+
+    Args:
+        address: `module:factory`, with `=TEXT` where the factory is to be given a text.
+
+    Raises:
+        InputError: there is no such factory.
+    """
+
+    lasting = True
+    pace: Literal["live"] = "live"
+
+    def __init__(self, address: str) -> None:
+        self.name, _, self._text = address.partition("=")
+        self._factory = import_factory(self.name, f"camera {self.name}", ALLOWED)
+
+    @contextmanager
+    def open(self, pause: Callable[[float], bool]) -> Iterator[Iterator[Picture]]:
+        """See `Source.open`."""
+        given = self._factory(self._text)
+        try:
+            yield (self._picture(item) for item in given)
+        finally:
+            with suppress(AttributeError):
+                given.close()
+
+    def _picture(self, item: Any) -> Picture:
+        picture = item if isinstance(item, Picture) else Picture(item)
+        image = np.array(picture.image)
+        if image.ndim != 2 or image.dtype != np.uint8 or not image.size:
+            raise InputError(f"camera {self.name}", f"gives an array {image.shape} of {image.dtype}", ALLOWED)
+        return Picture(image, picture.stream_s, picture.age_s)

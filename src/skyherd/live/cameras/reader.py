@@ -1,0 +1,265 @@
+"""The thread that reads a camera and keeps its newest picture only."""
+
+import threading
+import time
+from collections.abc import Callable
+from types import TracebackType
+from typing import Self
+
+from skyherd.errors import InputError
+from skyherd.live.cameras.frame import Clock, Frame, Picture, Source, StampedBy
+from skyherd.live.cameras.sight import Sight
+from skyherd.live.cameras.stamps import StreamStamps
+
+OPEN_S = 10.0
+"""A camera that has not opened after so long is given up at the start, s. *Chosen*: a stream's first key
+frame may be some seconds away."""
+
+LATE_S = 1.0
+"""Pictures are late if none came for so long, or if one took so much longer on its way than others, s.
+*Chosen*: beyond any camera's interval, and long before a robot should have stopped for want of goals."""
+
+OLD_S = 3.0
+"""A stream that has shown nothing but pictures older than one before for so long is opened anew, s. *Chosen*:
+its clock may have begun again. Until then they are dropped, since they may be repeats."""
+
+FIRST_WAIT_S, MOST_WAIT_S = 0.25, 8.0
+"""Pause before a stream that broke is opened again, doubled each time up to the second, s. *Chosen*: a short
+break costs little time, and a server that is down is left in peace."""
+
+CLOSE_S = 1.0
+"""How long `close` waits for the thread, s. *Chosen*: a thread that hangs in a driver ends with the process,
+at the latest."""
+
+
+class CameraReader:
+    """Reads a source in a thread of its own and gives the newest picture, each at most once.
+
+    ```python
+    with open_camera("rtsp://camera/stream") as camera:
+        while not camera.ended:
+            frame = camera.newest(timeout_s=0.5)
+    ```
+
+    What was not asked for in time is dropped and counted, so that whoever is slow sees the present, with
+    gaps, and not the past. Recordings that are played `fast` are the exception: they wait, and drop nothing.
+
+    Args:
+        source: where pictures come from.
+        clock: gives the time, s, of all stamps.
+        pause: waits for so many seconds and returns whether the reader was closed; a real wait if None.
+
+    Attributes:
+        received: number of pictures that came in.
+        dropped: number of those that nobody asked for in time, or that were older than one before.
+        reconnects: how often the source was opened again.
+        name: what complaints call the source.
+    """
+
+    def __init__(
+        self, source: Source, *, clock: Clock = time.monotonic, pause: Callable[[float], bool] | None = None
+    ) -> None:
+        self.received = self.dropped = self.reconnects = 0
+        self.name = source.name
+        self._source, self._clock = source, clock
+        self._closing, self._opened = threading.Event(), threading.Event()
+        self._pause = self._closing.wait if pause is None else pause
+        self._fresh: Frame | None = None
+        self._arrival = threading.Condition()
+        self._over = False
+        self._sight = Sight()
+        self._broken: str | None = None
+        self._since_s = self._last_s = clock()
+        self._newest_s = float("-inf")
+        self._lag_s = 0.0
+        self._old_since_s: float | None = None
+        self._refused: InputError | None = None
+        self._tries = 0
+        self._thread = threading.Thread(target=self._run, name=f"camera {source.name}", daemon=True)
+
+    def start(self, timeout_s: float = OPEN_S) -> Self:
+        """Open the source, and begin to read.
+
+        Raises:
+            InputError: it cannot be opened, or did not open within `timeout_s`; one clear line. The reader is
+                closed then.
+        """
+        self._thread.start()
+        if not self._opened.wait(timeout_s):
+            self.close()
+            raise InputError(
+                self.name, f"did not open within {timeout_s:g} s", "a camera that sends pictures"
+            )
+        if self._refused is not None:
+            self.close()
+            raise self._refused
+        return self
+
+    def newest(self, timeout_s: float) -> Frame | None:
+        """The newest picture that was not given before; None if none came within `timeout_s` of real time."""
+        with self._arrival:
+            self._arrival.wait_for(lambda: self._fresh is not None or self._over, timeout_s)
+            frame, self._fresh = self._fresh, None
+            self._arrival.notify_all()
+        return frame
+
+    @property
+    def ended(self) -> bool:
+        """Whether no picture will come any more: a recording was read to its end, or this was closed."""
+        with self._arrival:
+            return self._over and self._fresh is None
+
+    @property
+    def trouble(self) -> str | None:
+        """What is wrong with the pictures now (none, late, old, black, frozen), in one line; None if nothing.
+
+        A camera that is mirrored shows only in the markers: see `MirrorWatch`.
+        """
+        with self._arrival:
+            now_s = self._clock()
+            if self._broken is not None and (self._over or self._tries):
+                tried = f"; tried again {self._tries} time(s)" if not self._over else ""
+                return f"{self.name}: no picture for {now_s - self._last_s:.1f} s: {self._broken}{tried}"
+            why = None if self._over else self._late(now_s) or self._sight.trouble
+            return None if why is None else f"{self.name}: {why}"
+
+    def _late(self, now_s: float) -> str | None:
+        """Whether pictures of a camera fail to come in time, in words."""
+        if self._source.pace != "live":
+            return None
+        if now_s - self._last_s >= LATE_S:
+            return f"late: no picture for {now_s - self._last_s:.1f} s: the stream stalls"
+        if self._old_since_s is not None:
+            return "old: shows pictures that are older than one that it has shown; does it repeat them?"
+        if self._lag_s >= LATE_S:
+            return (
+                f"late: pictures take {self._lag_s:.1f} s longer than they did; the network or this computer "
+                "is too slow for them"
+            )
+        return None
+
+    def close(self) -> None:
+        """End the thread; what has come in and was not asked for is dropped. May be called again."""
+        self._closing.set()
+        with self._arrival:
+            self._over = True
+            self._fresh = None
+            self._arrival.notify_all()
+        if self._thread.ident is not None and self._thread is not threading.current_thread():
+            self._thread.join(CLOSE_S)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _run(self) -> None:
+        """Open and read the source until it ends or the reader is closed; what breaks is opened again."""
+        wait_s = FIRST_WAIT_S
+        while not self._closing.is_set():
+            received = self.received
+            why = self._read()
+            if why is None:
+                break
+            with self._arrival:
+                self._broken = why
+                self._tries = 0 if self.received > received else self._tries
+            if not self._source.lasting:
+                break
+            if self.received > received:
+                wait_s = FIRST_WAIT_S
+            if self._pause(wait_s):
+                break
+            wait_s = min(2 * wait_s, MOST_WAIT_S)
+            with self._arrival:
+                self._tries += 1
+        with self._arrival:
+            self._over = True
+            self._arrival.notify_all()
+
+    def _read(self) -> str | None:
+        """Open the source and read it to its end: why it ended, in words; None if as it should."""
+        stamps = StreamStamps()
+        try:
+            with self._source.open(self._pause) as pictures:
+                with self._arrival:
+                    self.reconnects += self._opened.is_set()
+                    self._since_s = self._clock()
+                    self._old_since_s = None
+                self._opened.set()
+                for picture in pictures:
+                    if self._closing.is_set():
+                        break
+                    if not self._take(picture, stamps):
+                        return "it showed nothing but old pictures"
+        except Exception as error:
+            refused = (
+                error
+                if isinstance(error, InputError)
+                else InputError(self.name, f"{type(error).__name__}: {error}", "a source of pictures")
+            )
+            if not self._opened.is_set():
+                self._refused = refused
+                self._over = True
+                self._opened.set()
+                self._closing.set()
+            return refused.what
+        return "it ended" if self._source.lasting else None
+
+    def _take(self, picture: Picture, stamps: StreamStamps) -> bool:
+        """Stamp a picture and make it the newest; False if the source is to be opened anew."""
+        if self._source.pace == "live":
+            return self._take_live(picture, stamps)
+        due_s = self._since_s + (picture.stream_s or 0.0)
+        if self._source.pace == "own":
+            while (left_s := due_s - self._clock()) > 0:
+                if self._pause(left_s):
+                    return True
+        else:
+            with self._arrival:
+                self._arrival.wait_for(lambda: self._fresh is None or self._over)
+        self._give(picture, due_s, self._clock(), "stream")
+        return True
+
+    def _take_live(self, picture: Picture, stamps: StreamStamps) -> bool:
+        """The same for a camera: when it was taken has to be found out, and it may be old."""
+        arrived_s = self._clock()
+        captured_s, by, settled = arrived_s, "arrival", True
+        if picture.age_s is not None:
+            captured_s, by = arrived_s - max(picture.age_s, 0.0), "stream"
+        elif picture.stream_s is not None:
+            captured_s, by = stamps.captured_s(picture.stream_s, arrived_s), "stream"
+            settled = stamps.settled
+        with self._arrival:
+            if not settled:
+                self.received += 1
+                self.dropped += 1
+                return True
+            if captured_s <= self._newest_s:
+                self.received += 1
+                self.dropped += 1
+                if self._old_since_s is None:
+                    self._old_since_s = arrived_s
+                return arrived_s - self._old_since_s < OLD_S
+            self._old_since_s = None
+        self._give(picture, captured_s, arrived_s, "stream" if by == "stream" else "arrival")
+        return True
+
+    def _give(self, picture: Picture, captured_s: float, arrived_s: float, by: StampedBy) -> None:
+        """Make a picture the newest."""
+        image = picture.image
+        image.setflags(write=False)
+        frame = Frame(image, captured_s, arrived_s, self.received, by)
+        self._sight.look(image, arrived_s)
+        with self._arrival:
+            self.received += 1
+            self.dropped += self._fresh is not None
+            self._lag_s = arrived_s - captured_s
+            self._newest_s, self._last_s = captured_s, arrived_s
+            self._broken, self._tries = None, 0
+            if not self._over:
+                self._fresh = frame
+            self._arrival.notify_all()

@@ -1,0 +1,121 @@
+"""Pictures that lie in files: a video at its own pace or as fast as they are taken, and folders of images."""
+
+import os
+import time
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+from typing import Literal
+
+from skyherd.errors import InputError
+from skyherd.files.images import SUFFIXES, read_grey
+from skyherd.files.reading import is_regular
+from skyherd.files.video_reader import Frame as Clipped
+from skyherd.files.video_reader import open_clip, read_clip
+from skyherd.live.cameras.frame import Picture
+
+POLL_S = 0.02
+"""How often a growing folder is looked at, s. *Chosen*: less than a camera's interval."""
+
+UNFINISHED_S = 2.0
+"""A picture that cannot be read is taken for one that is still being written for so long after it was last
+changed, s; later it is passed over. *Chosen*: no picture takes longer to write."""
+
+
+class VideoFile:
+    """A video file, played at its own pace or as fast as its pictures are taken.
+
+    Args:
+        path: of the file; it has to be regular, and a video.
+        pace: `own` or `fast`.
+    """
+
+    lasting = False
+
+    def __init__(self, path: Path, pace: Literal["own", "fast"]) -> None:
+        self.name, self._path = str(path), path
+        self.pace: Literal["own", "fast"] = pace
+
+    @contextmanager
+    def open(self, pause: Callable[[float], bool]) -> Iterator[Iterator[Picture]]:
+        """See `Source.open`; times are counted from the video's first picture."""
+        with closing(read_clip(open_clip(self._path))) as frames:
+            yield self._pictures(frames)
+
+    def _pictures(self, frames: Iterator[Clipped]) -> Iterator[Picture]:
+        first_s: float | None = None
+        for frame in frames:
+            first_s = frame.time_s if first_s is None else first_s
+            yield Picture(frame.image, frame.time_s - first_s)
+
+
+class ImageFolder:
+    """A folder of pictures that a camera writes into, or has written into.
+
+    `fast` reads the pictures that are there, in the order of their names, and ends. `live` is for a camera
+    that goes on writing: of what is there only the newest counts, and then each that is added or changed, at
+    the time at which the file was last changed.
+
+    Args:
+        path: of the folder.
+        pace: `fast` or `live`.
+    """
+
+    def __init__(self, path: Path, pace: Literal["live", "fast"]) -> None:
+        self.name, self._path = str(path), path
+        self.pace: Literal["live", "fast"] = pace
+        self.lasting = pace == "live"
+
+    @contextmanager
+    def open(self, pause: Callable[[float], bool]) -> Iterator[Iterator[Picture]]:
+        """See `Source.open`."""
+        found = self._files()
+        if self.pace == "fast" and not found:
+            raise InputError(self.name, "no picture in this folder", f"names that end in {_endings()}")
+        yield self._recorded(found) if self.pace == "fast" else self._growing(found, pause)
+
+    def _files(self) -> list[tuple[int, str]]:
+        """When each picture was last changed, ns, and its name, in this order.
+
+        Raises:
+            InputError: the folder cannot be read.
+        """
+        try:
+            with os.scandir(self._path) as entries:
+                return sorted(
+                    (entry.stat().st_mtime_ns, entry.name)
+                    for entry in entries
+                    if Path(entry.name).suffix.lower() in SUFFIXES and is_regular(Path(entry.path))
+                )
+        except OSError as error:
+            raise InputError(self.name, f"cannot be read: {error.strerror}", "a folder of pictures") from None
+
+    def _recorded(self, found: list[tuple[int, str]]) -> Iterator[Picture]:
+        """All pictures by name; the first is at 0, and each at the time at which its file was changed."""
+        first_ns = min(changed_ns for changed_ns, _ in found)
+        last_s = 0.0
+        for changed_ns, name in sorted(found, key=lambda file: file[1]):
+            last_s = max(last_s, (changed_ns - first_ns) / 1e9)
+            yield Picture(read_grey(self._path / name), last_s)
+
+    def _growing(self, found: list[tuple[int, str]], pause: Callable[[float], bool]) -> Iterator[Picture]:
+        """The newest picture, and then all that come."""
+        last = found[-2] if len(found) > 1 else (0, "")
+        while True:
+            for changed_ns, name in [file for file in self._files() if file > last]:
+                age_s = time.time() - changed_ns / 1e9
+                try:
+                    image = read_grey(self._path / name)
+                except InputError:
+                    if age_s < UNFINISHED_S:
+                        break
+                    last = changed_ns, name
+                    continue
+                last = changed_ns, name
+                yield Picture(image, age_s=age_s)
+            if pause(POLL_S):
+                return
+
+
+def _endings() -> str:
+    return ", ".join(sorted(SUFFIXES))

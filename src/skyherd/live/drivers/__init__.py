@@ -1,0 +1,22 @@
+"""Robots: velocity commands out to wheels, by ROS 2, MQTT, serial and UDP lines, or printed.
+
+Start with `open_driver`. docs/live/drivers.md has the addresses and what goes over the wire.
+"""
+
+from skyherd.live.drivers.addresses import open_driver
+from skyherd.live.drivers.driver import HOLD_S, RATE_HZ, RobotDriver
+from skyherd.live.drivers.limits import LIMITS, Limiter, SpeedLimits
+from skyherd.live.drivers.link import STILL, Link, Motion
+
+__all__ = [
+    "HOLD_S",
+    "LIMITS",
+    "RATE_HZ",
+    "STILL",
+    "Limiter",
+    "Link",
+    "Motion",
+    "RobotDriver",
+    "SpeedLimits",
+    "open_driver",
+]

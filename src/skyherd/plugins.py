@@ -1,0 +1,40 @@
+"""Parts of one's own, given as `module:factory`: imported from the working directory too."""
+
+import os
+import sys
+from collections.abc import Callable
+from importlib import import_module
+from typing import Any, cast
+
+from skyherd.errors import InputError
+
+
+def import_factory(name: str, where: str, allowed: str) -> Callable[..., Any]:
+    """The callable that `module:factory` names, imported from the working directory too.
+
+    Args:
+        name: `module:factory`.
+        where: what a complaint calls it, such as `detector own:Square`.
+        allowed: what the factory has to be, in words.
+
+    Raises:
+        InputError: the name lacks a part, the module cannot be imported, has no such attribute, or that
+            cannot be called.
+    """
+    module_name, _, factory_name = name.partition(":")
+    if not module_name or not factory_name:
+        raise InputError(where, "lacks a module or a factory", "write it as module:factory")
+    if os.getcwd() not in sys.path:
+        sys.path.insert(0, os.getcwd())
+    try:
+        module = import_module(module_name)
+    except Exception as error:
+        raise InputError(
+            where, f"{type(error).__name__}: {error}", "a module that can be imported from here"
+        ) from error
+    if not hasattr(module, factory_name):
+        raise InputError(where, f"has no attribute {factory_name!r}", allowed)
+    factory = getattr(module, factory_name)
+    if not callable(factory):
+        raise InputError(where, f"{factory_name!r} is not callable", allowed)
+    return cast(Callable[..., Any], factory)

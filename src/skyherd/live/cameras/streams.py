@@ -24,7 +24,7 @@ is opened anew. *Chosen*: below `skyherd.live.cameras.reader.OPEN_S`; cameras gi
 V4L2 = "video4linux2,v4l2"
 """FFmpeg's name of the devices of Linux."""
 
-CLOCKED = frozenset({"mpegts", "rtsp", "matroska,webm", "mov,mp4,m4a,3gp,3g2,mj2", "flv", "asf", V4L2})
+CLOCKED = frozenset({"mpegts", "nut", "rtsp", "matroska,webm", "mov,mp4,m4a,3gp,3g2,mj2", "flv", "asf", V4L2})
 """Formats whose times come from whoever made the stream. Of the others (JPEG or H.264 without a container)
 FFmpeg counts pictures, which is no clock."""
 

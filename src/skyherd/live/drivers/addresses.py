@@ -9,7 +9,10 @@ from skyherd.errors import InputError, SkyherdError
 from skyherd.live.drivers.driver import HOLD_S, RATE_HZ, RobotDriver
 from skyherd.live.drivers.dry_run import DryRun
 from skyherd.live.drivers.limits import LIMITS, SpeedLimits
+from skyherd.live.drivers.lines import SerialLines, UdpLines
 from skyherd.live.drivers.link import Link
+from skyherd.live.drivers.mqtt import Mqtt
+from skyherd.live.drivers.ros2 import Ros2
 from skyherd.plugins import import_factory
 
 PLUGIN = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*(=.*)?", re.DOTALL)
@@ -33,8 +36,17 @@ def open_driver(
 ) -> RobotDriver:
     """Open the driver of one robot; close what is returned, which stops the robot.
 
+    | address | what it is |
+    |---|---|
+    | `ros2://host/robot3/cmd_vel?type=TwistStamped&domain=0` | ROS 2 over Zenoh (`ros2`) |
+    | `mqtt://user:password@host/topic`, `mqtts://…` | JSON to a broker of MQTT (`mqtt`) |
+    | `serial:///dev/ttyUSB0?baud=115200` | lines of text over a serial port (`lines`) |
+    | `udp://host:9000` | the same lines, a packet each |
+    | `dry-run` | prints what the robot would do |
+    | `module:factory`, `module:factory=TEXT` | a link of one's own |
+
     Args:
-        address: `dry-run`, or `module:factory` with `=TEXT` where it is to be given a text.
+        address: see above; `{id}` in it stands for the robot's number.
         robot_id: the robot.
         limits: on speed, turn and acceleration.
         rate_hz: how often something is written.
@@ -50,11 +62,31 @@ def open_driver(
 
 def _link_of(address: str, robot_id: int) -> Link:
     """The link that an address means."""
+    address = address.replace("{id}", str(robot_id))
     if address == "dry-run":
         return DryRun(robot_id)
+    scheme = address.partition("://")[0].lower() if "://" in address else ""
+    if scheme in _LINKS:
+        try:
+            return _LINKS[scheme](address, robot_id)
+        except ValueError as error:
+            if isinstance(error, InputError):
+                raise
+            shown = re.sub("//[^/]*@", "//", address)
+            raise InputError(f"driver {shown}", str(error), ALLOWED) from None
     if PLUGIN.fullmatch(address):
         return _plugin(address, robot_id)
     raise InputError("driver", f"no driver {address!r}", ALLOWED)
+
+
+_LINKS: dict[str, Callable[[str, int], Link]] = {
+    "mqtt": Mqtt,
+    "mqtts": Mqtt,
+    "ros2": Ros2,
+    "serial": SerialLines,
+    "udp": UdpLines,
+}
+"""What opens a link, by the scheme of its address."""
 
 
 def _plugin(address: str, robot_id: int) -> Link:

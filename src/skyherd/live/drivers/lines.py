@@ -1,0 +1,123 @@
+r"""Lines of text for robots with a microcontroller, over a serial port or UDP.
+
+    V,3,17,0.1250,-0.4000*4C\n
+
+is the robot, the number of the line (it shows losses, and goes from 65535 to 0), the speed ahead in m/s and
+the turn rate in rad/s, counter-clockwise; behind the star the exclusive or of all bytes before it, in two
+hexadecimal digits. For a unit that flies the line is `F,robot,number,ahead,left,up,turn*HH`.
+"""
+
+import socket
+from functools import reduce
+from operator import xor
+from typing import Any
+from urllib.parse import parse_qsl, urlsplit
+
+from skyherd.errors import InputError
+from skyherd.live.drivers.extras import import_extra
+from skyherd.live.drivers.link import Motion
+
+BAUD = 115200
+"""Speed of a serial port where none is named, bit/s. *Chosen*: usual, and a line takes 3 ms."""
+
+WRITE_S = 0.2
+"""How long a line may take to leave, s. *Chosen*: what `Link.write` allows."""
+
+WAITING_BYTES = 64
+"""With more than this still waiting to leave, a line is dropped. *Chosen*: about two lines."""
+
+
+def line_of(robot_id: int, number: int, motion: Motion) -> bytes:
+    """A motion as a line, its end included; `number` counts the lines."""
+    speeds = [motion.forward_mps, motion.turn_radps]
+    if motion.flies:
+        speeds = [motion.forward_mps, motion.left_mps, motion.up_mps, motion.turn_radps]
+    values = ",".join(f"{speed + 0.0:.4f}" for speed in speeds)
+    text = f"{'F' if motion.flies else 'V'},{robot_id},{number % 65536},{values}".encode("ascii")
+    return b"%b*%02X\n" % (text, reduce(xor, text, 0))
+
+
+class UdpLines:
+    """Sends each line as a packet.
+
+    Args:
+        address: `udp://host:port`.
+        robot_id: the robot.
+
+    Raises:
+        InputError: there is no such host, or the address has no port.
+    """
+
+    def __init__(self, address: str, robot_id: int) -> None:
+        self.name, self._robot, self._number = address, robot_id, 0
+        try:
+            parts = urlsplit(address)
+            if not parts.hostname or not parts.port:
+                raise ValueError("a host or a port is missing")
+            found = socket.getaddrinfo(parts.hostname, parts.port, type=socket.SOCK_DGRAM)
+            self._socket = socket.socket(*found[0][:3])
+            self._socket.connect(found[0][4])
+            self._socket.setblocking(False)
+        except (OSError, ValueError) as error:
+            raise InputError(f"driver {address}", _words(error), "udp://192.168.1.23:9000") from None
+
+    def write(self, motion: Motion) -> None:
+        """See `Link.write`."""
+        self._socket.send(line_of(self._robot, self._number, motion))
+        self._number += 1
+
+    def close(self) -> None:
+        """See `Link.close`."""
+        self._socket.close()
+
+
+class SerialLines:
+    """Writes lines to a serial port, which is opened again if it was unplugged.
+
+    Args:
+        address: `serial:///dev/ttyUSB0`, `serial:///dev/ttyACM0?baud=57600`.
+        robot_id: the robot.
+
+    Raises:
+        InputError: the port cannot be opened, or pyserial is not installed.
+    """
+
+    def __init__(self, address: str, robot_id: int) -> None:
+        self._serial = import_extra("serial", "pyserial", f"driver {address}")
+        self.name, self._robot, self._number = address, robot_id, 0
+        parts = urlsplit(address)
+        self._path = parts.path
+        baud = dict(parse_qsl(parts.query)).get("baud", str(BAUD))
+        if not self._path or not baud.isdecimal():
+            raise InputError(f"driver {address}", "no port", "serial:///dev/ttyUSB0?baud=115200")
+        self._baud = int(baud)
+        try:
+            self._port: Any = self._open()
+        except (OSError, ValueError) as error:
+            raise InputError(f"driver {address}", _words(error), "a serial port that is there") from None
+
+    def _open(self) -> Any:
+        return self._serial.Serial(self._path, self._baud, write_timeout=WRITE_S, exclusive=True)
+
+    def write(self, motion: Motion) -> None:
+        """See `Link.write`."""
+        try:
+            if self._port is None:
+                self._port = self._open()
+            if self._port.out_waiting > WAITING_BYTES:
+                raise OSError("the port takes nothing")
+            self._port.write(line_of(self._robot, self._number, motion))
+            self._number += 1
+        except OSError:
+            self.close()
+            raise
+
+    def close(self) -> None:
+        """See `Link.close`."""
+        if self._port is not None:
+            port, self._port = self._port, None
+            port.close()
+
+
+def _words(error: Exception) -> str:
+    return " ".join(str(getattr(error, "strerror", None) or error).split()) or type(error).__name__

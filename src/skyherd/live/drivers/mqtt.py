@@ -1,0 +1,126 @@
+"""Motions as JSON, to a broker of MQTT.
+
+    topic  skyherd/robots/3/cmd_vel
+    {"robot": 3, "number": 17, "forward_mps": 0.125, "turn_radps": -0.4}
+
+with `left_mps` and `up_mps` for units that fly. Quality of service 0, not retained: an old command is worth
+nothing. The broker itself sends zero (the "last will") if the connection breaks without a farewell.
+"""
+
+import json
+import socket
+import threading
+import time
+from typing import Any
+from urllib.parse import parse_qsl, unquote, urlsplit
+
+from skyherd.errors import InputError
+from skyherd.live.drivers.extras import import_extra
+from skyherd.live.drivers.link import STILL, Motion
+
+PORTS = {"mqtt": 1883, "mqtts": 8883}
+"""The broker's port where none is named. *Defined* by MQTT."""
+
+TOPIC = "skyherd/robots/{robot}/cmd_vel"
+"""The topic where none is named."""
+
+CONNECT_S = 4.0
+"""How long the broker may take to answer at the start, s. *Chosen*."""
+
+KEEP_ALIVE_S = 5
+"""After one and a half times this without a word the broker gives us up and sends the last will, s.
+*Chosen*: the robot has stopped by itself long before."""
+
+WRITE_S, POLL_S = 0.2, 0.005
+"""How long a message may take to leave, and how often that is looked at, s. *Chosen*: what `Link.write`
+allows."""
+
+SEND_BUFFER_BYTES = 4096
+"""Buffer of the connection on our side. *Chosen*: some twenty commands. While it is full, new ones are dropped;
+what the broker's machine has taken over is passed on late, in order, so that a robot needs a time-out too."""
+
+
+def payload_of(robot_id: int, number: int, motion: Motion) -> bytes:
+    """A motion as JSON; `number` counts the messages."""
+    values = {"robot": robot_id, "number": number}
+    speeds = {"forward_mps": motion.forward_mps, "turn_radps": motion.turn_radps}
+    if motion.flies:
+        speeds |= {"left_mps": motion.left_mps, "up_mps": motion.up_mps}
+    return json.dumps(values | speeds, allow_nan=False).encode()
+
+
+class Mqtt:
+    """Publishes motions to a broker; the connection is made again when it breaks.
+
+    Args:
+        address: `mqtt://host`, `mqtts://user:password@host:8883/topic?ca=broker.pem`.
+        robot_id: the robot.
+
+    Raises:
+        InputError: the broker does not answer or refuses, or paho-mqtt is not installed.
+    """
+
+    def __init__(self, address: str, robot_id: int) -> None:
+        parts = urlsplit(address)
+        self.name = f"{parts.scheme}://{parts.netloc.rpartition('@')[2]}{parts.path}"
+        self._where = f"driver {self.name}"
+        library = import_extra("paho.mqtt.client", "paho-mqtt", self._where)
+        self._robot, self._number = robot_id, 0
+        self._topic = unquote(parts.path.strip("/")) or TOPIC.format(robot=robot_id)
+        if any(char in self._topic for char in "+#\0"):
+            raise InputError(self._where, f"topic {self._topic!r}", "a topic without + and #")
+        self._client = library.Client(library.CallbackAPIVersion.VERSION2)
+        if parts.username:
+            self._client.username_pw_set(unquote(parts.username), unquote(parts.password or ""))
+        self._answered, self._refusal = threading.Event(), ""
+        self._client.on_connect = self._on_connect
+        self._client.on_socket_open = _small_buffer
+        self._client.connect_timeout = CONNECT_S
+        self._client.reconnect_delay_set(1, 8)
+        self._client.will_set(self._topic, payload_of(robot_id, 0, STILL))
+        try:
+            if parts.scheme == "mqtts":
+                self._client.tls_set(dict(parse_qsl(parts.query)).get("ca"))
+            self._client.connect(parts.hostname or "", parts.port or PORTS[parts.scheme], KEEP_ALIVE_S)
+        except (OSError, ValueError) as error:
+            words = " ".join(str(getattr(error, "strerror", None) or error).split())
+            raise InputError(self._where, words or "no answer", "a broker that can be reached") from None
+        self._client.loop_start()
+        if not self._answered.wait(CONNECT_S) or self._refusal:
+            self._client.loop_stop()
+            why = f"refused: {self._refusal}" if self._refusal else f"no answer within {CONNECT_S:g} s"
+            raise InputError(self._where, why, "a broker of MQTT, and its user and password")
+
+    def _on_connect(self, client: Any, user: Any, flags: Any, reason: Any, properties: Any) -> None:
+        self._refusal = str(reason) if reason.is_failure else ""
+        self._answered.set()
+
+    def write(self, motion: Motion) -> None:
+        """See `Link.write`."""
+        if not self._client.is_connected():
+            raise OSError("no connection to the broker")
+        self._drain()
+        self._client.publish(self._topic, payload_of(self._robot, self._number, motion))
+        self._number += 1
+
+    def _drain(self) -> None:
+        """Wait until what was published before is out; OSError if it is not."""
+        ends_s = time.monotonic() + WRITE_S
+        while self._client.want_write():
+            if time.monotonic() >= ends_s:
+                raise OSError("the broker takes nothing")
+            time.sleep(POLL_S)
+
+    def close(self) -> None:
+        """See `Link.close`."""
+        try:
+            self._drain()
+            self._client.disconnect()
+        except OSError:
+            pass  # without a farewell, so that the broker sends the last will
+        finally:
+            self._client.loop_stop()
+
+
+def _small_buffer(client: Any, user: Any, connection: Any) -> None:
+    connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)

@@ -1,0 +1,77 @@
+"""Lines over a pseudo terminal and over UDP."""
+
+import os
+import re
+import socket
+from contextlib import suppress
+from functools import reduce
+from operator import xor
+
+import pytest
+
+from skyherd.live.drivers import STILL, Motion
+from skyherd.live.drivers.lines import SerialLines, UdpLines, line_of
+
+
+def read_line(line: bytes) -> list[str]:
+    """The fields of a line, as a microcontroller would take them, after its check sum."""
+    text, digits = re.fullmatch(rb"([\x20-\x7e]*)\*([0-9A-F]{2})\n", line).groups()
+    assert reduce(xor, text) == int(digits, 16)
+    return text.decode().split(",")
+
+
+def test_the_documented_line() -> None:
+    assert line_of(3, 17, Motion(0.125, -0.4)) == b"V,3,17,0.1250,-0.4000*4C\n"
+    assert read_line(line_of(3, 65536 + 4, Motion(-0.00001, 0.0)))[2:] == ["4", "-0.0000", "0.0000"]
+    assert read_line(line_of(1, 0, Motion(1, 2, 3, 4))) == [
+        "F",
+        "1",
+        "0",
+        "1.0000",
+        "3.0000",
+        "4.0000",
+        "2.0000",
+    ]
+
+
+def test_any_flipped_bit_is_noticed() -> None:
+    line = line_of(3, 17, Motion(0.125, -0.4))
+    for place in range(line.index(b"*")):
+        for bit in range(8):
+            damaged = line[:place] + bytes([line[place] ^ 1 << bit]) + line[place + 1 :]
+            with pytest.raises((AssertionError, AttributeError)):
+                read_line(damaged)
+
+
+def test_lines_over_udp() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as robot:
+        robot.bind(("127.0.0.1", 0))
+        robot.settimeout(10)
+        link = UdpLines(f"udp://127.0.0.1:{robot.getsockname()[1]}", 5)
+        link.write(Motion(0.1, 0.2))
+        link.write(STILL)
+        assert read_line(robot.recv(100)) == ["V", "5", "0", "0.1000", "0.2000"]
+        assert read_line(robot.recv(100)) == ["V", "5", "1", "0.0000", "0.0000"]
+        link.close()
+
+
+def test_lines_over_a_serial_port_that_fills_up() -> None:
+    pytest.importorskip("serial")
+    ours, theirs = os.openpty()
+    link = SerialLines(f"serial://{os.ttyname(theirs)}?baud=57600", 5)
+    link.write(Motion(0.1, 0.2))
+    assert read_line(os.read(ours, 100)) == ["V", "5", "0", "0.1000", "0.2000"]
+    with pytest.raises(OSError):  # noqa: PT011
+        for _ in range(10_000):  # nobody reads: at some point nothing more may be queued
+            link.write(Motion(0.1, 0.2))
+    os.set_blocking(ours, False)
+    with suppress(BlockingIOError):
+        while os.read(ours, 65536):
+            pass
+    link.write(STILL)  # opened again
+    os.set_blocking(ours, True)
+    assert b",0.0000,0.0000*" in os.read(ours, 65536)
+    link.close()
+    link.close()
+    os.close(ours)
+    os.close(theirs)

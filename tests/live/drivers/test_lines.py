@@ -61,7 +61,7 @@ def test_lines_over_a_serial_port_that_fills_up() -> None:
     link = SerialLines(f"serial://{os.ttyname(theirs)}?baud=57600", 5)
     link.write(Motion(0.1, 0.2))
     assert read_line(os.read(ours, 100)) == ["V", "5", "0", "0.1000", "0.2000"]
-    with pytest.raises(OSError):  # noqa: PT011
+    with pytest.raises(OSError):
         for _ in range(10_000):  # nobody reads: at some point nothing more may be queued
             link.write(Motion(0.1, 0.2))
     os.set_blocking(ours, False)

@@ -64,12 +64,12 @@ def _source_of(address: str, pace: Pace) -> Source:
         return device_of(address)
     path = Path(address)
     try:
-        if path.is_dir():
+        if address and path.is_dir():
             return ImageFolder(path, "fast" if pace == "fast" else "live")
     except (OSError, ValueError):
         pass
     if not is_regular(path) and PLUGIN.fullmatch(address):
         return PluginCamera(address)
-    if not address or not (is_regular(path) or path.suffix):
+    if not (is_regular(path) or path.suffix):
         raise InputError("camera", f"no camera {address!r}", ALLOWED)
     return VideoFile(path, pace)

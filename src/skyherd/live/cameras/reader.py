@@ -117,8 +117,8 @@ class CameraReader:
         """
         with self._arrival:
             now_s = self._clock()
-            if self._broken is not None and (self._over or self._tries):
-                tried = f"; tried again {self._tries} time(s)" if not self._over else ""
+            if self._broken is not None:
+                tried = f"; tried again {self._tries} time(s)" if self._tries and not self._over else ""
                 return f"{self.name}: no picture for {now_s - self._last_s:.1f} s: {self._broken}{tried}"
             why = None if self._over else self._late(now_s) or self._sight.trouble
             return None if why is None else f"{self.name}: {why}"
@@ -238,7 +238,7 @@ class CameraReader:
                 self.received += 1
                 self.dropped += 1
                 return True
-            if captured_s <= self._newest_s:
+            if by == "stream" and captured_s <= self._newest_s:
                 self.received += 1
                 self.dropped += 1
                 if self._old_since_s is None:

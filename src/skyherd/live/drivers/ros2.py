@@ -5,7 +5,7 @@ Data go to the key expression
     <domain>/<topic>/<type>/<hash of the type>
 
 with an attachment of 33 bytes: number of the message and time since 1970 in ns, 8 bytes each, little-endian;
-the length 16; and 16 bytes that identify the publisher. Two liveliness tokens let ROS list node and publisher:
+the length 16; and 16 bytes that identify the publisher. Two liveliness tokens tell ROS of node and publisher:
 
     @ros2_lv/<domain>/<session>/<node>/<node>/NN/%/<namespace>/<name>
     @ros2_lv/<domain>/<session>/<node>/<publisher>/MP/%/<namespace>/<name>/<topic>/<type>/<hash>/<quality>

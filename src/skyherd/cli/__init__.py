@@ -32,6 +32,7 @@ from skyherd.cli.run import run
 from skyherd.cli.scenario import scenario_app
 from skyherd.cli.study import study
 from skyherd.cli.topology import topology
+from skyherd.cli.track import track
 from skyherd.errors import SkyherdError
 from skyherd.version import __version__
 
@@ -59,6 +60,7 @@ app.command()(report)
 app.command()(topology)
 app.command()(detect)
 app.command()(markers)
+app.command()(track)
 app.command()(study)
 app.add_typer(scenario_app, name="scenario")
 app.add_typer(bench_app, name="bench")

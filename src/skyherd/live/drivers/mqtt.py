@@ -36,8 +36,8 @@ WRITE_S, POLL_S = 0.2, 0.005
 allows."""
 
 SEND_BUFFER_BYTES = 4096
-"""Buffer of the connection on our side. *Chosen*: some twenty commands. While it is full, new ones are dropped.
-What the broker's machine has taken is passed on late, in order; so a robot needs a time-out of its own."""
+"""Buffer of the connection on our side. *Chosen*: some twenty commands. While it is full, new ones are
+dropped. What the broker's machine has taken is passed on late, in order; a robot needs a time-out too."""
 
 
 def payload_of(robot_id: int, number: int, motion: Motion) -> bytes:

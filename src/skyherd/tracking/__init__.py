@@ -1,0 +1,20 @@
+"""Robots followed through overhead recordings: tracks on the ground in marker sides, and the shape they form.
+
+Start with `track_videos`.
+"""
+
+from skyherd.tracking.ground_tracks import GroundTracks, ShapeErrors, shape_errors
+from skyherd.tracking.shapes import ShapeSource, shape_source
+from skyherd.tracking.tracker import FIGURE, SHAPE, TRACKS, track_videos
+
+__all__ = [
+    "FIGURE",
+    "SHAPE",
+    "TRACKS",
+    "GroundTracks",
+    "ShapeErrors",
+    "ShapeSource",
+    "shape_errors",
+    "shape_source",
+    "track_videos",
+]

@@ -1,0 +1,147 @@
+"""Videos in; a table of tracks, a table of shape errors and a figure out."""
+
+import csv
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from skyherd.errors import InputError
+from skyherd.files.atomic import whole_file, write_whole
+from skyherd.files.output_folder import OutputFolder
+from skyherd.files.video_reader import is_video, open_clip, read_clip
+from skyherd.progress import NO_PROGRESS, Progress
+from skyherd.text import table_cell
+from skyherd.tracking.figure import draw_tracks
+from skyherd.tracking.ground_tracks import GroundTracks, ShapeErrors, Sighting, shape_errors
+from skyherd.tracking.shapes import ShapeSource
+from skyherd.vision import DEFAULT_DICTIONARY, create_detector
+
+VERB = "track"
+"""Verb by which a folder's record knows what was made here."""
+
+TRACKS, SHAPE, FIGURE = "tracks.csv", "shape.csv", "tracks.png"
+"""Names of the tables and of the figure."""
+
+TRACK_COLUMNS = (
+    *("file", "frame", "time_s", "id", "x_sides", "y_sides", "heading_deg"),
+    *("u_px", "v_px", "side_px", "std_u_px", "std_v_px"),
+)
+"""Columns of the tracks: on the ground, and as detected in the image; standard deviations are empty where
+the detector does not know them."""
+
+SHAPE_COLUMNS = ("file", "frame", "time_s", "robots", "shape_error")
+"""Columns of the shape errors: how many robots of the shape the image shows, and empty for fewer than three."""
+
+
+def track_videos(
+    videos: Sequence[Path],
+    folder: Path,
+    *,
+    shape: ShapeSource | None = None,
+    detector: str = "photometric",
+    dictionary: str = DEFAULT_DICTIONARY,
+    border_bits: int = 1,
+    inverted: bool = False,
+    force: bool = False,
+    progress: Progress = NO_PROGRESS,
+) -> list[GroundTracks]:
+    """Follow the markers through videos, each for itself, and leave tables and a figure in a folder.
+
+    Args:
+        videos: the recordings.
+        folder: to write into.
+        shape: to compare with, for the markers that all videos together show; None for none.
+        detector: name or `module:factory`; each video gets a new one.
+        dictionary: of the markers.
+        border_bits: width of the markers' black border in cells.
+        inverted: whether markers are white on black.
+        force: the folder may exist; what was made there before is then removed, and nothing else.
+        progress: is given how many images of each video are done.
+
+    Returns:
+        the tracks of each video.
+
+    Raises:
+        InputError: a video cannot be read, the folder exists, or the shape is none for these robots.
+        OutputError: something cannot be written.
+    """
+    for video in videos:
+        if not is_video(video):
+            raise InputError(str(video), "not a video by its name", "an .mp4, .mkv, .avi, .mov or .webm file")
+        open_clip(video)
+    settings: dict[str, Any] = dict(dictionary=dictionary, border_bits=border_bits, inverted=inverted)
+    create_detector(detector, **settings)
+    names = [TRACKS, FIGURE, *([SHAPE] if shape else [])]
+    with OutputFolder(folder, VERB, names, force=force, inputs=videos):
+        recordings = [_follow(video, create_detector(detector, **settings), progress) for video in videos]
+        with _table(folder / TRACKS, TRACK_COLUMNS) as table:
+            table.writerows(row for tracks in recordings for row in _track_rows(tracks))
+        errors = _errors(recordings, shape)
+        if shape:
+            with _table(folder / SHAPE, SHAPE_COLUMNS) as table:
+                for tracks, error in zip(recordings, errors, strict=True):
+                    table.writerows(_shape_rows(tracks, error))
+        figure = draw_tracks(recordings, errors)
+        write_whole(folder / FIGURE, lambda part: figure.savefig(part, format="png"))
+    return recordings
+
+
+def _follow(video: Path, detector: Any, progress: Progress) -> GroundTracks:
+    """The tracks of one video."""
+    clip, tracks = open_clip(video), GroundTracks(video.name)
+    for frame in read_clip(clip):
+        tracks.add(frame.index, detector.detect(frame.image, time_s=frame.time_s))
+        done = frame.index + 1
+        progress.update(video.name, done, max(clip.count, done) if clip.count else None)
+    return tracks
+
+
+def _errors(recordings: Sequence[GroundTracks], shape: ShapeSource | None) -> list[ShapeErrors]:
+    """The shape errors of each recording; none without a shape."""
+    ids = np.unique(np.concatenate([tracks.ids for tracks in recordings]))
+    if shape is None:
+        return []
+    if ids.size == 0:
+        raise InputError(
+            "--shape", "no marker was found", "another --dictionary; see `skyherd detect --explain`"
+        )
+    template = shape(ids)
+    return [shape_errors(tracks, template) for tracks in recordings]
+
+
+@contextmanager
+def _table(path: Path, columns: Sequence[str]) -> Iterator[Any]:
+    """A writer of a CSV file, which gets its name when it is complete."""
+    with whole_file(path) as part, part.open("w", encoding="utf-8", newline="") as stream:
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(columns)
+        yield writer
+
+
+def _track_rows(tracks: GroundTracks) -> Iterator[list[Any]]:
+    for sighting in tracks.sightings:
+        for row in range(len(sighting.seen)):
+            yield [table_cell(tracks.name), sighting.index, f"{sighting.time_s:.4f}", *_cells(sighting, row)]
+
+
+def _cells(sighting: Sighting, row: int) -> list[Any]:
+    """One marker of one image: id, place and heading on the ground, and what was detected."""
+    seen = sighting.seen
+    covariance = seen.covariances[row]
+    stds = np.sqrt(np.diag(covariance)[:2]) if covariance.any() else ()
+    ground = [*sighting.positions_sides[row], np.degrees(np.angle(np.exp(1j * sighting.headings_rad[row])))]
+    return [
+        int(seen.ids[row]),
+        *(f"{value:.5f}" for value in ground),
+        *(f"{value:.3f}" for value in (*seen.centers_px[row], seen.sides_px[row])),
+        *([f"{value:.4f}" for value in stds] or ["", ""]),
+    ]
+
+
+def _shape_rows(tracks: GroundTracks, error: ShapeErrors) -> Iterator[list[Any]]:
+    for sighting, value, count in zip(tracks.sightings, error.errors, error.counts, strict=True):
+        told = f"{value:.6f}" if np.isfinite(value) else ""
+        yield [table_cell(tracks.name), sighting.index, f"{sighting.time_s:.4f}", int(count), told]

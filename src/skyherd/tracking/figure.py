@@ -61,13 +61,14 @@ def draw_tracks(recordings: Sequence[GroundTracks], errors: Sequence[ShapeErrors
             robot_colorbar(figure, panels, ids)
         if measured:
             _draw_errors(figure.add_subplot(grid[rows, :]), recordings, errors)
-        legend_above(
-            figure,
-            [
-                Line2D([], [], color=INK, marker="s", linestyle="", markersize=4, label="first seen"),
-                Line2D([], [], color=INK, marker="o", linestyle="", markersize=6, label="last seen"),
-            ],
-        )
+        handles = [
+            Line2D([], [], color=INK, marker="s", linestyle="", markersize=4, label="first seen"),
+            Line2D([], [], color=INK, marker="o", linestyle="", markersize=6, label="last seen"),
+        ]
+        if any((error.counts < error.team).any() for error in errors):
+            few = "error of the robots in view, not all"
+            handles.append(Line2D([], [], color=MUTED, marker=".", linestyle="", label=few))
+        legend_above(figure, handles)
     return figure
 
 

@@ -15,9 +15,10 @@ def track(
     videos: Annotated[list[Path], typer.Argument(metavar="VIDEO...", help="Recordings from above.")],
     shape: Annotated[
         str | None,
-        typer.Option(
-            help="Shape to compare with: a scenario, a TOML file, or a shape such as circle or word:SKY."
-        ),
+        typer.Option(help="Shape to compare with, such as circle or word:SKY, or a scenario or its file."),
+    ] = None,
+    ids: Annotated[
+        str | None, typer.Option(help="The robots' markers, such as 0-15,20; all that are seen if left out.")
     ] = None,
     dictionary: Annotated[
         str,
@@ -41,6 +42,7 @@ def track(
     figure. Exit code 0 when done, 1 if no marker was found, 2 for bad input.
     """
     from skyherd.inspection import output_name
+    from skyherd.markers.sheet_layout import parse_ids
     from skyherd.tracking import FIGURE, SHAPE, TRACKS, shape_source, track_videos
 
     source = None if shape is None else shape_source(shape)
@@ -50,6 +52,7 @@ def track(
             videos,
             folder,
             shape=source,
+            members=None if ids is None else parse_ids(ids, dictionary),
             detector=detector,
             dictionary=dictionary,
             border_bits=border_bits,

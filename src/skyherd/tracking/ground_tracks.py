@@ -45,10 +45,12 @@ class GroundTracks:
 
     Attributes:
         name: of the recording.
+        members: the robots; other markers help to rectify the ground, and are left out. None for all.
         sightings: one for each image, in order.
     """
 
     name: str
+    members: frozenset[int] | None = None
     sightings: list[Sighting] = field(default_factory=list)
     _rectifier: Rectifier = field(default_factory=Rectifier)
 
@@ -56,6 +58,8 @@ class GroundTracks:
         """Add the markers found in the next image; ids that occur twice in it are left out."""
         seen = found.unambiguous()
         flat = self._rectifier.rectify(seen)
+        if self.members is not None:
+            seen, flat = seen.select(self.members), flat.select(self.members)
         side_px = float(np.median(flat.sides_px)) if len(flat) else 1.0
         from_center_px = flat.centers_px - (flat.image_size_px - 1) / 2
         positions = from_center_px * (1, -1) / side_px

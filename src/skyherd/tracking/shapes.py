@@ -21,19 +21,17 @@ def shape_source(name: str) -> ShapeSource:
     """The shape that a name means.
 
     Args:
-        name: a built-in scenario or a scenario file, whose first shape and robots count; or a named shape,
-            such as `circle` or `word:SKY`, whose points go to the markers seen in ascending order. What is
-            both is a scenario.
+        name: a named shape, such as `circle` or `word:SKY`, whose points go to the markers in ascending
+            order; or a scenario file or another built-in scenario, whose robots and first shape count.
 
     Raises:
         InputError: it is neither.
     """
-    if name in scenario_names() or Path(name).suffix == ".toml":
-        template = load_mission(name).template
-        return lambda ids: template
-    if name not in SHAPES and not name.startswith("word:"):
-        scenarios = ", ".join(scenario_names())
+    if name in SHAPES or name.startswith("word:"):
+        return lambda ids: Template.from_ground_points(ids, shape_points(name, int(ids.size)))
+    if name not in scenario_names() and Path(name).suffix != ".toml":
         raise InputError(
-            "--shape", f"no shape {name!r}", f"{', '.join(SHAPES)}, word:SKY, {scenarios}, or a scenario file"
+            "--shape", f"no shape {name!r}", f"{', '.join(SHAPES)}, word:SKY, a scenario or its file"
         )
-    return lambda ids: Template.from_ground_points(ids, shape_points(name, int(ids.size)))
+    template = load_mission(name).template
+    return lambda ids: template

@@ -1,7 +1,7 @@
 """Videos in; a table of tracks, a table of shape errors and a figure out."""
 
 import csv
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ from skyherd.text import table_cell
 from skyherd.tracking.figure import draw_tracks
 from skyherd.tracking.ground_tracks import GroundTracks, ShapeErrors, Sighting, shape_errors
 from skyherd.tracking.shapes import ShapeSource
-from skyherd.vision import DEFAULT_DICTIONARY, create_detector
+from skyherd.vision import DEFAULT_DICTIONARY, Detector, create_detector
 
 VERB = "track"
 """Verb by which a folder's record knows what was made here."""
@@ -33,7 +33,7 @@ TRACK_COLUMNS = (
 the detector does not know them."""
 
 SHAPE_COLUMNS = ("file", "frame", "time_s", "robots", "shape_error")
-"""Columns of the shape errors: how many robots of the shape the image shows, and empty for fewer than three."""
+"""Columns of the shape errors: robots of the shape that the image shows, and nothing for fewer than three."""
 
 
 def track_videos(
@@ -41,6 +41,7 @@ def track_videos(
     folder: Path,
     *,
     shape: ShapeSource | None = None,
+    members: Collection[int] | None = None,
     detector: str = "photometric",
     dictionary: str = DEFAULT_DICTIONARY,
     border_bits: int = 1,
@@ -54,6 +55,7 @@ def track_videos(
         videos: the recordings.
         folder: to write into.
         shape: to compare with, for the markers that all videos together show; None for none.
+        members: the robots, where other markers may be seen as well; None for all markers.
         detector: name or `module:factory`; each video gets a new one.
         dictionary: of the markers.
         border_bits: width of the markers' black border in cells.
@@ -76,7 +78,11 @@ def track_videos(
     create_detector(detector, **settings)
     names = [TRACKS, FIGURE, *([SHAPE] if shape else [])]
     with OutputFolder(folder, VERB, names, force=force, inputs=videos):
-        recordings = [_follow(video, create_detector(detector, **settings), progress) for video in videos]
+        robots = None if members is None else frozenset(members)
+        recordings = [
+            _follow(GroundTracks(video.name, robots), video, create_detector(detector, **settings), progress)
+            for video in videos
+        ]
         with _table(folder / TRACKS, TRACK_COLUMNS) as table:
             table.writerows(row for tracks in recordings for row in _track_rows(tracks))
         errors = _errors(recordings, shape)
@@ -89,9 +95,9 @@ def track_videos(
     return recordings
 
 
-def _follow(video: Path, detector: Any, progress: Progress) -> GroundTracks:
-    """The tracks of one video."""
-    clip, tracks = open_clip(video), GroundTracks(video.name)
+def _follow(tracks: GroundTracks, video: Path, detector: Detector, progress: Progress) -> GroundTracks:
+    """The tracks, with all images of a video added."""
+    clip = open_clip(video)
     for frame in read_clip(clip):
         tracks.add(frame.index, detector.detect(frame.image, time_s=frame.time_s))
         done = frame.index + 1

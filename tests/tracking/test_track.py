@@ -1,0 +1,210 @@
+"""Robots followed through videos whose truth is drawn: places, headings, shape errors, tables and folders."""
+
+import csv
+
+import av
+import cv2
+import numpy as np
+import pytest
+
+from skyherd.cli import main
+from skyherd.control import Template
+from skyherd.datasets import shape_points
+from skyherd.geometry import to_complex
+from skyherd.markers.dictionary import load_dictionary
+from skyherd.messages import Detections
+from skyherd.tracking import GroundTracks, shape_errors, shape_source, track_videos
+
+SIZE_PX = 480, 360
+"""Width and height of the images."""
+
+SIDE_PX, CARD_PX = 36, 48
+"""Side of a marker and of its white card, px."""
+
+CORNERS = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) / 2
+"""Corners of a marker of side 1 with heading -90 degrees (up in the image), front left first, in order."""
+
+
+def draw(places_px, turns_rad):
+    """An image of markers 0, 1, … at places, each turned from upright by an angle from +u to +v."""
+    image = np.full(SIZE_PX[::-1], 190, np.uint8)
+    for marker, ((u, v), turn) in enumerate(zip(places_px, turns_rad, strict=True)):
+        card = np.full((CARD_PX, CARD_PX), 255, np.uint8)
+        border = (CARD_PX - SIDE_PX) // 2
+        inside = slice(border, border + SIDE_PX)
+        card[inside, inside] = load_dictionary("4X4_50").generateImageMarker(marker, SIDE_PX)
+        half = (CARD_PX - 1) / 2
+        shift = cv2.getRotationMatrix2D((half, half), -np.degrees(turn), 1.0)
+        shift[:, 2] += (u - half, v - half)
+        cv2.warpAffine(card, shift, SIZE_PX, dst=image, borderMode=cv2.BORDER_TRANSPARENT)
+    return image
+
+
+def write(path, images, rate_hz=10):
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("libx264", rate=rate_hz, options={"crf": "12"})
+        stream.width, stream.height, stream.pix_fmt = *SIZE_PX, "yuv420p"
+        for image in images:
+            picture = av.VideoFrame.from_ndarray(image, format="gray").reformat(format="yuv420p")
+            container.mux(stream.encode(picture))
+        container.mux(stream.encode(None))
+    return path
+
+
+PLACES_PX = np.array([[80.0, 90], [240, 60], [400, 100], [120, 280], [360, 270]])
+"""Where the five robots of the video begin."""
+
+STEP_PX = np.array([[4.0, 1], [0, 3], [-3, 2], [2, -4], [-1, -3]])
+"""How far they go from image to image."""
+
+IMAGES = 6
+"""Of the video."""
+
+
+@pytest.fixture(scope="module")
+def video(tmp_path_factory):
+    turns = np.linspace(0, 2, 5)
+    images = [draw(PLACES_PX + k * STEP_PX, turns + 0.1 * k) for k in range(IMAGES)]
+    return write(tmp_path_factory.mktemp("track") / "robots.mp4", images)
+
+
+def rows_of(path):
+    with path.open(newline="") as stream:
+        return list(csv.DictReader(stream))
+
+
+def test_tracks_are_where_the_robots_were(video, tmp_path) -> None:
+    track_videos([video], tmp_path / "out", detector="opencv-subpix", shape=shape_source("circle"))
+    rows = rows_of(tmp_path / "out" / "tracks.csv")
+    assert len(rows) == 5 * IMAGES
+    middle_px = (np.array(SIZE_PX) - 1) / 2
+    for row in rows:
+        k, marker = int(row["frame"]), int(row["id"])
+        assert float(row["time_s"]) == pytest.approx(k / 10, abs=1e-3)
+        place_px = PLACES_PX[marker] + k * STEP_PX[marker]
+        x_sides, y_sides = (place_px - middle_px) * (1, -1) / SIDE_PX
+        # Half a pixel of compression and interpolation is 0.014 sides; sides are off by a pixel at most.
+        assert float(row["x_sides"]) == pytest.approx(x_sides, abs=0.03 + abs(x_sides) / SIDE_PX)
+        assert float(row["y_sides"]) == pytest.approx(y_sides, abs=0.03 + abs(y_sides) / SIDE_PX)
+        heading_rad = np.pi / 2 - (np.linspace(0, 2, 5)[marker] + 0.1 * k)
+        off_rad = np.angle(np.exp(1j * (np.radians(float(row["heading_deg"])) - heading_rad)))
+        assert abs(off_rad) < 0.05
+        assert float(row["u_px"]) == pytest.approx(place_px[0], abs=0.6)
+
+
+def test_the_shape_error_is_that_of_the_places_drawn(video, tmp_path) -> None:
+    track_videos([video], tmp_path / "out", detector="opencv-subpix", shape=shape_source("circle"))
+    wanted = to_complex(shape_points("circle", 5))
+    for k, row in enumerate(rows_of(tmp_path / "out" / "shape.csv")):
+        places = to_complex((PLACES_PX + k * STEP_PX) * (1, -1))
+        # The least-squares similarity by a linear solve, as an independent reference.
+        columns = np.stack([wanted, np.ones(5)], axis=1)
+        residual = places - columns @ np.linalg.lstsq(columns, places, rcond=None)[0]
+        error = np.linalg.norm(residual) / np.linalg.norm(places - places.mean())
+        assert float(row["shape_error"]) == pytest.approx(error, abs=2e-3) and row["robots"] == "5"
+    assert (tmp_path / "out" / "tracks.png").read_bytes().startswith(b"\x89PNG")
+
+
+def detections(places_px, ids, tilt=0.0):
+    """Exact detections of upright markers, through a camera that is tilted about its u axis."""
+    places_px = np.asarray(places_px, dtype=float)
+    corners = places_px[:, None, :] + SIDE_PX * CORNERS
+    middle = (np.array(SIZE_PX) - 1) / 2
+
+    def seen(points):
+        away = (points - middle) / 180
+        return middle + 180 * away / (1 + tilt * away[..., 1:])
+
+    corners = seen(corners)
+    sides = np.sqrt(np.abs([cv2.contourArea(square.astype(np.float32)) for square in corners]))
+    ahead = corners[:, :2].mean(axis=1) - corners.mean(axis=1)
+    return Detections(
+        unit_id=0,
+        time_s=0.0,
+        image_size_px=np.array(SIZE_PX, dtype=float),
+        ids=np.asarray(ids),
+        centers_px=seen(places_px),
+        headings_rad=np.arctan2(ahead[:, 1], ahead[:, 0]),
+        sides_px=sides,
+        corners_px=corners,
+        covariances=np.zeros((len(ids), 3, 3)),
+    )
+
+
+def test_the_camera_s_tilt_is_taken_off() -> None:
+    points = shape_points("grid", 16)
+    points = (points - points.mean(axis=0)) / np.abs(points - points.mean(axis=0)).max()
+    places_px = points * (1, -1) * 120 + np.array(SIZE_PX) / 2
+    template = Template.from_ground_points(range(16), points)
+    tracks, plain = GroundTracks("tilted"), []
+    for k in range(4):
+        found = detections(places_px + k, range(16), tilt=0.2)
+        tracks.add(k, found)
+        fit = np.stack([template.points_px, np.ones(16)], axis=1)
+        seen = to_complex(found.centers_px)
+        left = seen - fit @ np.linalg.lstsq(fit, seen, rcond=None)[0]
+        plain.append(np.linalg.norm(left) / np.linalg.norm(seen - seen.mean()))
+    assert min(plain) > 0.05, "what the tilt does"
+    assert shape_errors(tracks, template).errors[1:].max() < 0.01
+
+
+def test_few_robots_and_strangers() -> None:
+    template = Template.from_ground_points(range(5), shape_points("circle", 5))
+    places_px = shape_points("circle", 5) * (80, -80) + np.array(SIZE_PX) / 2
+    tracks = GroundTracks("some")
+    for ids in (range(5), range(3), range(2)):
+        tracks.add(0, detections(places_px[: len(ids)], ids))
+    stranger = detections(np.vstack([places_px, [[20, 20]]]), [0, 1, 2, 3, 4, 17])
+    tracks.add(3, stranger)
+    twice = detections(np.vstack([places_px, [[20, 20]]]), [0, 1, 2, 3, 4, 4])
+    tracks.add(4, twice)
+    own = GroundTracks("own", members=frozenset(range(5)))
+    own.add(0, stranger)
+    assert own.ids.tolist() == [0, 1, 2, 3, 4]
+    errors = shape_errors(tracks, template)
+    assert errors.counts.tolist() == [5, 3, 2, 5, 4] and np.isnan(errors.errors[2])
+    assert np.nanmax(errors.errors) < 1e-6 and tracks.ids.tolist() == [0, 1, 2, 3, 4, 17]
+    _, path = tracks.path(4)
+    assert np.isfinite(path[:, 0]).tolist() == [True, False, False, True, False]
+
+
+def run(*arguments):
+    with pytest.raises(SystemExit) as ended:
+        main(["track", *map(str, arguments)])
+    return ended.value.code
+
+
+def test_the_verb(video, tmp_path, capsys) -> None:
+    out = tmp_path / "out"
+    empty = write(tmp_path / "empty.mp4", [np.full(SIZE_PX[::-1], 99, np.uint8)] * 2)
+    assert run(video, empty, "--detector", "opencv", "--out", out) == 0
+    said = capsys.readouterr()
+    assert "robots.mp4" in said.out and str(out / "tracks.png") in said.out
+    assert "empty.mp4: no marker found" in said.err
+    assert {file.name for file in out.iterdir()} == {"tracks.csv", "tracks.png", ".skyherd.json"}
+    assert run(video, "--detector", "opencv", "--out", out) == 2
+    assert "exists" in capsys.readouterr().err
+    (out / "tracks.csv").write_text("mine")
+    assert run(video, "--detector", "opencv", "--out", out, "--force") == 2
+    assert (out / "tracks.csv").read_text() == "mine"
+    assert run(empty, "--detector", "opencv", "--out", tmp_path / "none") == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["{video}", "--shape", "banana"], "no shape 'banana'"),
+        (["{video}", "--dictionary", "5X5"], "5X5"),
+        (["{video}", "--detector", "none"], "no detector 'none'"),
+        (["{video}", "--ids", "0-99"], "99"),
+        (["{here}/none.mp4"], "no such file"),
+        (["{here}/picture.png"], "not a video by its name"),
+        (["{video}", "--shape", "word:SKYHERD"], "to write SKYHERD"),
+    ],
+)
+def test_bad_input_is_one_line_and_leaves_nothing(arguments, words, video, tmp_path, capsys) -> None:
+    given = [text.format(video=video, here=tmp_path) for text in arguments]
+    assert run(*given, "--out", tmp_path / "out") == 2
+    said = capsys.readouterr().err
+    assert words in said and said.startswith("error: ") and said.count("\n") == 1
+    assert not (tmp_path / "out").exists()

@@ -13,7 +13,7 @@ from skyherd.datasets import shape_points
 from skyherd.geometry import to_complex
 from skyherd.markers.dictionary import load_dictionary
 from skyherd.messages import Detections
-from skyherd.tracking import GroundTracks, shape_errors, shape_source, track_videos
+from skyherd.tracking import GroundTracks, shape_errors, named_shape, track_videos
 
 SIZE_PX = 480, 360
 """Width and height of the images."""
@@ -74,7 +74,7 @@ def rows_of(path):
 
 
 def test_tracks_are_where_the_robots_were(video, tmp_path) -> None:
-    track_videos([video], tmp_path / "out", detector="opencv-subpix", shape=shape_source("circle"))
+    track_videos([video], tmp_path / "out", detector="opencv-subpix", shape=named_shape("circle"))
     rows = rows_of(tmp_path / "out" / "tracks.csv")
     assert len(rows) == 5 * IMAGES
     middle_px = (np.array(SIZE_PX) - 1) / 2
@@ -93,7 +93,7 @@ def test_tracks_are_where_the_robots_were(video, tmp_path) -> None:
 
 
 def test_the_shape_error_is_that_of_the_places_drawn(video, tmp_path) -> None:
-    track_videos([video], tmp_path / "out", detector="opencv-subpix", shape=shape_source("circle"))
+    track_videos([video], tmp_path / "out", detector="opencv-subpix", shape=named_shape("circle"))
     wanted = to_complex(shape_points("circle", 5))
     for k, row in enumerate(rows_of(tmp_path / "out" / "shape.csv")):
         places = to_complex((PLACES_PX + k * STEP_PX) * (1, -1))
@@ -197,6 +197,8 @@ def test_the_verb(video, tmp_path, capsys) -> None:
         (["{video}", "--dictionary", "5X5"], "5X5"),
         (["{video}", "--detector", "none"], "no detector 'none'"),
         (["{video}", "--ids", "0-99"], "99"),
+        (["{video}", "--shape", "star", "--scenario", "star"], "one of the two"),
+        (["{video}", "--scenario", "nowhere.toml"], "nowhere.toml"),
         (["{here}/none.mp4"], "no such file"),
         (["{here}/picture.png"], "not a video by its name"),
         (["{video}", "--shape", "word:SKYHERD"], "to write SKYHERD"),

@@ -9,13 +9,17 @@ import typer
 from skyherd.cli.choices import DETECTORS, complete_detector, complete_dictionary
 from skyherd.cli.console import ProgressReporter, say, say_table, warn
 from skyherd.cli.interrupts import telling_of_interrupts
+from skyherd.errors import InputError
 
 
 def track(
     videos: Annotated[list[Path], typer.Argument(metavar="VIDEO...", help="Recordings from above.")],
     shape: Annotated[
         str | None,
-        typer.Option(help="Shape to compare with, such as circle or word:SKY, or a scenario or its file."),
+        typer.Option(help="Shape to compare with, such as circle or word:SKY."),
+    ] = None,
+    scenario: Annotated[
+        str | None, typer.Option(help="Scenario, or its file, whose shape and robots to compare with.")
     ] = None,
     ids: Annotated[
         str | None, typer.Option(help="The robots' markers, such as 0-15,20; all that are seen if left out.")
@@ -43,9 +47,12 @@ def track(
     """
     from skyherd.inspection import output_name
     from skyherd.markers.sheet_layout import parse_ids
-    from skyherd.tracking import FIGURE, SHAPE, TRACKS, shape_source, track_videos
+    from skyherd.tracking import FIGURE, SHAPE, TRACKS, named_shape, scenario_shape, track_videos
 
-    source = None if shape is None else shape_source(shape)
+    if shape is not None and scenario is not None:
+        raise InputError("--shape", "given with --scenario", "one of the two")
+    source = None if shape is None else named_shape(shape)
+    source = source if scenario is None else scenario_shape(scenario)
     folder = out_dir or Path("tracks") / output_name(Path(os.path.abspath(videos[0])).stem)
     with ProgressReporter() as progress, telling_of_interrupts("nothing is left of it"):
         recordings = track_videos(

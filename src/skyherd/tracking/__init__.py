@@ -4,7 +4,7 @@ Start with `track_videos`.
 """
 
 from skyherd.tracking.ground_tracks import GroundTracks, ShapeErrors, shape_errors
-from skyherd.tracking.shapes import ShapeSource, shape_source
+from skyherd.tracking.shapes import ShapeSource, named_shape, scenario_shape
 from skyherd.tracking.tracker import FIGURE, SHAPE, TRACKS, track_videos
 
 __all__ = [
@@ -14,7 +14,8 @@ __all__ = [
     "GroundTracks",
     "ShapeErrors",
     "ShapeSource",
+    "named_shape",
+    "scenario_shape",
     "shape_errors",
-    "shape_source",
     "track_videos",
 ]

@@ -1,10 +1,9 @@
 """The shape that tracks are held against: a scenario's, or a named one for the markers that were seen."""
 
-from pathlib import Path
 from typing import Protocol
 
 from skyherd.control import Template
-from skyherd.datasets import SHAPES, load_mission, scenario_names, shape_points
+from skyherd.datasets import SHAPES, load_mission, shape_points
 from skyherd.errors import InputError
 from skyherd.geometry import IntArray
 
@@ -17,21 +16,22 @@ class ShapeSource(Protocol):
         ...
 
 
-def shape_source(name: str) -> ShapeSource:
-    """The shape that a name means.
-
-    Args:
-        name: a named shape, such as `circle` or `word:SKY`, whose points go to the markers in ascending
-            order; or a scenario file or another built-in scenario, whose robots and first shape count.
+def named_shape(name: str) -> ShapeSource:
+    """A named shape, such as `circle` or `word:SKY`, whose points go to the markers in ascending order.
 
     Raises:
-        InputError: it is neither.
+        InputError: there is no such shape.
     """
-    if name in SHAPES or name.startswith("word:"):
-        return lambda ids: Template.from_ground_points(ids, shape_points(name, int(ids.size)))
-    if name not in scenario_names() and Path(name).suffix != ".toml":
-        raise InputError(
-            "--shape", f"no shape {name!r}", f"{', '.join(SHAPES)}, word:SKY, a scenario or its file"
-        )
+    if name not in SHAPES and not name.startswith("word:"):
+        raise InputError("--shape", f"no shape {name!r}", f"one of {', '.join(SHAPES)}, word:SKY")
+    return lambda ids: Template.from_ground_points(ids, shape_points(name, int(ids.size)))
+
+
+def scenario_shape(name: str) -> ShapeSource:
+    """The first shape of a built-in scenario or of a scenario file, for the robots that it has.
+
+    Raises:
+        InputError: there is no such scenario, or it is not right.
+    """
     template = load_mission(name).template
     return lambda ids: template

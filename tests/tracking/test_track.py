@@ -13,7 +13,7 @@ from skyherd.datasets import shape_points
 from skyherd.geometry import to_complex
 from skyherd.markers.dictionary import load_dictionary
 from skyherd.messages import Detections
-from skyherd.tracking import GroundTracks, shape_errors, named_shape, track_videos
+from skyherd.tracking import GroundTracks, named_shape, shape_errors, track_videos
 
 SIZE_PX = 480, 360
 """Width and height of the images."""

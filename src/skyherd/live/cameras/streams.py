@@ -80,7 +80,7 @@ class Stream:
     @contextmanager
     def open(self, pause: Callable[[float], bool]) -> Iterator[Iterator[Picture]]:
         """See `Source.open`."""
-        with self._telling():
+        with self._telling(f"no answer within {OPEN_S:g} s"):
             container = av.open(
                 self.address,
                 "r",
@@ -89,7 +89,7 @@ class Stream:
                 timeout=(OPEN_S, READ_S),
             )
         try:
-            with self._telling():
+            with self._telling("no answer"):
                 if not container.streams.video:
                     raise InputError(self.name, "no video in it", "a stream with pictures")
                 stream = container.streams.video[0]
@@ -100,18 +100,20 @@ class Stream:
                 container.close()
 
     @contextmanager
-    def _telling(self) -> Iterator[None]:
-        """Errors of FFmpeg as one clear line."""
+    def _telling(self, timed_out: str) -> Iterator[None]:
+        """Errors of FFmpeg as one clear line; what a time-out means, in words."""
         try:
             yield
         except InputError:
             raise
         except (OSError, av.FFmpegError, ValueError) as error:
-            raise InputError(self.name, _why(error), "a camera that can be reached and sends video") from None
+            raise InputError(
+                self.name, _why(error, timed_out), "a camera that can be reached and sends video"
+            ) from None
 
     def _pictures(self, container: Any, stream: Any) -> Iterator[Picture]:
         clocked = container.format.name in CLOCKED
-        with self._telling():
+        with self._telling(f"no picture within {READ_S:g} s"):
             for picture in container.decode(stream):
                 if picture.width * picture.height > MAX_PIXELS:
                     raise InputError(self.name, f"{picture.width}x{picture.height} px", "smaller pictures")
@@ -193,10 +195,10 @@ def device_of(address: str) -> Stream:
     return Stream(path, path, options, V4L2)
 
 
-def _why(error: Exception) -> str:
+def _why(error: Exception, timed_out: str) -> str:
     """What FFmpeg or the system says, in words."""
     if isinstance(error, av.error.ExitError | TimeoutError):
-        return f"no answer within {OPEN_S:g} s at the start, or no picture within {READ_S:g} s"
+        return timed_out
     if isinstance(error, av.error.EOFError):
         return "it ended"
     return " ".join(str(getattr(error, "strerror", None) or error).split()) or type(error).__name__

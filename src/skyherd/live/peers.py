@@ -4,9 +4,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
-from skyherd.clocks import ClockOffset, OffsetEstimate
 from skyherd.live.wire import Beat, Envelope
 from skyherd.messages import MotionGoals, Proximity, UnitReport
+from skyherd.messages.clock_offset import ClockOffset, OffsetEstimate
 
 M = TypeVar("M", MotionGoals, Proximity, UnitReport)
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
-from skyherd.clocks import DRIFT, ClockOffset
 from skyherd.errors import InputError
+from skyherd.messages.clock_offset import DRIFT, ClockOffset
 
 
 class Exchange:

@@ -70,7 +70,7 @@ def test_free_overlaps_name_their_breaches_and_are_exit_code_1(tmp_path, capsys)
     ("source", "out", "said"),
     [
         ("no-such-name", "a.png", "one of chain"),
-        ("absent.mcap", "a.png", "No such file"),
+        ("absent.mcap", "a.png", "no such file"),
         (".", "a.png", "no run.mcap"),
         ("star", "a.txt", ".png or .svg"),
         ("star", "no/such/folder/a.png", "no folder no/such/folder"),

@@ -36,6 +36,11 @@ FREE_SIGMAS = 8.0
 expectation by so many of its standard deviations. Chosen: chance does not reach it; a smaller value frees
 unknowns of each marker without need."""
 
+MIN_MARKERS_FOR_TONE, MAX_TONE = 4, 2.0
+"""The tone curve counts as bent only if so many markers show it, and if the bend is positive and below the
+second number. Derived: a camera's gamma of 1 / 2.2 bends by 1.1 to 1.5, and never below the straight line.
+Chosen: ground that looks like one marker under some curve must not choose the curve; three may be chance."""
+
 OWN_PLANES = Plane(shared=False)
 """The plane of markers that share none: each has its own squeeze and lean."""
 
@@ -114,15 +119,15 @@ def with_common_tone(solution: LeastSquaresSolution, inliers: BoolArray) -> Leas
     """Return the solution with the bend of the tone curve held at zero, or at one share of each contrast.
 
     The curve is the camera's, so that the share is taken over all inliers (N,): the median, weighted by how
-    well each marker tells it.
+    well each marker tells it. It counts only if several markers tell it, and if it is such as a camera's.
     """
     straight = solution.constrained(TONE, np.zeros((inliers.size, 1)))
-    if not _tells_more(solution, straight, 1, inliers):
+    if np.count_nonzero(inliers) < MIN_MARKERS_FOR_TONE or not _tells_more(solution, straight, 1, inliers):
         return straight
     contrasts, tone = solution.contrasts(), TONE[0]
     variances = solution.inverse_normals[:, tone, tone] * (solution.noise_stds() / contrasts) ** 2
     share = weighted_median(solution.values[:, tone] / contrasts, inliers / variances)
-    return solution.constrained(TONE, share * contrasts[:, None])
+    return solution.constrained(TONE, share * contrasts[:, None]) if 0 < share < MAX_TONE else straight
 
 
 def _tells_more(

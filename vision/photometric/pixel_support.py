@@ -61,7 +61,8 @@ def pixels_within(
     limits = limits / (1 - np.minimum(leans * np.sqrt(2) * limits, MAX_GROWTH))
     right = homographies.arms + homographies.squeezes
     down = 1j * (homographies.arms - homographies.squeezes)
-    reach = limits * (np.abs(right.imag) + np.abs(down.imag))
+    # A fit that runs away may make a marker larger than any image; lines beyond the image are not needed.
+    reach = np.minimum(limits * (np.abs(right.imag) + np.abs(down.imag)), 2.0 * image_shape[0])
     corner = homographies.centers.real.round() + 1j * homographies.centers.imag.round()
     offset = homographies.centers - corner
     # Lines and columns are counted from the pixels nearest to the centres: small numbers, without rounding.

@@ -1,5 +1,7 @@
 """The pixels of markers and what is drawn at them: where they are, and what of the ground they see."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from scipy.special import ndtr
@@ -8,6 +10,7 @@ from skyherd.vision.photometric.appearance import MarkerAppearances, ground_shar
 from skyherd.vision.photometric.design_matrix import BLACK, PIXEL_ROW, UNKNOWNS, design_matrices_of
 from skyherd.vision.photometric.local_homography import LocalHomographies
 from skyherd.vision.photometric.pattern import blur_buckets, make_pattern
+from skyherd.vision.photometric.pixel_support import pixels_within
 
 DICTIONARY, SIGMA, HALF_CARD = "4X4_50", 0.03, 0.5 + 1 / 6
 ROUND = np.zeros(1, dtype=complex)
@@ -113,3 +116,14 @@ def test_means_over_cells_are_those_of_the_pixels_in_them():
         for j, k in ((0, 0), (3, 3), (2, 5)):
             own = (np.floor(column) == k) & (np.floor(line) == j)
             assert means[row, j, k] == pytest.approx(image[own].mean() - 128.0, rel=1e-4)
+
+
+def test_a_marker_much_larger_than_the_image_costs_no_more_than_the_image():
+    """A fit that ran away: every pixel of 100 x 80 is its, and no more memory is asked for than for them."""
+    tracemalloc.start()
+    support = pixels_within(homographies([50 + 40j], [1e6 + 1e6j]), np.array([0.5]), (80, 100))
+    _, peak_bytes = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert support.counts.tolist() == [8000]
+    assert sorted(support.flat_indices[0, :8000].tolist()) == list(range(8000))
+    assert peak_bytes < 4e6

@@ -1,6 +1,8 @@
 """`skyherd live`: a lab of real cameras and robots: checked, run, armed, stopped, and decided anew."""
 
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -138,11 +140,8 @@ def arm(lab_file: LabFile, settings: Settings = None, insecure: Insecure = False
     from skyherd.live import operator
     from skyherd.live.live_clock import LiveClock
 
-    lab, radio = open_team(lab_file, settings, insecure)
-    try:
+    with joined_team(lab_file, settings, insecure) as (lab, radio):
         outcome = operator.arm(lab, operator.watch(lab, radio, LiveClock()))
-    finally:
-        radio.close()
     say(f"armed: {outcome.done or 'none'}")
     if outcome.missing:
         say(f"NOT armed: {outcome.missing}: these robots did not answer")
@@ -155,11 +154,8 @@ def stop(lab_file: LabFile, settings: Settings = None, insecure: Insecure = Fals
     from skyherd.live import operator
     from skyherd.live.live_clock import LiveClock
 
-    lab, radio = open_team(lab_file, settings, insecure)
-    try:
+    with joined_team(lab_file, settings, insecure) as (lab, radio):
         outcome = operator.stop(lab, operator.watch(lab, radio, LiveClock()), "skyherd live stop")
-    finally:
-        radio.close()
     say(f"stopped: {outcome.done or 'none'}")
     if outcome.missing:
         say(f"no answer from: {outcome.missing}; a robot that hears nothing stops by itself")
@@ -188,10 +184,15 @@ def replay(
     return 0 if same else 1
 
 
-def open_team(lab_file: str, settings: list[str] | None, insecure: bool) -> "tuple[Lab, Radio]":
-    """The lab and its radio."""
+@contextmanager
+def joined_team(lab_file: str, settings: list[str] | None, insecure: bool) -> "Iterator[tuple[Lab, Radio]]":
+    """The lab and its radio, which is left at the end."""
     from skyherd.live.lab import load_lab
     from skyherd.live.zenoh_radio import ZenohRadio
 
     lab = load_lab(lab_file, settings or [])
-    return lab, ZenohRadio(lab.model.radio, lab.folder, insecure=insecure)
+    radio = ZenohRadio(lab.model.radio, lab.folder, insecure=insecure)
+    try:
+        yield lab, radio
+    finally:
+        radio.close()

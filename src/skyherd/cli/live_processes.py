@@ -8,12 +8,15 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from skyherd.cli.console import say
-from skyherd.cli.live import Insecure, LabFile, Settings, open_team
+from skyherd.cli.live import Insecure, LabFile, Settings, joined_team
+
+if TYPE_CHECKING:
+    from skyherd.live.processes import Station
 
 Out = Annotated[Path, typer.Option("--out", help="Folder to record in.")]
 Supervised = Annotated[bool, typer.Option("--supervised", help="End when standard input does.")]
@@ -52,6 +55,23 @@ def _tell(line: str) -> None:
     sys.stdout.flush()
 
 
+@contextmanager
+def _station(
+    lab_file: str,
+    folder: Path,
+    settings: list[str] | None,
+    insecure: bool,
+    supervised: bool,
+    clock_offset_s: float,
+) -> "Iterator[Station]":
+    """What a unit or a robot has, until a signal asks for the end."""
+    from skyherd.live.live_clock import LiveClock
+    from skyherd.live.processes import Station
+
+    with joined_team(lab_file, settings, insecure) as (lab, radio), _asked_to_end(supervised) as ended:
+        yield Station(lab, radio, LiveClock(clock_offset_s), folder, _tell, ended)
+
+
 def unit(
     lab_file: LabFile,
     number: Annotated[int, typer.Argument(help="Which unit: 0, 1, …")],
@@ -64,16 +84,10 @@ def unit(
     clock_offset_s: Offset = 0.0,
 ) -> int:
     """Be one aerial unit of a lab: its camera in, goals for its robots out, until Ctrl-C."""
-    from skyherd.live.live_clock import LiveClock
-    from skyherd.live.processes import Station, run_unit
+    from skyherd.live.processes import run_unit
 
-    lab, radio = open_team(lab_file, settings, insecure)
-    try:
-        with _asked_to_end(supervised) as ended:
-            station = Station(lab, radio, LiveClock(clock_offset_s), out_dir, _tell, ended)
-            run_unit(station, number, address=camera, dry_run=dry_run)
-    finally:
-        radio.close()
+    with _station(lab_file, out_dir, settings, insecure, supervised, clock_offset_s) as station:
+        run_unit(station, number, address=camera, dry_run=dry_run)
     return 0
 
 
@@ -88,16 +102,10 @@ def robot(
     clock_offset_s: Offset = 0.0,
 ) -> int:
     """Be one robot of a lab: goals in, wheel commands out, until Ctrl-C, disarmed until armed."""
-    from skyherd.live.live_clock import LiveClock
-    from skyherd.live.processes import Station, run_robot
+    from skyherd.live.processes import run_robot
 
-    lab, radio = open_team(lab_file, settings, insecure)
-    try:
-        with _asked_to_end(supervised) as ended:
-            station = Station(lab, radio, LiveClock(clock_offset_s), out_dir, _tell, ended)
-            run_robot(station, marker, dry_run=dry_run)
-    finally:
-        radio.close()
+    with _station(lab_file, out_dir, settings, insecure, supervised, clock_offset_s) as station:
+        run_robot(station, marker, dry_run=dry_run)
     return 0
 
 
@@ -121,19 +129,18 @@ def world(
     from skyherd.live.world_process import run_world
 
     mission = load_mission(scenario, settings or [])
-    lab, radio = open_team(lab_file or mission.scenario.name, None, insecure)
-    try:
-        with _asked_to_end(supervised=False) as ended:
-            run_world(
-                mission,
-                radio,
-                team=lab.model.team,
-                speed=speed,
-                path=record,
-                first_port=port,
-                tell=_tell,
-                ended=ended,
-            )
-    finally:
-        radio.close()
+    with (
+        joined_team(lab_file or mission.scenario.name, None, insecure) as (lab, radio),
+        _asked_to_end(supervised=False) as ended,
+    ):
+        run_world(
+            mission,
+            radio,
+            team=lab.model.team,
+            speed=speed,
+            path=record,
+            first_port=port,
+            tell=_tell,
+            ended=ended,
+        )
     return 0

@@ -1,5 +1,6 @@
 """`skyherd live run`: every process of a lab on this machine, one log, and a dashboard with a stop."""
 
+import os
 import select
 import sys
 import time
@@ -23,6 +24,9 @@ from skyherd.text import printable
 
 REFRESH_HZ = 4.0
 """How often the dashboard is drawn anew, 1/s."""
+
+MOST_KEYS = 1024
+"""Keys that are read at a time. Chosen: more than anybody presses within a drawing of the dashboard."""
 
 LINES = 12
 """Lines of the log that the dashboard shows."""
@@ -61,33 +65,26 @@ def run_session(
     if cameras and len(cameras) != len(lab.model.cameras):
         raise InputError("--cameras", f"{len(cameras)} addresses", f"{len(lab.model.cameras)}, as in the lab")
     folder = folder or Path("runs") / f"{lab.model.team}-{time.strftime('%Y%m%d-%H%M%S')}"
+    radio = ZenohRadio(lab.model.radio, lab.folder, insecure=insecure)
     try:
         folder.mkdir(parents=True)
     except OSError as error:
+        radio.close()
         raise InputError(str(folder), error.strerror or str(error), "a folder that is not there") from None
-    radio = ZenohRadio(lab.model.radio, lab.folder, insecure=insecure)
     console = Console()
     lines: deque[str] = deque(maxlen=LINES)
     shows = console.is_terminal
     supervisor = Supervisor(folder / "live.log", lines.append if shows else say)
     watched = operator.watch(lab, radio, LiveClock(), "supervisor")
-    common = ["--out", str(folder), "--supervised"]
-    common += [part for setting in settings for part in ("--set", setting)]
-    common += ["--insecure"] * insecure + ["--dry-run"] * dry_run
+    options = ["--out", str(folder), "--supervised"]
+    options += [part for setting in settings for part in ("--set", setting)]
+    options += ["--insecure"] * insecure + ["--dry-run"] * dry_run
     end_s = float("inf") if duration_s is None else time.monotonic() + duration_s
     waiting_to_arm = armed
     try:
-        for unit in range(len(lab.model.cameras)):
-            camera = ["--camera", cameras[unit]] if cameras else []
-            supervisor.add(f"unit/{unit}", ["unit", lab_file, str(unit), *camera, *common])
-        for robot in lab.ids:
-            supervisor.add(f"robot/{robot}", ["robot", lab_file, str(robot), *common])
+        _start_all(supervisor, lab, lab_file, cameras, options)
         with _keys() as key, _display(console if shows else None) as draw:
-            while time.monotonic() < end_s and any(
-                child.process is not None or child.code is None or child.code not in (0, 2)
-                for child in supervisor.children
-                if child.name.startswith("unit/")
-            ):
+            while time.monotonic() < end_s and supervisor.goes_on("unit/"):
                 supervisor.tend()
                 watched.listen(1 / REFRESH_HZ)
                 pressed = key()
@@ -107,6 +104,17 @@ def run_session(
         radio.close()
     say(f"recorded in {folder}; `skyherd live replay {folder}` decides anew")
     return 0
+
+
+def _start_all(
+    supervisor: Supervisor, lab: Lab, lab_file: str, cameras: Sequence[str], options: Sequence[str]
+) -> None:
+    """Start a process for each unit and each robot, all with the same options."""
+    for unit in range(len(lab.model.cameras)):
+        camera = ["--camera", cameras[unit]] if cameras else []
+        supervisor.add(f"unit/{unit}", ["unit", lab_file, str(unit), *camera, *options])
+    for robot in lab.ids:
+        supervisor.add(f"robot/{robot}", ["robot", lab_file, str(robot), *options])
 
 
 def _all_there(lab: Lab, watched: operator.Watch) -> bool:
@@ -149,7 +157,11 @@ def _display(console: Console | None) -> Iterator[Callable[[Group], None]]:
 
 @contextmanager
 def _keys() -> Iterator[Callable[[], str]]:
-    """The key that was pressed since the last call, or an empty text; none without a terminal."""
+    """The key that was pressed since the last call, or an empty text; none without a terminal.
+
+    Of several keys the last one counts, unless the space bar is among them: a stop is never lost. They are
+    read past Python's buffer, in which `select` would not see those that came together with another.
+    """
     if not sys.stdin.isatty() or sys.platform == "win32":
         yield lambda: ""
         return
@@ -161,7 +173,8 @@ def _keys() -> Iterator[Callable[[], str]]:
 
     def pressed() -> str:
         ready, _, _ = select.select([sys.stdin], [], [], 0)
-        return sys.stdin.read(1) if ready else ""
+        keys = os.read(sys.stdin.fileno(), MOST_KEYS).decode(errors="replace") if ready else ""
+        return " " if " " in keys else keys[-1:]
 
     try:
         yield pressed

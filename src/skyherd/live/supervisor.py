@@ -95,10 +95,10 @@ class Supervisor:
             child.again_s = time.monotonic() + child.wait_s
             self.say(child.name, f"ended with code {code}; is started again in {child.wait_s:g} s")
 
-    @property
-    def running(self) -> bool:
-        """Whether any process runs, or will again."""
-        return any(child.process is not None or child.code not in DONE for child in self.children)
+    def goes_on(self, prefix: str = "") -> bool:
+        """Whether any process runs, or will again, whose name begins with `prefix`."""
+        named = (child for child in self.children if child.name.startswith(prefix))
+        return any(child.process is not None or child.code not in DONE for child in named)
 
     def end(self) -> None:
         """Ask all processes to end, and kill those that do not."""

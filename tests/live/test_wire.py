@@ -1,5 +1,6 @@
 """The door of the radio: what is ours comes through unchanged, and nothing else comes through at all."""
 
+import copy
 import json
 
 import hypothesis.strategies as st
@@ -101,6 +102,29 @@ def body(**parts) -> bytes:
 def test_all_else_is_refused_with_a_reason(data, why) -> None:
     with pytest.raises(Refused, match=why):
         decode(data, TEAM)
+
+
+def scalars(record, path=()):
+    """Paths to all numbers, flags and texts of a plain object that are in no list."""
+    for name, value in record.items():
+        if isinstance(value, dict):
+            yield from scalars(value, (*path, name))
+        elif not isinstance(value, list):
+            yield (*path, name)
+
+
+@pytest.mark.parametrize("envelope", everything(), ids=lambda envelope: envelope.kind)
+@pytest.mark.parametrize("other", [None, [], [1], {}, [[1.0]]], ids=repr)
+def test_a_scalar_of_another_type_is_refused_in_what_a_message_holds_too(envelope, other) -> None:
+    whole = json.loads(encode(envelope, TEAM))
+    for path in scalars(whole["body"]):
+        record = copy.deepcopy(whole)
+        part = record["body"]
+        for name in path[:-1]:
+            part = part[name]
+        part[path[-1]] = other
+        with pytest.raises(Refused, match="wrong shape"):
+            decode(json.dumps(record).encode(), TEAM)
 
 
 plain = st.recursive(

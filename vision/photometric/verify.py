@@ -89,6 +89,11 @@ SHARP_BLUR_CELLS, STRONG_BLUR_CELLS = 0.15, 0.25
 reciprocal. Derived: processing acts within a pixel or two of edges, and leaves little of what is blurred over
 more. Measured: no marker on the photographs is lost at these values."""
 
+MAX_PROCESSED_NOISE = 0.03
+"""Noise of an image, as a share of a weak code's contrast, beyond which nothing is allowed for what the model
+lacks: such an image was hardly processed, and its noise hides what would tell a marker from clutter.
+Measured: at most 0.009 for 1066 markers of weak codes on photographs."""
+
 WRONG_BITS_PER_DISTANCE = 0.3
 """Besides, a fit may leave no more than this many wrong bits for each bit by which two markers of its
 dictionary differ at least. Measured: of the same markers 99.5 % leave less than 0.3; of dark squares that
@@ -200,6 +205,8 @@ def _residuals_are_small(
     few_bits = np.sqrt(WRONG_BITS_PER_DISTANCE * distance) * wrong.pixels
     model = np.minimum(share * fits.contrasts, few_bits)
     cell_noises = noise / (wrong.means * wrong.cells_px)
+    if distance < STRONG_DISTANCE:
+        model = np.where(noise > MAX_PROCESSED_NOISE * fits.contrasts, 0.0, model)
     noise *= STRONG_NOISE_FACTOR if distance >= STRONG_DISTANCE else NOISE_FACTOR
     small = fits.noise_stds <= np.maximum(noise, model)
     if distance < STRONG_DISTANCE:

@@ -14,6 +14,7 @@ OPTIONS = orjson.OPT_SERIALIZE_NUMPY | orjson.OPT_NON_STR_KEYS | orjson.OPT_PASS
 """How orjson writes: NumPy arrays as lists, keys that are no strings as strings, dataclasses by `_plain`."""
 
 _TYPES = {int: "integer", float: "number", bool: "boolean", str: "string"}
+_ACCEPTED: dict[type, tuple[type, ...]] = {int: (int,), float: (float, int), bool: (bool,), str: (str,)}
 
 
 def to_json(value: Any) -> bytes:
@@ -45,17 +46,26 @@ def from_plain(kind: type[T], record: Mapping[str, Any], **made: Any) -> T:
         **made: fields that are given here as they are, such as nested dataclasses.
 
     Raises:
-        TypeError: the record lacks a field without a default.
+        TypeError: the record lacks a field without a default, or one that is declared as `int`, `float`,
+            `bool` or `str` is of another type.
     """
     values = {}
     for field in fields(kind):  # type: ignore[arg-type]
         if field.name not in made and field.name not in record:
             continue
         value = made.get(field.name, record.get(field.name))
-        if isinstance(value, list):
+        if field.type in _ACCEPTED:
+            _check_scalar(value, field.type, f"{kind.__name__}.{field.name}")
+        elif isinstance(value, list):
             value = _array(value)
         values[field.name] = value
     return kind(**values)
+
+
+def _check_scalar(value: Any, kind: Any, where: str) -> None:
+    is_other_bool = isinstance(value, bool) and kind is not bool
+    if is_other_bool or not isinstance(value, _ACCEPTED[kind]):
+        raise TypeError(f"{where}: {type(value).__name__}, expected {_TYPES[kind]}")
 
 
 def _array(value: list[Any]) -> np.ndarray:

@@ -162,6 +162,8 @@ def seen(**changes):
         ("sides_px", [-1]),
         ("covariances", np.full((1, 3, 3), NAN)),
         ("image_size_px", [800]),
+        ("image_size_px", [800, 0]),
+        ("image_size_px", [-800, 600]),
     ],
 )
 def test_detections_of_nonsense_are_refused(name, value):
@@ -170,13 +172,21 @@ def test_detections_of_nonsense_are_refused(name, value):
         seen(**{name: value})
 
 
+REPORT = {"unit_id": 0, "image_size_px": [800, 600], "ids": [], "points_px": [], "controlled_ids": []}
+
+
+@pytest.mark.parametrize("size_px", [[800, 0], [0.5, 600]])
+def test_a_report_is_of_an_image_with_pixels(size_px):
+    with pytest.raises(SkyherdError, match=r"UnitReport.image_size_px: .*, expected 1 or more"):
+        UnitReport(time_s=0.0, secure_ids=[], **REPORT | {"image_size_px": size_px})
+
+
 def test_messages_have_a_time():
-    report = {"unit_id": 0, "image_size_px": [800, 600], "ids": [], "points_px": [], "controlled_ids": []}
     goals = {"unit_id": 0, "ids": [], "rho_px": [], "bearings_rad": [], "sides_px": []}
     near = {"unit_id": 0, "horizon_sides": 8.0, "ids": [], "robot_ids": [], "other_ids": []}
     near |= {"distances_sides": [], "bearings_rad": [], "reaches_sides": [], "shares": []}
     for make in (
-        lambda time_s: UnitReport(time_s=time_s, secure_ids=[], **report),
+        lambda time_s: UnitReport(time_s=time_s, secure_ids=[], **REPORT),
         lambda time_s: MotionGoals(
             time_s=time_s, neighbor_ids=np.zeros((0, 3)), neighbor_distances_px=np.zeros((0, 3)), **goals
         ),

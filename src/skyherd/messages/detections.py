@@ -9,7 +9,7 @@ import numpy.typing as npt
 from skyherd.errors import MessageError
 from skyherd.geometry import Array, BoolArray, IntArray
 from skyherd.messages.checks import check_time
-from skyherd.messages.frozen_arrays import freeze, freeze_ids
+from skyherd.messages.frozen_arrays import freeze, freeze_ids, freeze_image_size
 from skyherd.messages.ids import among
 
 
@@ -50,7 +50,7 @@ class Detections:
     def __post_init__(self) -> None:
         check_time(self)
         n = freeze_ids(self, "ids", repeats=True)
-        freeze(self, "image_size_px", (2,))
+        freeze_image_size(self)
         freeze(self, "centers_px", (n, 2))
         freeze(self, "headings_rad", (n,))
         freeze(self, "sides_px", (n,))

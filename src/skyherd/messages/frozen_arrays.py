@@ -68,3 +68,17 @@ def freeze_ids(owner: object, name: str, *, repeats: bool = False) -> int:
     if (ids < 0).any():
         raise MessageError(f"{type(owner).__name__}.{name}: negative id in {shown(ids.tolist())}")
     return int(ids.size)
+
+
+def freeze_image_size(owner: object) -> None:
+    """Freeze the field `image_size_px`, (2,) width and height, as `freeze` does.
+
+    Raises:
+        MessageError: a number is below 1, or `freeze` refuses the field.
+    """
+    freeze(owner, "image_size_px", (2,))
+    size_px = owner.image_size_px  # type: ignore[attr-defined]
+    if not (size_px >= 1).all():
+        raise MessageError(
+            f"{type(owner).__name__}.image_size_px: {shown(size_px.tolist())}, expected 1 or more"
+        )

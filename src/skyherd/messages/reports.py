@@ -10,7 +10,7 @@ import numpy.typing as npt
 from skyherd.geometry import Array, IntArray
 from skyherd.messages.checks import check_time
 from skyherd.messages.detections import centred
-from skyherd.messages.frozen_arrays import freeze, freeze_ids
+from skyherd.messages.frozen_arrays import freeze, freeze_ids, freeze_image_size
 from skyherd.messages.role_map import RoleMap
 from skyherd.messages.tree_status import TreeStatus
 
@@ -52,7 +52,7 @@ class UnitReport:
     def __post_init__(self) -> None:
         check_time(self)
         n = freeze_ids(self, "ids")
-        freeze(self, "image_size_px", (2,))
+        freeze_image_size(self)
         freeze(self, "points_px", (n, 2))
         freeze_ids(self, "controlled_ids")
         freeze_ids(self, "secure_ids")

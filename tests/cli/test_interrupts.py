@@ -54,7 +54,7 @@ def test_a_signal_that_was_ignored_stays_ignored():
     ("verb", "target", "said"),
     [
         (["scenario", "check", "star"], "skyherd.datasets.load_mission", "nothing is left of it"),
-        (["run", "star"], "skyherd.runner.run_mission", "skyherd report DIR"),
+        (["run", "star"], "skyherd.runner.run_mission", "nothing is left of it"),
         (["detect", "a.png"], "skyherd.inspection.Inspector.inspect", "nothing is left of it"),
         (["dataset", "make", "small"], "skyherd.datasets.labelled.make.make_dataset", "goes on from here"),
         (["study", "noise", "--quick"], "skyherd.study.conduct.conduct", "goes on from here"),
@@ -89,9 +89,19 @@ def test_an_interrupted_run_leaves_its_recording_and_no_part(tmp_path, monkeypat
     monkeypatch.setattr(McapRecorder, "write", stop)
     out = tmp_path / "out"
     code, _, err = call(capsys, "run", "triangle", "--out", out, "--perception", "ideal")
-    assert code == 130 and "skyherd report DIR" in err
+    assert (code, err) == (
+        130,
+        f"error: interrupted; what was recorded can be seen with `skyherd report {out}`\n",
+    )
     assert sorted(path.name for path in out.iterdir()) == [".skyherd.json", "run.mcap"]
     assert len(read_recording(out / "run.mcap").steps) == 3
+
+
+def test_of_a_run_that_is_interrupted_before_its_first_step_nothing_is_left(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(McapRecorder, "write", raising(KeyboardInterrupt()))
+    code, _, err = call(capsys, "run", "triangle", "--out", tmp_path / "out", "--perception", "ideal")
+    assert (code, err) == (130, "error: interrupted; nothing is left of it\n")
+    assert not list(tmp_path.iterdir())
 
 
 def test_sigterm_in_another_process_tidies_up(tmp_path):

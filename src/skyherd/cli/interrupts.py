@@ -6,7 +6,7 @@ as after an error. A verb says in `telling_of_interrupts` what is left, and `sky
 
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 
@@ -50,12 +50,17 @@ def _raise(number: int, frame: FrameType | None) -> None:
 
 
 @contextmanager
-def telling_of_interrupts(what_is_left: str) -> Iterator[None]:
-    """Turn an interrupt of the body into Interrupted, with what is left in words."""
+def telling_of_interrupts(what_is_left: str | Callable[[], str]) -> Iterator[None]:
+    """Turn an interrupt of the body into Interrupted, with what is left in words.
+
+    Args:
+        what_is_left: the words, or a function that looks for what there is and returns them.
+    """
     try:
         yield
     except KeyboardInterrupt as error:
-        raise Interrupted(what_is_left, *error.args) from None
+        words = what_is_left if isinstance(what_is_left, str) else what_is_left()
+        raise Interrupted(words, *error.args) from None
 
 
 def describe(error: BaseException) -> tuple[str, int]:

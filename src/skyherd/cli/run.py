@@ -7,7 +7,7 @@ import typer
 
 from skyherd.cli.choices import complete_perception, complete_scenario
 from skyherd.cli.console import ProgressReporter, say, warn
-from skyherd.cli.interrupts import telling_of_interrupts
+from skyherd.cli.interrupts import NOTHING_LEFT, telling_of_interrupts
 
 if TYPE_CHECKING:
     from skyherd.datasets import Mission
@@ -51,7 +51,7 @@ def run(
     folder = out_dir or Path("runs") / mission.scenario.name
     _warn_of_slow_cameras(mission)
     with (
-        telling_of_interrupts("what was recorded can be seen with `skyherd report DIR`"),
+        telling_of_interrupts(lambda: _what_is_left(folder)),
         ProgressReporter() as progress,
     ):
         summary = run_mission(
@@ -65,6 +65,15 @@ def run(
         )
     _say_result(summary, folder)
     return 0 if summary["converged"] else 1
+
+
+def _what_is_left(folder: Path) -> str:
+    """Of an interrupted run; before its first step it has removed what it had made."""
+    from skyherd.runner import RECORDING
+
+    if not (folder / RECORDING).exists():
+        return NOTHING_LEFT
+    return f"what was recorded can be seen with `skyherd report {folder}`"
 
 
 def _warn_of_slow_cameras(mission: "Mission") -> None:

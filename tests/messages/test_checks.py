@@ -197,6 +197,14 @@ def test_messages_have_a_time():
             make(NAN)
 
 
+@pytest.mark.parametrize("flag", ["corrected", "inverted", "repeats"])
+@pytest.mark.parametrize("value", [np.zeros(0), np.ones(2), None, "no", 1], ids=repr)
+def test_a_detector_s_flags_are_true_or_false(flag, value):
+    assert create_detector("photometric", **{flag: np.True_})
+    with pytest.raises(SkyherdError, match=f"create_detector: {flag}: .*; True or False"):
+        create_detector("photometric", **{flag: value})
+
+
 @pytest.mark.parametrize(
     "image", [None, 3, "image.png", [[1, 2]], np.zeros((3, 3)), np.zeros((3, 3, 3), np.uint8)]
 )

@@ -14,6 +14,7 @@ import numpy as np
 from skyherd.errors import InputError, SkyherdError
 from skyherd.markers.dictionary import with_border
 from skyherd.messages import Detections
+from skyherd.messages.checks import check_flags
 from skyherd.plugins import import_factory
 from skyherd.vision.detectors.opencv_tuned import ArucoDetector
 from skyherd.vision.detectors.peers import PeerDetector, peer_names
@@ -140,6 +141,7 @@ def create_detector(
             read by it, its library is not installed; or `module:factory` lacks a part, cannot be imported,
             has no such attribute, is not callable, fails, or returns something without a method `detect`.
     """
+    check_flags("create_detector", corrected=corrected, inverted=inverted, repeats=repeats)
     dictionary = with_border(dictionary, border_bits)
     detector = _create_plain(name, dictionary, corrected=corrected, repeats=repeats)
     return InvertedDetector(detector) if inverted else detector

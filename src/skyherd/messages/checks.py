@@ -65,6 +65,21 @@ def _is_number(value: object) -> bool:
         return False
 
 
+def check_flags(where: str, **flags: object) -> None:
+    """Check arguments that are true or false: the truth of anything else may be another than was meant.
+
+    Args:
+        where: what they are given to.
+        **flags: by name.
+
+    Raises:
+        InputError: one is neither True nor False.
+    """
+    for name, value in flags.items():
+        if not isinstance(value, bool | np.bool_):
+            raise InputError(f"{where}: {name}", shown(value), "True or False")
+
+
 def check_ids(ids: npt.ArrayLike, where: str) -> IntArray:
     """Ids as an array of integers, as they are given.
 

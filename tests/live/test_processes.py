@@ -2,7 +2,6 @@
 
 import os
 import signal
-import socket
 import subprocess
 import sys
 import threading
@@ -11,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from live_processes import PATIENCE_S, free_port, wait_for
 
 from skyherd.errors import InputError
 from skyherd.live.cameras import open_camera
@@ -18,21 +18,6 @@ from skyherd.live.lab import LabRadio, lab_text
 from skyherd.live.replay import read_diary, replay
 from skyherd.live.supervisor import Child, Supervisor
 from skyherd.live.world_process import CameraStream
-
-PATIENCE_S = 120.0
-
-
-def free_port() -> int:
-    with socket.socket() as there:
-        there.bind(("127.0.0.1", 0))
-        return int(there.getsockname()[1])
-
-
-def wait_for(holds, what: str) -> None:
-    end_s = time.monotonic() + PATIENCE_S
-    while not holds():
-        assert time.monotonic() < end_s, what
-        time.sleep(0.05)
 
 
 def test_zenoh_is_named_where_it_is_missing(monkeypatch, tmp_path) -> None:

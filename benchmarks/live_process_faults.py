@@ -1,0 +1,384 @@
+"""What a live team of real processes does when things go wrong, judged at the wheels of its world.
+
+    python benchmarks/live_process_faults.py --times 10 --json faults.json --table faults.md
+
+`skyherd world triangle` and `skyherd live run --arm` run as they do for users: processes, Zenoh on loopback,
+an H.264 stream over TCP, which passes through a relay in this process that can cut it or hold it back. Each
+run lasts half a minute to a minute of real time; the fault hits a few seconds after the robots began to
+drive. `benchmarks/live_faults.py` has the faults that need a radio or a clock that can be bent: those run in
+memory.
+
+Columns: `longest blind s` is the longest time that any wheel turned after the newest image that its robot had
+a goal from, by the world's own record of the wheels and the robots' recordings; it may reach
+`goal_timeout_s`, a period, and half a second of the wheels' keep-alive where a process was killed. `formed`:
+runs whose shape error was below 2 % at the end. `lost s`: the longest stretch at the end of a killed
+process's recording that is missing. `left`: processes that were still there after the end.
+"""
+
+import argparse
+import json
+import os
+import resource
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from skyherd.files.atomic import write_text
+from skyherd.live.lab import LabRadio, lab_text, load_lab
+from skyherd.live.replay import read_diary, replay
+from skyherd.live.wire import MOST_BYTES
+
+SKYHERD = [sys.executable, "-m", "skyherd"]
+TIMES = 10
+DRIVE_S, FAULT_S, AFTER_S = 60.0, 3.0, 20.0
+"""Longest wait until all robots drive; from then on to the fault, and from the fault to the end, s."""
+
+GAINS = ["--set", "control.k=0.3", "--set", "control.k_omega=1.2"]
+"""Three times those of the example, so that a run takes half a minute."""
+
+KEEP_ALIVE_S = 0.5
+"""Of the world's wheels (`skyherd.live.world_process.HOLD_S`)."""
+
+FORMED = 0.02
+STALL_S = 3.0
+DISK_BYTES = 600_000
+"""Size that no file may exceed in the fault of the full disk: a few seconds of a recording."""
+
+
+class Relay:
+    """Passes a camera's stream on, from one port to another, and can cut it or hold it back."""
+
+    def __init__(self, port: int) -> None:
+        self._port, self._held, self._links = port, threading.Event(), []
+        self._held.set()
+        self._socket = socket.create_server(("127.0.0.1", 0))
+        self.port = int(self._socket.getsockname()[1])
+        threading.Thread(target=self._accept, daemon=True).start()
+
+    def cut(self) -> None:
+        """End all connections, as a camera that is switched off does."""
+        for link in self._links:
+            with suppress(OSError):
+                link.shutdown(socket.SHUT_RDWR)
+
+    def hold(self) -> None:
+        """Pass nothing on until `release`, which then passes on what is old."""
+        self._held.clear()
+
+    def release(self) -> None:
+        """Pass on what was held back, and all that follows."""
+        self._held.set()
+
+    def close(self) -> None:
+        """End everything."""
+        self.release()
+        self.cut()
+        self._socket.close()
+
+    def _accept(self) -> None:
+        with suppress(OSError):
+            while True:
+                viewer, _ = self._socket.accept()
+                threading.Thread(target=self._pass, args=[viewer], daemon=True).start()
+
+    def _pass(self, viewer: socket.socket) -> None:
+        with viewer, suppress(OSError), socket.create_connection(("127.0.0.1", self._port)) as camera:
+            self._links = [viewer, camera]
+            while data := camera.recv(1 << 16):
+                self._held.wait()
+                viewer.sendall(data)
+
+
+@dataclass
+class Team:
+    """A world and a live team that run.
+
+    Attributes:
+        folder: of all that is recorded.
+        lab_file: the set-up.
+        world: the world's process.
+        session: `skyherd live run`.
+        relay: of the camera's stream.
+        radio: where the team's radio listens.
+        killed: by name of a process's recording, when it was killed, s since 1970.
+    """
+
+    folder: Path
+    lab_file: Path
+    world: "subprocess.Popen[bytes]"
+    session: "subprocess.Popen[bytes]"
+    relay: Relay
+    radio: str
+    killed: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def log(self) -> str:
+        """What all processes have said."""
+        path = self.folder / "run" / "live.log"
+        return path.read_text(encoding="utf-8") if path.exists() else ""
+
+    def processes(self) -> dict[str, int]:
+        """Process numbers by name, such as `robot/3`, of all units and robots that run."""
+        found = {}
+        for path in Path("/proc").glob("[0-9]*/cmdline"):
+            with suppress(OSError):
+                parts = path.read_bytes().decode(errors="replace").split("\0")
+                if str(self.lab_file) in parts and parts[3] in ("unit", "robot"):
+                    found[f"{parts[3]}/{parts[5]}"] = int(path.parent.name)
+        return found
+
+    def kill(self, name: str) -> None:
+        """End a process at once."""
+        os.kill(self.processes()[name], signal.SIGKILL)
+        self.killed[name.replace("/", "_")] = time.time()
+
+
+Fault = Callable[[Team, np.random.Generator], None]
+
+
+def nothing(team: Team, rng: np.random.Generator) -> None:
+    """Nothing goes wrong."""
+
+
+def unit_killed(team: Team, rng: np.random.Generator) -> None:
+    """SIGKILL of the unit; the supervisor starts it again."""
+    team.kill("unit/0")
+
+
+def robot_killed(team: Team, rng: np.random.Generator) -> None:
+    """SIGKILL of a robot; it is started again, and stays disarmed."""
+    team.kill(f"robot/{rng.integers(6)}")
+
+
+def stream_cut(team: Team, rng: np.random.Generator) -> None:
+    """The camera's connection ends; the unit connects again."""
+    team.relay.cut()
+
+
+def stream_stalls(team: Team, rng: np.random.Generator) -> None:
+    """Nothing comes for a while, and then all at once what was held back: old pictures."""
+    team.relay.hold()
+    time.sleep(STALL_S)
+    team.relay.release()
+
+
+def unit_sleeps(team: Team, rng: np.random.Generator) -> None:
+    """SIGSTOP and SIGCONT of the unit."""
+    _sleep(team.processes()["unit/0"])
+
+
+def robot_sleeps(team: Team, rng: np.random.Generator) -> None:
+    """SIGSTOP and SIGCONT of a robot."""
+    _sleep(team.processes()[f"robot/{rng.integers(6)}"])
+
+
+def _sleep(process: int) -> None:
+    os.kill(process, signal.SIGSTOP)
+    time.sleep(STALL_S)
+    os.kill(process, signal.SIGCONT)
+
+
+def supervisor_killed(team: Team, rng: np.random.Generator) -> None:
+    """SIGKILL of `skyherd live run`: what it started ends by itself."""
+    team.session.kill()
+
+
+def garbage(team: Team, rng: np.random.Generator) -> None:
+    """Ten seconds of bytes that are no messages, some of them too many, to every topic."""
+    from skyherd.live.zenoh_radio import ZenohRadio
+
+    radio = ZenohRadio(LabRadio(listen=[team.radio], connect=[team.radio]), team.folder)
+    end_s = time.monotonic() + 10.0
+    while time.monotonic() < end_s:
+        size = 2 * MOST_BYTES if rng.random() < 0.01 else int(rng.integers(200))
+        for topic in ("goals/unit/0", "sighting/unit/0", "beat/unit/0", "report/unit/1", "arm/x", "stop/x"):
+            radio.publish(f"skyherd/triangle/{topic}", rng.bytes(size))
+        time.sleep(0.02)
+    radio.close()
+
+
+FAULTS: dict[str, Fault] = {
+    "none": nothing,
+    "unit killed": unit_killed,
+    "robot killed": robot_killed,
+    "stream cut": stream_cut,
+    "stream stalls 3 s, then old pictures": stream_stalls,
+    "unit sleeps 3 s": unit_sleeps,
+    "robot sleeps 3 s": robot_sleeps,
+    "supervisor killed": supervisor_killed,
+    "garbage": garbage,
+    "disk full": nothing,
+}
+
+
+def run(fault: str, seed: int, folder: Path) -> dict[str, Any]:
+    """One run with one fault, as a row."""
+    rng = np.random.default_rng([seed, 21])
+    team = _start(folder, seed, full=fault == "disk full")
+    try:
+        end_s = time.monotonic() + DRIVE_S
+        while team.log.count("driving") < 6 and time.monotonic() < end_s:
+            time.sleep(0.1)
+        drives = team.log.count("driving") >= 6
+        time.sleep(FAULT_S + rng.uniform(0, 1))
+        FAULTS[fault](team, rng)
+        time.sleep(AFTER_S)
+        if fault == "robot killed":
+            subprocess.run([*SKYHERD, "live", "arm", str(team.lab_file)], capture_output=True, check=False)
+            time.sleep(AFTER_S / 2)
+        team.session.terminate()
+        with suppress(subprocess.TimeoutExpired):
+            team.session.wait(30)
+        left = sorted(team.processes())
+    finally:
+        for process in (team.session, team.world):
+            process.terminate()
+            with suppress(subprocess.TimeoutExpired):
+                process.wait(15)
+            process.kill()
+        for process_id in team.processes().values():
+            os.kill(process_id, signal.SIGKILL)
+        team.relay.close()
+    return {"fault": fault, "seed": seed, "drives": drives, "left": left, **_judge(team)}
+
+
+def _start(folder: Path, seed: int, *, full: bool) -> Team:
+    """Start a world and its team, armed."""
+    radio, camera = f"tcp/127.0.0.1:{_free_port()}", _free_port()
+    relay = Relay(camera)
+    lab_file = folder / "lab.toml"
+    text = lab_text("triangle").replace("tcp://127.0.0.1:7461", f"tcp://127.0.0.1:{relay.port}")
+    write_text(lab_file, f'{text}\n[radio]\nlisten = ["{radio}"]\nconnect = ["{radio}"]\n')
+    world = [
+        *(*SKYHERD, "world", "triangle", "--lab", str(lab_file), "--port", str(camera)),
+        *("--record", str(folder / "world.mcap"), "--set", f"seed={seed}", "--set", "duration_s=200"),
+        *("--set", "units.0.frame_rate_hz=5"),
+    ]
+    session = [*SKYHERD, "live", "run", str(lab_file), "--arm", "--out", str(folder / "run"), *GAINS]
+    return Team(
+        folder,
+        lab_file,
+        subprocess.Popen(world, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL),
+        subprocess.Popen(
+            session,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            preexec_fn=_limit_files if full else None,
+        ),
+        relay,
+        radio,
+    )
+
+
+def _limit_files() -> None:
+    """Let writing fail beyond a size, as on a disk that is full."""
+    resource.setrlimit(resource.RLIMIT_FSIZE, (DISK_BYTES, DISK_BYTES))
+
+
+def _free_port() -> int:
+    with socket.socket() as there:
+        there.bind(("127.0.0.1", 0))
+        return int(there.getsockname()[1])
+
+
+def _judge(team: Team) -> dict[str, Any]:
+    """What the world and the processes have recorded."""
+    limits = load_lab(str(team.lab_file), []).model.limits
+    truth = [record for topic, record in read_diary(team.folder / "world.mcap") if topic == "/truth"]
+    blind_s, lost_s = 0.0, 0.0
+    robots = range(len(truth[0]["v_mps"]))
+    for robot in robots:
+        imaged = []
+        for path in sorted((team.folder / "run").glob(f"robot_{robot}*.mcap")):
+            for topic, record in read_diary(path):
+                if topic == "/decide" and record["image_age_s"] is not None:
+                    imaged.append((record["now_s"], record["now_s"] - record["image_age_s"]))
+        if not imaged:
+            continue
+        decided_s, image_s = np.array(sorted(imaged)).T
+        for step in truth:
+            if step["v_mps"][robot] or step["omega_radps"][robot]:
+                known = np.searchsorted(decided_s, step["now_s"], side="right")
+                if known:
+                    blind_s = max(blind_s, step["now_s"] - image_s[:known].max())
+    different, unread = 0, []
+    for path in sorted((team.folder / "run").glob("*.mcap")):
+        replayed = replay(path)
+        different += replayed.different
+        if path.stem in team.killed:
+            last_s = max(record["now_s"] for _, record in read_diary(path) if "now_s" in record)
+            lost_s = max(lost_s, team.killed[path.stem] - last_s)
+        elif not replayed.ended:
+            unread.append(path.stem)
+    limit_s = limits.goal_timeout_s + limits.period_s + KEEP_ALIVE_S
+    told = {" ".join(line.split()[2:]) for line in team.log.splitlines()}
+    return {
+        "blind_s": float(blind_s),
+        "exceeded": bool(blind_s > limit_s),
+        "error": truth[-1]["shape_error"],
+        "formed": truth[-1]["shape_error"] < FORMED,
+        "different": different,
+        "unfinished": unread,
+        "lost_s": float(lost_s),
+        "killed_at_end": team.log.count("was killed"),
+        "told": sorted(told),
+    }
+
+
+def table(rows: list[dict[str, Any]]) -> str:
+    """Markdown: a line a fault."""
+    lines = [
+        "| fault | runs | longest blind, s | moved off | formed | lost, s | replayed otherwise | left |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for fault in FAULTS:
+        here = [row for row in rows if row["fault"] == fault]
+        if here:
+            lines.append(
+                f"| {fault} | {len(here)} | {max(row['blind_s'] for row in here):.2f} "
+                f"| {sum(row['exceeded'] for row in here)} | {sum(row['formed'] for row in here)} "
+                f"| {max(row['lost_s'] for row in here):.2f} | {sum(row['different'] for row in here)} "
+                f"| {sum(len(row['left']) for row in here)} |"
+            )
+    return "\n".join(lines) + "\n"
+
+
+def main() -> None:
+    """All faults, ten times each."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--json", type=Path)
+    parser.add_argument("--table", type=Path)
+    parser.add_argument("--times", type=int, default=TIMES)
+    parser.add_argument("--fault", choices=[*FAULTS], help="this one alone")
+    parser.add_argument("--keep", type=Path, help="folder to keep recordings in")
+    options = parser.parse_args()
+    rows: list[dict[str, Any]] = []
+    for seed in range(options.times):
+        for fault in [options.fault] if options.fault else FAULTS:
+            with tempfile.TemporaryDirectory() as folder:
+                rows.append(run(fault, seed, Path(folder)))
+                if options.keep:
+                    kept = options.keep / f"{fault.replace(' ', '-')}-{seed}"
+                    shutil.copytree(folder, kept, dirs_exist_ok=True)
+            print(json.dumps(rows[-1]), flush=True)
+            if options.json:
+                write_text(options.json, json.dumps(rows, indent=1) + "\n")
+    if options.table:
+        write_text(options.table, table(rows))
+    print(table(rows))
+
+
+if __name__ == "__main__":
+    main()

@@ -2,12 +2,13 @@
 
 Every input is there in the order in which it came, so that `skyherd.live.replay` decides anew from it:
 
-    /about       first, and once more: who it is, the lab as it was checked, and the versions
+    /about       first, and once more: who it is, the lab as it was checked, the versions, and the topics
     /heard       a message: its envelope, and when it arrived
     /detections  of a unit: the markers found in an image, and when the unit looked at them
     /beat        when it gave a sign of life, and what it said
-    /decide      of a robot: when it decided, and its order to the wheels
+    /decide      of a robot: when it decided, its order to the wheels, and whether it was armed
     /sent        of a unit: what it sent on an image
+    /view        of a unit: the image as it decided on it, with the goals in it and the shape error
     /stages      of a unit: when an image was taken, came in, was searched and was decided on
     /tell        a line for people
     /end         the process ended as it should
@@ -22,6 +23,7 @@ from typing import Any, Self
 
 from skyherd.live.lab import Lab
 from skyherd.live.radio import Arrival
+from skyherd.live.view import View
 from skyherd.messages import Detections
 from skyherd.recording.mcap_log import CHUNK_BYTES, McapLog, Schema
 from skyherd.version import __version__
@@ -33,16 +35,18 @@ OBJECT: dict[str, Any] = {"type": "object"}
 
 TOPICS: Mapping[str, Schema] = {
     "/about": ("skyherd.About", OBJECT),
+    "/end": ("skyherd.End", OBJECT),
     "/heard": ("skyherd.Heard", OBJECT),
     "/detections": ("skyherd.Seen", OBJECT),
     "/beat": ("skyherd.Beating", OBJECT),
     "/decide": ("skyherd.Decided", OBJECT),
     "/sent": ("skyherd.Sent", OBJECT),
+    "/view": ("skyherd.View", View),
     "/stages": ("skyherd.Stages", OBJECT),
     "/tell": ("skyherd.Told", OBJECT),
-    "/end": ("skyherd.End", OBJECT),
 }
-"""Topics of a process, and their schemas."""
+"""Topics of a process, and their schemas; the first two are those by which `skyherd.recording.survey` knows
+the beginning and the end of a recording."""
 
 
 class Diary:
@@ -93,8 +97,8 @@ class Diary:
         self._put("/detections", now_s, {"now_s": now_s, "detections": detections})
 
     def put(self, topic: str, now_s: float, record: Any) -> None:
-        """Keep something else of `TOPICS`."""
-        self._put(topic, now_s, {"now_s": now_s} | record)
+        """Keep something else of `TOPICS`: a view, or an object, which gets the time as `now_s`."""
+        self._put(topic, now_s, {"now_s": now_s} | record if isinstance(record, dict) else record)
 
     def _put(self, topic: str, now_s: float, record: Any) -> None:
         if self._log is None:

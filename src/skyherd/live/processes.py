@@ -16,6 +16,7 @@ from skyherd.live.lab import Lab
 from skyherd.live.live_clock import LiveClock
 from skyherd.live.radio import Post, Radio
 from skyherd.live.robot_core import Order
+from skyherd.live.view import view_of
 from skyherd.live.wire import Wheels
 from skyherd.messages import FlightCommand, VelocityCommand
 from skyherd.vision import create_detector
@@ -127,7 +128,8 @@ def run_robot(station: Station, robot_id: int, *, dry_run: bool = False) -> None
             driver.send(
                 VelocityCommand(np.array([robot_id]), np.array([order.v_mps]), np.array([order.omega_radps]))
             )
-            diary.put("/decide", now_s, {"order": order, "image_age_s": core.image_age_s(now_s)})
+            news = {"order": order, "armed": core.armed, "image_age_s": core.image_age_s(now_s)}
+            diary.put("/decide", now_s, news)
             told.say(_line(core.name, order, driver.trouble or diary.trouble))
             if now_s - beat_s >= BEAT_S or now_s < beat_s:
                 beat_s = now_s
@@ -193,6 +195,7 @@ def run_unit(station: Station, unit: int, *, address: str | None = None, dry_run
                     diary.put("/sent", sent_s, {"messages": None if news is None else news.messages})
                     if news is not None:
                         fly(news.decision.flight)
+                        diary.put("/view", sent_s, view_of(news.decision, lab.template))
                     stages = {
                         "captured_s": frame.captured_s,
                         "arrived_s": frame.arrived_s,

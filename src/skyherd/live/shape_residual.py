@@ -1,0 +1,34 @@
+"""How far robots are from a shape, of all that an image alone can tell: a similarity is free."""
+
+import numpy as np
+
+from skyherd.control import Template
+from skyherd.errors import DegenerateSetError
+from skyherd.geometry import ComplexArray, IntArray
+from skyherd.messages import among
+from skyherd.sim.truth_metrics import fit_shape
+
+LEAST_ROBOTS = 3
+"""Robots of a shape that an image has to show for an error. *Derived*: two points always fit any shape."""
+
+
+def shape_residual(template: Template, ids: IntArray, points: ComplexArray) -> tuple[float, int]:
+    """How far robots are from a shape, and how many of the shape's they are.
+
+    Args:
+        template: the shape.
+        ids: (N,) markers that were seen; those that are not of the shape are left out.
+        points: (N,) where they are on the ground, `u + iv` in the template's sense of rotation, in any unit.
+
+    Returns:
+        RMS distance to the best-fitting similarity of the shape over the RMS radius of its robots that were
+        seen, NaN of fewer than three; and the number of these.
+    """
+    keep = among(ids, template.members)
+    count = int(keep.sum())
+    if count < LEAST_ROBOTS:
+        return np.nan, count
+    try:
+        return fit_shape(template.points_of(ids[keep]), points[keep]).error, count
+    except DegenerateSetError:
+        return np.nan, count

@@ -140,7 +140,7 @@ class Script:
         )
         diary.saw(detections, found_s)
         diary.put("/sent", sent_s, {"messages": None})
-        diary.put("/view", sent_s, View(captured_s, ids, centers + 5, 0.5 * 0.9**image, ids.size))
+        diary.keep("/view", sent_s, View(captured_s, ids, centers + 5, 0.5 * 0.9**image, ids.size))
         stages = {
             "captured_s": captured_s,
             "arrived_s": arrived_s,

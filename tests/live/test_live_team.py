@@ -92,7 +92,7 @@ def test_a_replay_notices_a_message_that_was_changed(faults, tmp_path, monkeypat
     team = team_of(faults)
     diaries = recorded(team, tmp_path)
     diary = diaries["robot/3"]
-    put = Diary._put
+    put = Diary.keep
     heard = []
 
     def put_changed(self, topic, now_s, record):
@@ -102,7 +102,7 @@ def test_a_replay_notices_a_message_that_was_changed(faults, tmp_path, monkeypat
                 record = record | {"received_s": record["received_s"] + 5.0}
         put(self, topic, now_s, record)
 
-    monkeypatch.setattr(Diary, "_put", put_changed)
+    monkeypatch.setattr(Diary, "keep", put_changed)
     for _ in range(45):
         team.step()
     for kept in diaries.values():

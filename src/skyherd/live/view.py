@@ -10,7 +10,7 @@ import numpy as np
 from skyherd.analysis.goal_points import desired_points_px
 from skyherd.control import Decision, Template
 from skyherd.geometry import Array, IntArray, to_complex
-from skyherd.live.shape_residual import shape_residual
+from skyherd.live.ground import shape_residual
 
 
 @dataclass(frozen=True)

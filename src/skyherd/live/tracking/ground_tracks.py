@@ -12,7 +12,7 @@ import numpy as np
 
 from skyherd.control import Rectifier, Template
 from skyherd.geometry import Array, IntArray, to_complex
-from skyherd.live.shape_residual import shape_residual
+from skyherd.live.ground import positions_in_sides, shape_residual
 from skyherd.messages import Detections
 
 
@@ -56,9 +56,7 @@ class GroundTracks:
         flat = self._rectifier.rectify(seen)
         if self.members is not None:
             seen, flat = seen.select(self.members), flat.select(self.members)
-        side_px = float(np.median(flat.sides_px)) if len(flat) else 1.0
-        from_center_px = flat.centers_px - (flat.image_size_px - 1) / 2
-        positions = from_center_px * (1, -1) / side_px
+        positions = positions_in_sides(flat)
         self.sightings.append(Sighting(index, found.time_s, seen, positions, -flat.headings_rad))
 
     @property

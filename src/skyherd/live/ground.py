@@ -1,11 +1,11 @@
-"""How far robots are from a shape, of all that an image alone can tell: a similarity is free."""
+"""What a rectified image tells about the ground, which it shows up to a similarity: places, and the shape."""
 
 import numpy as np
 
 from skyherd.control import Template
 from skyherd.errors import DegenerateSetError
-from skyherd.geometry import ComplexArray, IntArray
-from skyherd.messages import among
+from skyherd.geometry import Array, ComplexArray, IntArray
+from skyherd.messages import Detections, among
 from skyherd.sim.truth_metrics import fit_shape
 
 LEAST_ROBOTS = 3
@@ -32,3 +32,14 @@ def shape_residual(template: Template, ids: IntArray, points: ComplexArray) -> t
         return fit_shape(template.points_of(ids[keep]), points[keep]).error, count
     except DegenerateSetError:
         return np.nan, count
+
+
+def positions_in_sides(flat: Detections) -> Array:
+    """Positions (N, 2) on the ground of the markers of a rectified image, in marker sides.
+
+    The median marker's side is the unit of length, x runs along +u and y against +v, and the image's centre
+    is the origin.
+    """
+    side_px = float(np.median(flat.sides_px)) if len(flat) else 1.0
+    from_center_px = flat.centers_px - (flat.image_size_px - 1) / 2
+    return np.asarray(from_center_px * (1, -1) / side_px)

@@ -212,7 +212,7 @@ def run_unit(station: Station, unit: int, *, address: str | None = None, dry_run
                     }
                     _keep_image(diary, detections, news, view, stages)
                 album.show(frame.image, detections, None if news is None else news.decision, view)
-                state = f"{len(detections)} markers"
+                state = _state(detections, view)
             told.say(f"{core.name}: {problem}" if (problem := trouble or core.trouble) else "")
             now_s = clock()
             for topic, record in album.done():
@@ -222,6 +222,13 @@ def run_unit(station: Station, unit: int, *, address: str | None = None, dry_run
                 post.send(core.beat(now_s, problem or diary.trouble or state))
                 diary.put("/beat", now_s, {"refused": post.refusals.counts, "dropped": post.dropped})
         diary.put("/end", clock(), {})
+
+
+def _state(detections: Detections, view: View | None) -> str:
+    """What a unit says of its newest image."""
+    error = np.nan if view is None else view.shape_error
+    known = f", shape error {100 * error:.2g} %" if np.isfinite(error) else ""
+    return f"{len(detections)} markers{known}"
 
 
 def _keep_image(

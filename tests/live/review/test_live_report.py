@@ -86,8 +86,8 @@ def test_a_goal_by_a_clock_that_was_not_compared_is_not_counted(tmp_path) -> Non
 def test_the_summary_counts_what_there_is(script, session) -> None:
     summary = summarize_session(session)
     errors = 0.5 * 0.9 ** np.arange(script.images)
-    last = errors[script.captured_s >= script.captured_s[-1] - 5.0 - 0.1]
-    assert summary["shape_error"]["unit/0"] == pytest.approx(np.median(last), rel=0.1)
+    # Six images are taken in a second, five if its first one was found a little later than the others.
+    assert summary["shape_error"]["unit/0"] in [pytest.approx(np.median(errors[-n:])) for n in (5, 6)]
     assert summary["images"] == 40 and summary["decisions"] == 120
     assert summary["refused"] == 3 and summary["restarts"] == 0
     assert summary["driving_share"] == 1.0

@@ -29,9 +29,9 @@ PAGE, SUMMARY, FIGURES = "report.html", "summary.json", "figures"
 VERB = "report"
 """Verb by which the folder's record knows what was made here."""
 
-END_S = 5.0
+END_S = 1.0
 """The shape error at the end is the median over the images of so many seconds, s. Chosen: single images are
-noisy, and a shape does not change much in it."""
+noisy; in five times that a shape that still forms changes by a quarter."""
 
 MOST_LINES = 300
 """Lines of what processes told that the page shows at most, the first ones. Chosen: some pages of text."""

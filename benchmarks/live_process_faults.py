@@ -36,8 +36,9 @@ from typing import Any
 import numpy as np
 
 from skyherd.files.atomic import write_text
+from skyherd.live.diary_file import read_diary
 from skyherd.live.lab import LabRadio, lab_text, load_lab
-from skyherd.live.replay import read_diary, replay
+from skyherd.live.replay import replay
 from skyherd.live.wire import MOST_BYTES
 
 SKYHERD = [sys.executable, "-m", "skyherd"]

@@ -1,13 +1,16 @@
 """A whole live team in memory, in simulated time: it forms its shape, and faults stop it as they should."""
 
+import re
+
 import numpy as np
 import pytest
 
 from skyherd.errors import InputError
 from skyherd.live.diary import Diary
+from skyherd.live.diary_file import read_diary
 from skyherd.live.lab import load_lab
 from skyherd.live.radio import Post
-from skyherd.live.replay import read_diary, replay
+from skyherd.live.replay import replay
 
 
 @pytest.fixture(scope="module")
@@ -89,7 +92,7 @@ def test_a_replay_notices_a_message_that_was_changed(faults, tmp_path, monkeypat
     team = team_of(faults)
     diaries = recorded(team, tmp_path)
     diary = diaries["robot/3"]
-    put = Diary._put
+    put = Diary.keep
     heard = []
 
     def put_changed(self, topic, now_s, record):
@@ -99,7 +102,7 @@ def test_a_replay_notices_a_message_that_was_changed(faults, tmp_path, monkeypat
                 record = record | {"received_s": record["received_s"] + 5.0}
         put(self, topic, now_s, record)
 
-    monkeypatch.setattr(Diary, "_put", put_changed)
+    monkeypatch.setattr(Diary, "keep", put_changed)
     for _ in range(45):
         team.step()
     for kept in diaries.values():
@@ -163,6 +166,20 @@ def test_a_diary_cut_short_reads_up_to_its_last_chunk(tmp_path) -> None:
     (tmp_path / "cut.mcap").write_bytes(data[:-5])
     lines = [record["line"] for topic, record in read_diary(tmp_path / "cut.mcap") if topic == "/tell"]
     assert lines == [str(step) for step in range(len(lines))] and len(lines) >= 90
+
+
+def test_a_diary_reads_up_to_the_first_record_that_is_missing(tmp_path) -> None:
+    """What comes after it would be decided on with other news than there were."""
+    path = tmp_path / "a.mcap"
+    with Diary(path, "robot/3", load_lab("triangle"), 0.0) as diary:
+        for step in range(100):
+            diary.put("/tell", step * 0.1, {"line": str(step)})
+    data = bytearray(path.read_bytes())
+    chunks = [found.end() for found in re.finditer(b"zstd", data)]
+    data[chunks[8] + 30] ^= 0xFF
+    path.write_bytes(data)
+    lines = [record["line"] for topic, record in read_diary(path) if topic == "/tell"]
+    assert lines == [str(step) for step in range(len(lines))] and 10 < len(lines) < 90
 
 
 @pytest.mark.parametrize("content", [b"", b"no MCAP at all, whatever it is"])

@@ -9,13 +9,16 @@ import time
 from pathlib import Path
 
 import numpy as np
+import orjson
 import pytest
 from live_processes import PATIENCE_S, free_port, wait_for
+from mcap.reader import make_reader
 
 from skyherd.errors import InputError
 from skyherd.live.cameras import open_camera
 from skyherd.live.lab import LabRadio, lab_text
-from skyherd.live.replay import read_diary, replay
+from skyherd.live.replay import replay
+from skyherd.live.review import make_live_report
 from skyherd.live.supervisor import Child, Supervisor
 from skyherd.live.world_process import CameraStream
 
@@ -239,7 +242,12 @@ def test_world_and_team_as_processes(tmp_path) -> None:
     for path in [run / "unit_0.mcap", *run.glob("robot_*.mcap")]:
         found = replay(path)
         assert found.different == 0 and found.decisions > 0, found
-    truths = [record for topic, record in read_diary(tmp_path / "world.mcap") if topic == "/truth"]
+    summary = make_live_report(run)
+    assert summary["restarts"] >= 1 and "cut short" in summary["recording"]
+    assert 0 < summary["latency_s"]["whole"]["median"] < 10.0 and 0 < summary["driving_share"] < 1
+    with (tmp_path / "world.mcap").open("rb") as stream:
+        messages = make_reader(stream).iter_messages(topics=["/truth"])
+        truths = [orjson.loads(message.data) for _, _, message in messages]
     speeds = np.array([np.abs(truth["v_mps"]) for truth in truths])
     assert speeds.max() > 0 and speeds.max() <= 0.3 + 1e-9
     assert (speeds[-1] == 0).all()

@@ -94,7 +94,7 @@ def test_goals_on_the_ground_are_those_of_no_camera_at_all(scenario_tree, refere
         wanted = a * template.conj() + b
         wanted_px = project(view.camera, view.pose, np.column_stack([wanted.real, wanted.imag]))
         # In the image of an ideal camera, where pixels are in proportion to metres.
-        ideal = [view.ideal_px(points) for points in (desired_points_px(frame), wanted_px)]
+        ideal = [view.ideal_px(points) for points in (desired_points_px(frame.decision), wanted_px)]
         span = np.ptp(ideal[1], axis=0).max()
         off.append(np.linalg.norm(ideal[0] - ideal[1], axis=1).max() / span)
     assert off[1] < 1e-3
@@ -155,10 +155,12 @@ def test_maps_are_recorded_and_read_back(scenario_tree, tmp_path):
         np.testing.assert_array_equal(
             one.frames[0].decision.ground_map.unknowns, other.frames[0].decision.ground_map.unknowns
         )
-        np.testing.assert_array_equal(desired_points_px(one.frames[0]), desired_points_px(other.frames[0]))
+        np.testing.assert_array_equal(
+            desired_points_px(one.frames[0].decision), desired_points_px(other.frames[0].decision)
+        )
 
 
 def test_points_asked_for_are_drawn_where_the_camera_sees_them(scenario_tree):
     """Once the shape is formed they lie on the robots, in the raw image."""
     frame = flight(scenario_tree, bad_camera(5), rectify=True)[-1].frames[0]
-    np.testing.assert_allclose(desired_points_px(frame), frame.sight.detections.centers_px, atol=0.5)
+    np.testing.assert_allclose(desired_points_px(frame.decision), frame.sight.detections.centers_px, atol=0.5)

@@ -18,6 +18,7 @@ PAGES = {
         "boards.html": "measurement.html",
         "photographs.html": "measurement.html",
     },
+    "skyherd.live.review": {"live.html": "base.html"},
     "skyherd.study": {
         "study.html": "base.html",
         "invariance.html": "study.html",

@@ -180,7 +180,9 @@ def test_arrows_point_where_the_similarity_puts_the_robots(name: str, perception
         robots = frame.sight.detections.select(frame.decision.report.controlled_ids)
         template = mission.template.points_of(robots.ids)
         desired = similarity_by_least_squares(template, to_complex(robots.centers_px))
-        np.testing.assert_allclose(desired_points_px(frame), desired, atol=1e-6, err_msg=f"unit {unit}")
+        np.testing.assert_allclose(
+            desired_points_px(frame.decision), desired, atol=1e-6, err_msg=f"unit {unit}"
+        )
 
 
 def test_arrows_are_drawn_to_the_desired_points() -> None:
@@ -190,7 +192,7 @@ def test_arrows_are_drawn_to_the_desired_points() -> None:
     view.draw(frame, steps[0].control_sets)
     purple = (np.abs(cell.astype(int) - rgb(TEMPLATE_COLOR)).max(axis=2) < 60).nonzero()
     drawn = np.stack(purple[::-1], axis=1) - (3, 29)
-    for tip in view.to_panel(desired_points_px(frame)):
+    for tip in view.to_panel(desired_points_px(frame.decision)):
         assert np.linalg.norm(drawn - tip, axis=1).min() < 3.0
 
 

@@ -6,7 +6,7 @@ They are for reports; nothing of the loop reads them.
 
 import numpy as np
 
-from skyherd.control import fit_similarity
+from skyherd.control import Decision, fit_similarity
 from skyherd.errors import DegenerateSetError, InputError
 from skyherd.geometry import Array, ComplexArray, IntArray, apply_homography, inverse, to_complex, to_points
 from skyherd.loop import UnitFrame
@@ -14,28 +14,27 @@ from skyherd.messages import Detections
 from skyherd.render import Camera, CameraPose, homography_image_ground, undistort
 
 
-def rectified_goals_px(frame: UnitFrame) -> Array:
+def rectified_goals_px(decision: Decision) -> Array:
     """Desired points (N, 2) of the robots of a unit's goals, px, in the unit's rectified image.
 
     A goal is a length rho and a bearing in the robot's own frame, counter-clockwise from its heading. Angles
     of the image are clockwise seen from above, so that there rho points along `heading - bearing`. No rows
     where the unit set no goals.
     """
-    goals = frame.decision.goals
+    goals, robots = decision.goals, decision.detections
     if goals is None:
         return np.zeros((0, 2))
-    robots = frame.decision.detections
     row = rows_of(robots, goals.ids)
     rho = goals.rho_px * np.exp(1j * (robots.headings_rad[row] - goals.bearings_rad))
     return np.asarray(robots.centers_px[row] + to_points(rho))
 
 
-def desired_points_px(frame: UnitFrame) -> Array:
+def desired_points_px(decision: Decision) -> Array:
     """Desired points (N, 2) of the robots of a unit's goals, px, in the image as the camera took it."""
-    desired_px = rectified_goals_px(frame)
-    if frame.decision.ground_map.ideal:
+    desired_px = rectified_goals_px(decision)
+    if decision.ground_map.ideal:
         return desired_px
-    return frame.decision.ground_map.image_px(desired_px, frame.sight.detections.image_size_px)
+    return decision.ground_map.image_px(desired_px, decision.detections.image_size_px)
 
 
 def rows_of(robots: Detections, ids: IntArray) -> IntArray:
@@ -73,7 +72,7 @@ def goal_error_m(
     if frame.decision.goals is None:
         return float("nan")
     try:
-        straight = undistort(camera, pose.zoom, desired_points_px(frame))
+        straight = undistort(camera, pose.zoom, desired_points_px(frame.decision))
         truth = desired_on_ground(template, positions)
     except (InputError, DegenerateSetError):
         return float("nan")

@@ -169,9 +169,9 @@ def replay(
     """Decide anew from what each process recorded, and compare bit for bit; exit code 1 if they differ."""
     from skyherd.errors import InputError
     from skyherd.live.replay import replay as replay_file
+    from skyherd.live.review import recorded_files
 
-    names = sorted(folder.glob("unit_*.mcap")) + sorted(folder.glob("robot_*.mcap"))
-    files = names if folder.is_dir() else [folder]
+    files = recorded_files(folder) if folder.is_dir() else [folder]
     if not files:
         raise InputError(str(folder), "no recordings of units or robots", "a folder of `skyherd live run`")
     rows, same = [], True

@@ -1,4 +1,4 @@
-"""`skyherd report`: make figures, summary and page again from a recording."""
+"""`skyherd report`: make figures, summary and page from the recording of a run, simulated or live."""
 
 import os
 from pathlib import Path
@@ -11,19 +11,25 @@ from skyherd.errors import InputError
 
 
 def report(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Output folder of `skyherd run`.")],
+    folder: Annotated[
+        Path, typer.Argument(metavar="DIR", help="Output folder of `skyherd run` or `skyherd live run`.")
+    ],
 ) -> int:
-    """Make figures, summary and page again from a run's recording.
+    """Make figures, summary and page again from a run's recording, or of a live run from its processes'.
 
-    The video is made again too if the recording has images.
+    The video of a simulated run is made again too if the recording has images.
     """
+    from skyherd.live.review import make_live_report, recorded_files
     from skyherd.report.run_page import PAGE
     from skyherd.runner import RECORDING, make_report
 
-    if not os.path.lexists(folder / RECORDING):
-        raise InputError(str(folder), f"no {RECORDING} in it", "the output folder of `skyherd run`")
-    summary = make_report(folder)
+    is_simulated = os.path.lexists(folder / RECORDING)
+    if not is_simulated and not recorded_files(folder):
+        what = f"no {RECORDING} in it, and no recordings of units or robots"
+        raise InputError(str(folder), what, "the output folder of `skyherd run` or `skyherd live run`")
+    summary = make_report(folder) if is_simulated else make_live_report(folder)
     if "recording" in summary:
-        warn(f"{folder / RECORDING}: {summary['recording']}; the report is of what can be read")
+        where = folder / RECORDING if is_simulated else folder
+        warn(f"{where}: {summary['recording']}; the report is of what can be read")
     say(f"see {folder / PAGE}")
     return 0

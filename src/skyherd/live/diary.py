@@ -2,14 +2,17 @@
 
 Every input is there in the order in which it came, so that `skyherd.live.replay` decides anew from it:
 
-    /about       first, and once more: who it is, the lab as it was checked, and the versions
+    /about       first, and once more: who it is, the lab as it was checked, the versions, and the topics
     /heard       a message: its envelope, and when it arrived
     /detections  of a unit: the markers found in an image, and when the unit looked at them
     /beat        when it gave a sign of life, and what it said
-    /decide      of a robot: when it decided, and its order to the wheels
+    /decide      of a robot: when it decided, its order to the wheels, and whether it was armed
     /sent        of a unit: what it sent on an image
+    /view        of a unit: the image as it decided on it, with the goals in it and the shape error
     /stages      of a unit: when an image was taken, came in, was searched and was decided on
     /tell        a line for people
+    /image, /overlay, /poses
+                 of a unit, now and then: see `skyherd.live.album`
     /end         the process ended as it should
 
 A process that is killed leaves all but the last half second.
@@ -20,8 +23,10 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
+from skyherd.live import album
 from skyherd.live.lab import Lab
 from skyherd.live.radio import Arrival
+from skyherd.live.view import View
 from skyherd.messages import Detections
 from skyherd.recording.mcap_log import CHUNK_BYTES, McapLog, Schema
 from skyherd.version import __version__
@@ -33,16 +38,23 @@ OBJECT: dict[str, Any] = {"type": "object"}
 
 TOPICS: Mapping[str, Schema] = {
     "/about": ("skyherd.About", OBJECT),
+    "/end": ("skyherd.End", OBJECT),
     "/heard": ("skyherd.Heard", OBJECT),
     "/detections": ("skyherd.Seen", OBJECT),
     "/beat": ("skyherd.Beating", OBJECT),
     "/decide": ("skyherd.Decided", OBJECT),
     "/sent": ("skyherd.Sent", OBJECT),
+    "/view": ("skyherd.View", View),
     "/stages": ("skyherd.Stages", OBJECT),
     "/tell": ("skyherd.Told", OBJECT),
-    "/end": ("skyherd.End", OBJECT),
 }
-"""Topics of a process, and their schemas."""
+"""Topics of a process, and their schemas; the first two are those by which `skyherd.recording.survey` knows
+the beginning and the end of a recording."""
+
+
+def topics_of(name: str) -> dict[str, Schema]:
+    """The topics of the file of a process; only units have pictures."""
+    return {**TOPICS, **(album.TOPICS if name.startswith("unit/") else {})}
 
 
 class Diary:
@@ -64,15 +76,16 @@ class Diary:
     def __init__(self, path: Path, name: str, lab: Lab, now_s: float) -> None:
         self.trouble: str | None = None
         self._path, self._flushed_s = path, now_s
-        self._log: McapLog | None = McapLog(path, TOPICS)
+        topics = topics_of(name)
+        self._log: McapLog | None = McapLog(path, topics)
         about = {
             "name": name,
             "lab": lab.model.model_dump(mode="json"),
             "version": __version__,
-            "topics": list(TOPICS),
+            "topics": list(topics),
         }
         for _ in range(2):
-            self._put("/about", now_s, about)
+            self.keep("/about", now_s, about)
             if self._log is not None:
                 self._log.flush()
 
@@ -86,17 +99,18 @@ class Diary:
             "received_s": arrival.received_s,
             "body": envelope.message,
         }
-        self._put("/heard", arrival.received_s, record)
+        self.keep("/heard", arrival.received_s, record)
 
     def saw(self, detections: Detections, now_s: float) -> None:
         """Keep what was found in an image, at the moment at which it is decided on."""
-        self._put("/detections", now_s, {"now_s": now_s, "detections": detections})
+        self.keep("/detections", now_s, {"now_s": now_s, "detections": detections})
 
     def put(self, topic: str, now_s: float, record: Any) -> None:
-        """Keep something else of `TOPICS`."""
-        self._put(topic, now_s, {"now_s": now_s} | record)
+        """Keep an object of `TOPICS`, with the time as `now_s`."""
+        self.keep(topic, now_s, {"now_s": now_s} | record)
 
-    def _put(self, topic: str, now_s: float, record: Any) -> None:
+    def keep(self, topic: str, now_s: float, record: Any) -> None:
+        """Keep a message of one of the topics as it is."""
         if self._log is None:
             return
         try:

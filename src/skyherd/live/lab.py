@@ -199,6 +199,17 @@ class LabRadio(Model):
             )
 
 
+class LabRecording(Model):
+    """What units record for viewers, beside all that they hear and do."""
+
+    image_rate_hz: Annotated[FiniteFloat, Field(ge=0, le=60)] = Field(
+        1.0, description="1/s; images with what was found in them; 0 for none"
+    )
+    image_width_px: Annotated[int, Field(ge=64, le=8192)] = Field(
+        640, description="px; larger images are shrunk to this width"
+    )
+
+
 def _is_loopback(place: str) -> bool:
     """Whether a Zenoh locator, such as `tcp/127.0.0.1:7450`, is on loopback."""
     host = place.partition("/")[2].rpartition(":")[0].strip("[]")
@@ -226,6 +237,7 @@ class LabModel(Model):
     )
     limits: LabLimits = Field(LabLimits(), description="what robots may do")
     radio: LabRadio = Field(LabRadio(), description="how the processes find each other")
+    recording: LabRecording = Field(LabRecording(), description="what units record for viewers")
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:

@@ -6,9 +6,11 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from skyherd.live.album import Album
 from skyherd.live.cameras import CameraReader, MirrorWatch, open_camera
 from skyherd.live.diary import Diary
 from skyherd.live.drivers import Motion, RobotDriver, open_driver
@@ -16,8 +18,10 @@ from skyherd.live.lab import Lab
 from skyherd.live.live_clock import LiveClock
 from skyherd.live.radio import Post, Radio
 from skyherd.live.robot_core import Order
+from skyherd.live.unit_core import UnitNews
+from skyherd.live.view import View, view_of
 from skyherd.live.wire import Wheels
-from skyherd.messages import FlightCommand, VelocityCommand
+from skyherd.messages import Detections, FlightCommand, VelocityCommand
 from skyherd.vision import create_detector
 
 BEAT_S = 0.25
@@ -127,7 +131,8 @@ def run_robot(station: Station, robot_id: int, *, dry_run: bool = False) -> None
             driver.send(
                 VelocityCommand(np.array([robot_id]), np.array([order.v_mps]), np.array([order.omega_radps]))
             )
-            diary.put("/decide", now_s, {"order": order, "image_age_s": core.image_age_s(now_s)})
+            news = {"order": order, "armed": core.armed, "image_age_s": core.image_age_s(now_s)}
+            diary.put("/decide", now_s, news)
             told.say(_line(core.name, order, driver.trouble or diary.trouble))
             if now_s - beat_s >= BEAT_S or now_s < beat_s:
                 beat_s = now_s
@@ -170,6 +175,8 @@ def run_unit(station: Station, unit: int, *, address: str | None = None, dry_run
         if reader is None:
             return
         stack.enter_context(reader)
+        pictures = lab.model.recording
+        album = stack.enter_context(Album(unit, pictures.image_rate_hz, pictures.image_width_px))
         mirrored = MirrorWatch(lab.model.markers.dictionary, clock)
         fly = _autopilot(station, post, stack, unit, dry_run=dry_run)
         beat_s, state = -BEAT_S, "no image yet"
@@ -184,15 +191,15 @@ def run_unit(station: Station, unit: int, *, address: str | None = None, dry_run
                 detections = detector.detect(frame.image, time_s=frame.captured_s, unit_id=unit)
                 found_s = clock()
                 trouble = trouble or mirrored.look(frame, detections)
+                news, view = None, None
                 if trouble is None:
-                    diary.saw(detections, found_s)
                     news = core.see(detections, found_s)
                     for message in () if news is None else news.messages:
                         post.send(message)
                     sent_s = clock()
-                    diary.put("/sent", sent_s, {"messages": None if news is None else news.messages})
                     if news is not None:
                         fly(news.decision.flight)
+                        view = view_of(news.decision, lab.template)
                     stages = {
                         "captured_s": frame.captured_s,
                         "arrived_s": frame.arrived_s,
@@ -203,15 +210,36 @@ def run_unit(station: Station, unit: int, *, address: str | None = None, dry_run
                         "number": frame.number,
                         "dropped": reader.dropped,
                     }
-                    diary.put("/stages", sent_s, stages)
-                state = f"{len(detections)} markers"
+                    _keep_image(diary, detections, news, view, stages)
+                album.show(frame.image, detections, None if news is None else news.decision, view)
+                state = _state(detections, view)
             told.say(f"{core.name}: {problem}" if (problem := trouble or core.trouble) else "")
             now_s = clock()
+            for topic, record in album.done():
+                diary.keep(topic, now_s, record)
             if now_s - beat_s >= BEAT_S or now_s < beat_s:
                 beat_s = now_s
                 post.send(core.beat(now_s, problem or diary.trouble or state))
                 diary.put("/beat", now_s, {"refused": post.refusals.counts, "dropped": post.dropped})
         diary.put("/end", clock(), {})
+
+
+def _state(detections: Detections, view: View | None) -> str:
+    """What a unit says of its newest image."""
+    error = np.nan if view is None else view.shape_error
+    known = f", shape error {100 * error:.2g} %" if np.isfinite(error) else ""
+    return f"{len(detections)} markers{known}"
+
+
+def _keep_image(
+    diary: Diary, detections: Detections, news: UnitNews | None, view: View | None, stages: dict[str, Any]
+) -> None:
+    """Keep what came of an image, after it was sent, so that nobody waits for it."""
+    diary.saw(detections, stages["found_s"])
+    diary.put("/sent", stages["sent_s"], {"messages": None if news is None else news.messages})
+    if view is not None:
+        diary.keep("/view", stages["sent_s"], view)
+    diary.put("/stages", stages["sent_s"], stages)
 
 
 def _open(station: Station, told: Told, address: str) -> CameraReader | None:

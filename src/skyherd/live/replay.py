@@ -1,22 +1,17 @@
 """Decides anew from what a process recorded, and compares what comes out with what it did, bit for bit."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import orjson
-from mcap.records import Channel, Message
-from mcap.stream_reader import StreamReader
-
 from skyherd.errors import InputError
+from skyherd.live.diary_file import read_diary
 from skyherd.live.lab import make_lab
 from skyherd.live.robot_core import RobotCore
 from skyherd.live.unit_core import UnitCore
 from skyherd.live.wire import Envelope, plain_message
 from skyherd.messages import Detections
 from skyherd.recording.json_codec import from_plain, to_json
-from skyherd.recording.survey import MALFORMED
 
 
 @dataclass(frozen=True)
@@ -36,30 +31,6 @@ class Replayed:
     different: int
     first_s: float | None
     ended: bool
-
-
-def read_diary(path: Path) -> Iterator[tuple[str, Any]]:
-    """Iterate over topic and content of all that can be read of a process's file.
-
-    Raises:
-        InputError: there is no such file, or it is no MCAP file.
-    """
-    try:
-        stream = path.open("rb")
-    except OSError as error:
-        raise InputError(str(path), error.strerror or str(error), "a file of `skyherd live run`") from None
-    channels: dict[int, str] = {}
-    with stream:
-        try:
-            for record in StreamReader(stream).records:
-                if isinstance(record, Channel):
-                    channels[record.id] = record.topic
-                elif isinstance(record, Message):
-                    yield channels.get(record.channel_id, ""), orjson.loads(record.data)
-        except (*MALFORMED, EOFError) as error:
-            if not channels:
-                what = " ".join(str(error).split()) or type(error).__name__
-                raise InputError(str(path), what, "a file of `skyherd live run`") from None
 
 
 def replay(path: Path) -> Replayed:

@@ -102,7 +102,7 @@ def run_session(
         operator.stop(lab, watched, "the end", 0.3)
         supervisor.end()
         radio.close()
-    say(f"recorded in {folder}; `skyherd live replay {folder}` decides anew")
+    say(f"recorded in {folder}; `skyherd report {folder}` makes a page of it")
     return 0
 
 

@@ -24,9 +24,9 @@ from skyherd.messages.tree_status import TreeStatus
 from skyherd.recording.json_codec import from_plain
 from skyherd.recording.plausible import check_map, check_places, check_step, read_mission
 from skyherd.recording.survey import (
+    HEAD_CHANNEL,
     MAGIC,
     MALFORMED,
-    MISSION_CHANNEL,
     Flaw,
     Survey,
     describe_flaws,
@@ -187,7 +187,7 @@ def _chunks(path: Path, stream: BinaryIO, found: Survey) -> Iterator[list[tuple[
         with _version_checked(path):
             messages = read_chunk(stream, chunk.start)
             contents = [orjson.loads(message.data) for message in messages]
-            if not topics and messages[0].channel_id == MISSION_CHANNEL:
+            if not topics and messages[0].channel_id == HEAD_CHANNEL:
                 topics = ["", *_topics(contents[0])]
             if not topics:
                 _need(path, None, found)

@@ -40,8 +40,9 @@ FOOTER_TRIES = 16
 """Places that are tried for the beginning of the summary. Chosen: one is right in a file of ours; the bytes
 that are searched for may be in the summary by chance as well."""
 
-MISSION_CHANNEL, END_CHANNEL = 1, 2
-"""Numbers of the channels `/mission` and `/end`; the record of the mission names all others."""
+HEAD_CHANNEL, END_CHANNEL = 1, 2
+"""Numbers of the channels of the head and of `/end`. The head, `/mission` of a run and `/about` of a live
+process, names the topics of all channels in their order, so that any chunk can be understood by it."""
 
 SHOWN_FLAWS = 3
 """Flaws that a message names; the others are counted. Chosen: what fits into a line."""

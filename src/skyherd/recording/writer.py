@@ -31,7 +31,6 @@ The same scenario and seed give the same messages, to the byte. The wall time, w
 metadata of the file and no message.
 """
 
-import base64
 import math
 from collections.abc import Mapping
 from dataclasses import fields
@@ -54,7 +53,8 @@ from skyherd.messages import (
     UnitReport,
     VelocityCommand,
 )
-from skyherd.recording.mcap_log import CHUNK_BYTES, McapLog, Schema, nanoseconds
+from skyherd.recording import foxglove
+from skyherd.recording.mcap_log import CHUNK_BYTES, McapLog, Schema
 from skyherd.sim.truth_metrics import TruthMetrics
 from skyherd.version import __version__
 
@@ -69,21 +69,6 @@ are not for measuring, since JPEG moves edges."""
 OBJECT: dict[str, Any] = {"type": "object"}
 """JSON schema of messages that are no dataclass."""
 
-IMAGE_SCHEMA = {
-    "type": "object",
-    "title": "foxglove.CompressedImage",
-    "properties": {
-        "timestamp": {
-            "type": "object",
-            "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}},
-        },
-        "frame_id": {"type": "string"},
-        "data": {"type": "string", "contentEncoding": "base64"},
-        "format": {"type": "string"},
-    },
-}
-
-
 UNIT_TOPICS: Mapping[str, Schema] = {
     "detections": ("skyherd.Detections", Detections),
     "goals": ("skyherd.MotionGoals", MotionGoals),
@@ -92,7 +77,7 @@ UNIT_TOPICS: Mapping[str, Schema] = {
     "flight": ("skyherd.FlightCommand", FlightCommand),
     "map": ("skyherd.GroundMap", GroundMap),
     "truth": ("skyherd.SightTruth", OBJECT),
-    "image": ("foxglove.CompressedImage", IMAGE_SCHEMA),
+    "image": foxglove.IMAGE,
 }
 """Topics of each unit, and their schemas."""
 
@@ -220,14 +205,7 @@ class McapRecorder:
         }
         self._log.put(f"{topic}/truth", time_s, truth)
         if self.images and sight.image is not None:
-            _, data = cv2.imencode(".jpg", sight.image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
-            at_ns = nanoseconds(time_s)
-            record = {
-                "timestamp": {"sec": at_ns // 10**9, "nsec": at_ns % 10**9},
-                "frame_id": topic,
-                "data": base64.b64encode(data.tobytes()).decode(),
-                "format": "jpeg",
-            }
+            record = foxglove.compressed_image(sight.image, time_s, topic, JPEG_QUALITY)
             self._log.put(f"{topic}/image", time_s, record)
 
     def _flush(self, time_s: float) -> None:

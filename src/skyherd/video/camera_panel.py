@@ -232,7 +232,7 @@ class CameraPanel:
             return
         robots = frame.sight.detections
         starts = self.to_panel(robots.centers_px[rows_of(robots, frame.decision.goals.ids)])
-        tips = self.to_panel(desired_points_px(frame))
+        tips = self.to_panel(desired_points_px(frame.decision))
         draw_arrows(self._picture, starts, tips, rgb(TEMPLATE_COLOR), rgb(PAPER))
 
     def _draw_ids(self, robots: Detections) -> None:

@@ -75,7 +75,7 @@ class RectifiedPanel:
         draw_lines(self._picture, list(corners), self.color, 2, closed=True)
         if frame.decision.goals is not None:
             starts = robots.centers_px[rows_of(robots, frame.decision.goals.ids)]
-            tips = self.to_panel(rectified_goals_px(frame))
+            tips = self.to_panel(rectified_goals_px(frame.decision))
             draw_arrows(self._picture, self.to_panel(starts), tips, rgb(TEMPLATE_COLOR), rgb(PAPER))
 
     def _draw_image(self, image: Image, ground_map: GroundMap) -> None:

@@ -11,13 +11,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from skyherd.control import Rectifier, Template
-from skyherd.errors import DegenerateSetError
 from skyherd.geometry import Array, IntArray, to_complex
-from skyherd.messages import Detections, among
-from skyherd.sim.truth_metrics import fit_shape
-
-LEAST_ROBOTS = 3
-"""Robots of a shape that an image has to show for an error. *Derived*: two points always fit any shape."""
+from skyherd.live.ground import positions_in_sides, shape_residual
+from skyherd.messages import Detections
 
 
 @dataclass(frozen=True)
@@ -60,9 +56,7 @@ class GroundTracks:
         flat = self._rectifier.rectify(seen)
         if self.members is not None:
             seen, flat = seen.select(self.members), flat.select(self.members)
-        side_px = float(np.median(flat.sides_px)) if len(flat) else 1.0
-        from_center_px = flat.centers_px - (flat.image_size_px - 1) / 2
-        positions = from_center_px * (1, -1) / side_px
+        positions = positions_in_sides(flat)
         self.sightings.append(Sighting(index, found.time_s, seen, positions, -flat.headings_rad))
 
     @property
@@ -112,12 +106,5 @@ def shape_errors(tracks: GroundTracks, template: Template) -> ShapeErrors:
 
 def _errors(tracks: GroundTracks, template: Template) -> Iterator[tuple[float, float, int]]:
     for sighting in tracks.sightings:
-        keep = among(sighting.seen.ids, template.members)
-        error, count = np.nan, int(keep.sum())
-        if count >= LEAST_ROBOTS:
-            points = template.points_of(sighting.seen.ids[keep]).conj()
-            try:
-                error = fit_shape(points, to_complex(sighting.positions_sides[keep])).error
-            except DegenerateSetError:
-                error = np.nan
-        yield sighting.time_s, error, count
+        points = to_complex(sighting.positions_sides).conj()
+        yield sighting.time_s, *shape_residual(template, sighting.seen.ids, points)

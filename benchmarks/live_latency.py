@@ -1,0 +1,218 @@
+"""What of a live run's latency is ours, beside what OpenCV's detector takes on the same images.
+
+    python benchmarks/live_latency.py --scenario triangle star --json live_latency.jsonl
+    python benchmarks/live_latency.py --only recording
+
+One camera's images of a scenario are rendered, with its robots driving, and written into a video without
+losses. The same video then is the camera of a lab with one unit and all of the scenario's robots:
+
+- `alone`: in this process, nothing beside it, image after image: OpenCV's detector with its own settings;
+  the unit's detector; its decision; and the bytes of all that it sends.
+- `live`: `skyherd live run`, processes of their own for the unit and each robot, the video at its own pace,
+  and then the same with OpenCV's detector in place of the unit's. Stages are those of `skyherd report`.
+- `recording`: the live run without and with pictures for viewers (`recording.image_rate_hz`), in turns.
+
+*Ours* is what the unit computes, from the beginning of an image to the last message sent. Beside its share
+the rows have `waiting`: until the unit begins, on the radio, and for the robot's next decision.
+"""
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import av
+import numpy as np
+
+from skyherd.datasets import load_mission
+from skyherd.files.video_reader import open_clip, read_clip
+from skyherd.live.lab import Lab, load_lab, make_lab
+from skyherd.live.review import make_live_report
+from skyherd.live.wire import Envelope, encode
+from skyherd.loop import run_steps
+from skyherd.vision import create_detector
+
+SCENARIOS = ("triangle", "star")
+RATE_HZ = 10
+IMAGES = 150
+UNMEASURED = 5
+OPENCV = "opencv"
+PICTURES_HZ = (0.0, 1.0, 10.0)
+
+
+def make_video(scenario: str, path: Path, images: int) -> None:
+    """Render what the first camera of a scenario sees into a video without losses."""
+    settings = [f"duration_s={images / RATE_HZ}", f"units.*.frame_rate_hz={RATE_HZ}"]
+    with av.open(str(path), "w") as container:
+        mission = load_mission(scenario, settings)
+        stream = container.add_stream("ffv1", rate=RATE_HZ)
+        stream.pix_fmt = "gray"
+        stream.width, stream.height = mission.scenario.units[0].camera.size_px
+        for step in run_steps(mission):
+            image = step.frames[0].sight.image if 0 in step.frames else None
+            if image is None:
+                continue
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="gray")))
+        container.mux(stream.encode(None))
+
+
+def lab_of(scenario: str, **changes: Any) -> Lab:
+    """The example lab of a scenario with its first camera alone, robots without wheels, and changed keys."""
+    tree = load_lab(scenario).model.model_dump(mode="json", exclude_none=True)
+    tree["cameras"] = [{"address": "none", **changes}]
+    for robot in tree["robots"]:
+        robot["driver"] = "dry-run"
+    return make_lab(tree)
+
+
+def images_of(path: Path) -> Iterator[np.ndarray]:
+    """The images of a video."""
+    return (frame.image for frame in read_clip(open_clip(path)))
+
+
+def run_alone(scenario: str, path: Path) -> dict[str, Any]:
+    """Times of one image after the other in this process, s: medians, means and 99th percentiles."""
+    lab = lab_of(scenario)
+    dictionary = lab.model.markers.dictionary
+    ours = create_detector(lab.camera(0).detector, dictionary=dictionary)
+    opencv = create_detector(OPENCV, dictionary=dictionary)
+    core = lab.make_unit(0)
+    times: dict[str, list[float]] = {"opencv": [], "found": [], "decided": [], "encoded": []}
+    for number, image in enumerate(images_of(path)):
+        time_s = number / RATE_HZ
+        marks = [time.perf_counter()]
+        opencv.detect(image, time_s=time_s)
+        marks.append(time.perf_counter())
+        found = ours.detect(image, time_s=time_s, unit_id=0)
+        marks.append(time.perf_counter())
+        news = core.see(found, time_s)
+        marks.append(time.perf_counter())
+        for message in () if news is None else news.messages:
+            encode(Envelope("unit/0", time_s, message), lab.model.team)
+        marks.append(time.perf_counter())
+        if number >= UNMEASURED:
+            for name, took_s in zip(times, np.diff(marks), strict=True):
+                times[name].append(float(took_s))
+    both = {name: np.array(values) for name, values in times.items()}
+    both["ours"] = both["found"] + both["decided"] + both["encoded"]
+    row: dict[str, Any] = {"scenario": scenario, "kind": "alone", "images": both["ours"].size}
+    for name, values in both.items():
+        row[name] = {
+            "median": float(np.median(values)),
+            "mean": float(values.mean()),
+            "p99": float(np.percentile(values, 99)),
+        }
+    return row | {"ratio": ratios(row["ours"], row["opencv"])}
+
+
+def ratios(ours: dict[str, float], opencv: dict[str, float]) -> dict[str, float]:
+    """How many times as long ours takes, by each kind of average."""
+    return {name: ours[name] / opencv[name] for name in ours}
+
+
+def live_stages(lab: Lab, video: Path, folder: Path, port: int) -> dict[str, Any]:
+    """Stages of the latency of a live run of a video, s, as `skyherd report` has them."""
+    tree = lab.model.model_dump(mode="json", exclude_none=True)
+    place = [f"tcp/127.0.0.1:{port}"]
+    tree["radio"] = {"listen": place, "connect": place}
+    file, run = folder / f"lab{port}.toml", folder / f"run{port}"
+    file.write_text(toml_text(tree), encoding="utf-8")
+    command = [sys.executable, "-m", "skyherd", "live", "run", str(file), "--out", str(run), "--dry-run"]
+    subprocess.run([*command, "--cameras", str(video), "--arm"], check=True, stdout=subprocess.DEVNULL)
+    stages: dict[str, Any] = make_live_report(run)["latency_s"]
+    return stages
+
+
+def toml_text(tree: dict[str, Any]) -> str:
+    """A tree of plain values as TOML, each key at the top with its value in one line."""
+    return "".join(f"{key} = {toml_value(value)}\n" for key, value in tree.items())
+
+
+def toml_value(value: Any) -> str:
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{key} = {toml_value(item)}" for key, item in value.items()) + "}"
+    if isinstance(value, list):
+        return "[" + ", ".join(map(toml_value, value)) + "]"
+    return json.dumps(value)
+
+
+def run_live(scenario: str, video: Path, folder: Path, port: int) -> dict[str, Any]:
+    """Stages of a live run, and OpenCV's in the same place."""
+    with_ours = live_stages(lab_of(scenario), video, folder, port)
+    with_opencv = live_stages(lab_of(scenario, detector=OPENCV), video, folder, port + 1)
+    ours = {name: with_ours["detection"][name] + with_ours["decision"][name] for name in ("median", "p99")}
+    opencv = {name: with_opencv["detection"][name] for name in ("median", "p99")}
+    return {
+        "scenario": scenario,
+        "kind": "live",
+        "stages": with_ours,
+        "stages_with_opencv": with_opencv,
+        "ours": ours,
+        "opencv": opencv,
+        "ratio": ratios(ours, opencv),
+    }
+
+
+def run_recording(scenario: str, video: Path, folder: Path, port: int, times: int) -> list[dict[str, Any]]:
+    """Live runs with so many pictures a second for viewers, in turns."""
+    rows = []
+    for number in range(times * len(PICTURES_HZ)):
+        rate_hz = PICTURES_HZ[number % len(PICTURES_HZ)]
+        tree = lab_of(scenario).model.model_dump(mode="json", exclude_none=True)
+        tree["recording"]["image_rate_hz"] = rate_hz
+        stages = live_stages(make_lab(tree), video, folder, port + number)
+        rows.append({"scenario": scenario, "kind": "recording", "image_rate_hz": rate_hz, "stages": stages})
+        show(rows[-1])
+    return rows
+
+
+def show(row: dict[str, Any]) -> None:
+    """Print a row for people."""
+    text = f"{row['scenario']:9} {row['kind']:9}"
+    if row["kind"] == "recording":
+        text += f" {row['image_rate_hz']:4.0f} pictures/s"
+        for name in ("wait", "detection", "decision"):
+            median_ms, p99_ms = (1e3 * row["stages"][name][key] for key in ("median", "p99"))
+            text += f"  {name} {median_ms:6.2f}, {p99_ms:6.1f} ms"
+    else:
+        for name in ("ours", "opencv"):
+            text += f"  {name} {1e3 * row[name]['median']:6.2f}, {1e3 * row[name]['p99']:6.1f} ms"
+        text += "  ratio" + "".join(f" {name} {ratio:.2f}" for name, ratio in row["ratio"].items())
+    print(text, "(median, 99th percentile)", flush=True)
+
+
+def main() -> None:
+    """All kinds of runs."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--scenario", nargs="+", choices=SCENARIOS, default=list(SCENARIOS))
+    parser.add_argument("--only", choices=["alone", "live", "recording"])
+    parser.add_argument("--images", type=int, default=IMAGES)
+    parser.add_argument("--times", type=int, default=2, help="live runs for each rate of pictures")
+    parser.add_argument("--json", type=Path, help="rows are added to this file")
+    options = parser.parse_args()
+    port = 7500
+    for scenario in options.scenario:
+        with tempfile.TemporaryDirectory() as name:
+            folder, rows = Path(name), []
+            video = folder / "camera.mkv"
+            make_video(scenario, video, options.images)
+            if options.only in (None, "alone"):
+                rows.append(run_alone(scenario, video))
+                show(rows[-1])
+            if options.only in (None, "live"):
+                rows.append(run_live(scenario, video, folder, port))
+                show(rows[-1])
+            if options.only in (None, "recording"):
+                rows += run_recording(scenario, video, folder, port + 10, options.times)
+        if options.json:
+            with options.json.open("a", encoding="utf-8") as file:
+                file.writelines(json.dumps(row) + "\n" for row in rows)
+
+
+if __name__ == "__main__":
+    main()

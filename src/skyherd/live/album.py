@@ -1,0 +1,136 @@
+"""A unit's images for viewers of its recording, now and then: small, with what was found and decided in them.
+
+Pictures are made in a thread of its own, so that a unit goes on while one is; what is not done in time is
+left out, never waited for. Nothing decides by them: a replay leaves them out.
+"""
+
+from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from types import TracebackType
+from typing import Any, Self
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from skyherd.control import Decision
+from skyherd.drawing.palette import INK, PAPER, UNIT_COLORS
+from skyherd.live.ground import positions_in_sides
+from skyherd.live.view import View
+from skyherd.messages import Detections, rows_of
+from skyherd.recording import foxglove
+from skyherd.recording.mcap_log import Schema
+
+JPEG_QUALITY = 70
+"""Quality of the pictures, in per cent. Chosen: markers and their numbers are easily seen; half of it shows
+blocks around edges, and 90 doubles the size."""
+
+MARKER_COLOR, GOAL_COLOR = UNIT_COLORS[2], UNIT_COLORS[1]
+"""Colours of markers as they were found, and of goals."""
+
+GOAL_PX = 10.0
+"""Diameter of the circle at a goal, pixels of the picture."""
+
+Page = tuple[str, Any]
+"""A topic, and a message for it."""
+
+TOPICS: dict[str, Schema] = {
+    "/image": foxglove.IMAGE,
+    "/overlay": foxglove.ANNOTATIONS,
+    "/poses": foxglove.TRANSFORMS,
+}
+"""Topics of a unit's pictures, and their schemas."""
+
+
+class Album:
+    """Makes pictures of a unit's images, at most so many a second, and gives them when they are done.
+
+    Args:
+        unit: number of the unit.
+        rate_hz: pictures a second; 0 for none.
+        width_px: larger images are shrunk to this width.
+    """
+
+    def __init__(self, unit: int, rate_hz: float, width_px: int) -> None:
+        self._unit, self._rate_hz, self._width_px = unit, rate_hz, width_px
+        self._due_s = -np.inf
+        self._maker = ThreadPoolExecutor(max_workers=1, thread_name_prefix="album")
+        self._made: Future[list[Page]] | None = None
+
+    def show(
+        self,
+        image: npt.NDArray[np.uint8],
+        found: Detections,
+        decision: Decision | None = None,
+        view: View | None = None,
+    ) -> None:
+        """Begin a picture of an image, unless the last one is too recent or not done yet."""
+        if self._rate_hz == 0 or self._made is not None or found.time_s < self._due_s:
+            return
+        self._due_s = found.time_s + 1 / self._rate_hz
+        self._made = self._maker.submit(pages, self._unit, self._width_px, image, found, decision, view)
+
+    def done(self) -> Iterator[Page]:
+        """The messages of a picture that is done, each once."""
+        if self._made is not None and self._made.done():
+            made, self._made = self._made, None
+            yield from made.result()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._maker.shutdown(cancel_futures=True)
+
+
+def pages(
+    unit: int,
+    width_px: int,
+    image: npt.NDArray[np.uint8],
+    found: Detections,
+    decision: Decision | None,
+    view: View | None,
+) -> list[Page]:
+    """The messages of one image: the picture, what is drawn over it, and the places on the ground.
+
+    Args:
+        unit: number of the unit.
+        width_px: a larger image is shrunk to this width.
+        image: grey levels (height, width).
+        found: the markers in it.
+        decision: what the unit decided on it; None if it did not.
+        view: the goals in it; None if the unit did not decide.
+    """
+    scale = min(1.0, width_px / image.shape[1])
+    if scale < 1:
+        size = width_px, max(1, round(image.shape[0] * scale))
+        image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    picture = foxglove.compressed_image(image, found.time_s, f"unit/{unit}/camera", JPEG_QUALITY)
+    overlay = foxglove.Overlay(found.time_s, scale)
+    for corners_px, center_px, robot in zip(found.corners_px, found.centers_px, found.ids, strict=True):
+        overlay.lines(foxglove.LINE_LOOP, corners_px, MARKER_COLOR)
+        overlay.lines(foxglove.LINE_LIST, np.stack([center_px, corners_px[:2].mean(axis=0)]), MARKER_COLOR)
+        overlay.text(corners_px[2], str(robot), INK, PAPER)
+    if decision is None or view is None:
+        return [("/image", picture), ("/overlay", overlay.message)]
+    once = found.unambiguous()
+    order = np.argsort(once.ids)
+    starts_px = once.centers_px[order][rows_of(once.ids[order], view.ids)]
+    for start_px, goal_px in zip(starts_px, view.goals_px, strict=True):
+        overlay.lines(foxglove.LINE_LIST, np.stack([start_px, goal_px]), GOAL_COLOR)
+        overlay.circle(goal_px, GOAL_PX, GOAL_COLOR)
+    return [("/image", picture), ("/overlay", overlay.message), ("/poses", _poses(unit, decision))]
+
+
+def _poses(unit: int, decision: Decision) -> dict[str, Any]:
+    """Where the robots are on the ground as the unit has learned it, in marker sides."""
+    flat = decision.detections.unambiguous()
+    places = {
+        f"unit/{unit}/robot/{robot}": (x, y, -heading_rad)
+        for robot, (x, y), heading_rad in zip(
+            flat.ids.tolist(), positions_in_sides(flat).tolist(), flat.headings_rad.tolist(), strict=True
+        )
+    }
+    return foxglove.frame_transforms(flat.time_s, f"unit/{unit}/ground in marker sides", places)

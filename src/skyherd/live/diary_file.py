@@ -1,0 +1,94 @@
+"""A process's file read back, as far as it can be read."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import orjson
+
+from skyherd.errors import InputError
+from skyherd.files.reading import open_regular
+from skyherd.recording.survey import HEAD_CHANNEL, MALFORMED, describe_flaws, read_chunk, survey
+
+ALLOWED = "a file of `skyherd live run`"
+"""What is to be given where something else was, as complaints say it."""
+
+MOST_BYTES = 2**36
+"""Size of the largest file that is read, bytes. Chosen: as of recordings of simulated runs."""
+
+MALFORMED_RECORDS = (*MALFORMED, InputError, TypeError, AttributeError, IndexError, FloatingPointError)
+"""What reading the records of a file raises that this version of skyherd did not write."""
+
+
+class Entry(NamedTuple):
+    """One record of a file.
+
+    Attributes:
+        number: of the record in the file, from 0; what is missing between two was lost.
+        topic: as in `skyherd.live.diary`.
+        content: dict, list, str, int, float, bool, None.
+    """
+
+    number: int
+    topic: str
+    content: Any
+
+
+class DiaryFile:
+    """One process's file: what it lacks, and its records.
+
+    Attributes:
+        path: the file.
+        flaws: what is wrong with it; none if it is whole.
+        ended: whether the process ended as it should.
+
+    Raises:
+        InputError: there is no such file, or nothing of a live process can be read in it.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        with open_regular(path, ALLOWED, MOST_BYTES) as stream:
+            try:
+                found = survey(stream)
+            except OSError as error:
+                raise InputError(str(path), error.strerror or str(error), ALLOWED) from None
+        self.flaws, self.ended, self._chunks = found.flaws, found.ended, found.chunks
+        self._topics = self._read_topics()
+
+    def entries(self) -> Iterator[Entry]:
+        """Iterate over the records that can be read, in order.
+
+        Raises:
+            MALFORMED_RECORDS: a record is not as this version writes it.
+        """
+        with open_regular(self.path, ALLOWED, MOST_BYTES) as stream:
+            for chunk in self._chunks:
+                for message in read_chunk(stream, chunk.start):
+                    topic = self._topics[message.channel_id]
+                    yield Entry(message.sequence, topic, orjson.loads(message.data))
+
+    def _read_topics(self) -> dict[int, str]:
+        """The topics by the numbers of their channels, from the first record."""
+        with open_regular(self.path, ALLOWED, MOST_BYTES) as stream:
+            try:
+                first = read_chunk(stream, self._chunks[0].start)[0]
+                if first.channel_id == HEAD_CHANNEL:
+                    topics = orjson.loads(first.data)["topics"]
+                    return {HEAD_CHANNEL + row: str(topic) for row, topic in enumerate(topics)}
+            except MALFORMED_RECORDS:
+                pass
+        why = f" ({describe_flaws(self.flaws)})" if self.flaws else ""
+        raise InputError(str(self.path), f"nothing of a live process can be read in it{why}", ALLOWED)
+
+
+def read_diary(path: Path) -> Iterator[tuple[str, Any]]:
+    """Iterate over topic and content of a process's records up to the first that is missing.
+
+    Raises:
+        InputError: there is no such file, or nothing of a live process can be read in it.
+    """
+    for expected, entry in enumerate(DiaryFile(path).entries()):
+        if entry.number != expected:
+            return
+        yield entry.topic, entry.content

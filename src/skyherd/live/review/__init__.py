@@ -1,0 +1,9 @@
+"""What came of a live run: the files of its processes joined, and the page that shows them.
+
+Start with `make_live_report`.
+"""
+
+from skyherd.live.review.page import make_live_report
+from skyherd.live.review.session_log import recorded_files
+
+__all__ = ["make_live_report", "recorded_files"]

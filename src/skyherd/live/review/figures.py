@@ -1,0 +1,329 @@
+"""The figures of a live run."""
+
+from collections.abc import Iterator
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from skyherd.drawing.palette import INK, MUTED, PAPER, UNIT_COLORS, WARNING, unit_color
+from skyherd.geometry import Array
+from skyherd.live.review.latency import latency_stages, whole_way
+from skyherd.live.review.process_log import ProcessLog
+from skyherd.live.review.reasons import DECIDING, armed_stretches, stretches, time_by_reason
+from skyherd.live.review.session_log import SessionLog
+from skyherd.live.robot_core import DRIVING
+from skyherd.plots.panels import Panel
+from skyherd.plots.style import (
+    draw_line,
+    frame_square,
+    legend_above,
+    new_figure,
+    robot_colorbar,
+    robot_colors,
+    time_axes,
+    use_log_scale,
+)
+
+ROW_IN, MOST_ROWS_IN = 0.3, 14.0
+"""Height of a process in the timeline, and of all of them at most, inches. Chosen: names stay legible."""
+
+FIXED_COLORS = {DECIDING: UNIT_COLORS[0], DRIVING: UNIT_COLORS[2], "disarmed": "#d5d9de"}
+"""Colours of what processes do when all is well."""
+
+REASON_COLORS = (*(UNIT_COLORS[k] for k in (1, 4, 3, 5, 6)), "#5a3a1a")
+"""Colours of what else holds wheels still, by the time that it did; all further reasons share the last."""
+
+MOST_PANELS = 12
+"""Units whose images are drawn at most. Chosen: more than a page can show well."""
+
+MOST_POINTS = 1500
+"""Points of a curve that are drawn at most. Chosen: more than a figure has pixels across."""
+
+GAP_S = 1.0
+"""A path is not drawn over a time without the marker that is longer, s. Chosen: nobody knows the way."""
+
+MOST_LABELS = 24
+"""Robots that are numbered in images at most; the colour bar names those of more."""
+
+
+def draw_timeline(session: SessionLog) -> Figure:
+    """Draw what every process did and when, a row each."""
+    names = list(session.runs)
+    row_in = min(ROW_IN, MOST_ROWS_IN / len(names))
+    figure = new_figure(row_in * len(names) + 1.6)
+    axes = figure.subplots()
+    robots = list(session.logs("robot"))
+    others = [reason for reason in time_by_reason(session, robots) if reason not in FIXED_COLORS]
+    colors = FIXED_COLORS | {
+        reason: REASON_COLORS[min(rank, len(REASON_COLORS) - 1)] for rank, reason in enumerate(others)
+    }
+    for row, logs in enumerate(session.runs.values()):
+        for number, log in enumerate(logs):
+            _draw_process(axes, session, log, row, colors)
+            if number:
+                (start_s,) = session.times_s(log, [log.times_s[0]])
+                axes.plot(start_s, row, marker=9, color=WARNING, markersize=9, zorder=5)
+    axes.set(xlabel="time (s)", ylim=(len(names) - 0.4, -0.6), xlim=(0, max(session.end_s, 1e-3)))
+    axes.set_yticks(range(len(names)), names)
+    axes.grid(axis="y", visible=False)
+    shown = [*FIXED_COLORS, *others[: len(REASON_COLORS)]]
+    handles: list[Patch | Line2D] = [
+        Patch(color=colors[reason], label="other reasons" if reason == last else reason)
+        for last in [shown[-1] if len(others) > len(REASON_COLORS) else None]
+        for reason in shown
+    ]
+    handles.append(Line2D([], [], color=INK, linewidth=2, label="armed"))
+    if session.restarts:
+        handles.append(Line2D([], [], color=WARNING, marker=9, linestyle="", label="started again"))
+    if session.refused:
+        handles.append(Line2D([], [], color=INK, marker="|", linestyle="", label="message refused"))
+    legend_above(figure, handles, columns=3)
+    return figure
+
+
+def _draw_process(axes: Axes, session: SessionLog, log: ProcessLog, row: int, colors: dict[str, str]) -> None:
+    found = stretches(session, log)
+    for reason in {stretch.reason for stretch in found}:
+        spans = [(one.start_s, one.length_s) for one in found if one.reason == reason]
+        axes.broken_barh(spans, (row - 0.35, 0.7), color=colors[reason], linewidth=0)
+    if not log.is_unit:
+        spans = [(one.start_s, one.length_s) for one in armed_stretches(session, log)]
+        axes.broken_barh(spans, (row + 0.35, 0.1), color=INK, linewidth=0)
+    refused_s = session.times_s(log, log.refused_at_s)
+    axes.plot(refused_s, np.full(refused_s.size, row - 0.42), "|", color=INK, markersize=4)
+
+
+def draw_shape_error(session: SessionLog) -> Figure | None:
+    """Draw how far the robots in each unit's images were from the shape; None if nobody knows."""
+    logs = list(session.logs("unit"))
+    if not any(np.isfinite(judged.shape_error) for log in logs for judged in log.judged):
+        return None
+    figure = new_figure(3.2)
+    (axes,) = time_axes(figure, ["shape error, log"])
+    for log in logs:
+        times_s = session.times_s(log, [judged.time_s for judged in log.judged])
+        errors = np.array([judged.shape_error for judged in log.judged])
+        whole = np.array([judged.robots == len(session.lab.ids) for judged in log.judged], dtype=bool)
+        color = unit_color(log.number)
+        times, part = _few(times_s, np.where(whole, np.nan, errors))
+        axes.plot(times, part, ".", color=color, markersize=2.5, alpha=0.5)
+        draw_line(axes, *_few(times_s, np.where(whole, errors, np.nan)), color=color)
+    use_log_scale(axes)
+    handles = [Line2D([], [], color=unit_color(log.number), label=log.name) for log in _first_runs(session)]
+    if any(judged.robots < len(session.lab.ids) for log in logs for judged in log.judged):
+        handles.append(Line2D([], [], color=MUTED, marker=".", linestyle="", label="not all robots in view"))
+    legend_above(figure, handles)
+    return figure
+
+
+def draw_images(session: SessionLog) -> Figure | None:
+    """Draw the paths of the markers in each unit's image, and its last goals; None if there was no image."""
+    units = [log for log in _first_runs(session) if any(run.seen for run in session.runs[log.name])]
+    if not units:
+        return None
+    units = units[:MOST_PANELS]
+    columns = min(len(units), 2)
+    rows = -(-len(units) // columns)
+    figure = new_figure((4.6 if columns == 1 else 3.2) * rows + 0.4)
+    panels = figure.subplots(rows, columns, squeeze=False).ravel()
+    ids = np.array(session.lab.ids)
+    colors = dict(zip(ids.tolist(), robot_colors(ids.size), strict=True))
+    for axes, log in zip(panels, units, strict=False):
+        _draw_image(axes, session.runs[log.name], colors)
+        axes.set_title(log.name)
+    for axes in panels[len(units) :]:
+        axes.set_visible(False)
+    if ids.size > MOST_LABELS:
+        robot_colorbar(figure, list(panels), ids)
+    handles = [
+        Line2D([], [], color=INK, marker="s", linestyle="", markersize=4, label="first seen"),
+        Line2D([], [], color=INK, marker="o", linestyle="", markersize=6, label="last seen"),
+        Line2D([], [], color=INK, marker="+", linestyle="", markersize=9, label="last goal"),
+    ]
+    legend_above(figure, handles)
+    return figure
+
+
+def _draw_image(axes: Axes, logs: list[ProcessLog], colors: dict[int, Array]) -> None:
+    images = [seen for log in logs for seen in log.seen]
+    width, height = next(log.image_size_px for log in reversed(logs) if log.seen)
+    all_ids = np.concatenate([seen.ids for seen in images])
+    all_points = np.concatenate([seen.centers_px for seen in images])
+    all_times_s = np.repeat([seen.time_s for seen in images], [seen.ids.size for seen in images])
+    for robot, color in colors.items():
+        rows = np.flatnonzero(all_ids == robot)
+        if not rows.size:
+            continue
+        rows = rows[:: -(-rows.size // MOST_POINTS)] if rows.size > MOST_POINTS else rows
+        for piece in np.split(rows, np.flatnonzero(np.diff(all_times_s[rows]) > GAP_S) + 1):
+            axes.plot(*all_points[piece].T, color=color, linewidth=1.0)
+        first, last = all_points[rows[0]], all_points[rows[-1]]
+        labelled = len(colors) <= MOST_LABELS
+        axes.plot(*first, "s", color=color, markersize=3.5)
+        axes.plot(*last, "o", color=color, markersize=11 if labelled else 6, markeredgecolor=PAPER)
+        if labelled:
+            axes.annotate(
+                str(robot), last, color=PAPER, ha="center", va="center_baseline", fontsize=7, zorder=9
+            )
+    for robot, place in logs[-1].goals_px.items():
+        axes.plot(*place, "+", color=colors.get(robot, INK), markersize=17)
+    frame_square(axes, np.array([[0.0, 0.0], [width, height]]))
+    axes.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), xlabel="u (px)", ylabel="v (px)")
+
+
+def draw_latency(session: SessionLog) -> Figure | None:
+    """Draw median and 99th percentile of each stage, and how old images were at commands over time."""
+    stages = [stage for stage in latency_stages(session) if stage.times_s.size]
+    if not stages:
+        return None
+    bars_in = 0.36 * len(stages) + 0.4
+    figure = new_figure(bars_in + 2.9)
+    bars, over_time = figure.subplots(2, 1, height_ratios=[bars_in, 2.0])
+    for row, stage in enumerate(stages):
+        color = INK if stage.key == "whole" else UNIT_COLORS[0]
+        median_ms, p99_ms = 1e3 * stage.median_s, 1e3 * stage.p99_s
+        bars.barh(row, p99_ms, height=0.3, color=color, alpha=0.3)
+        bars.barh(row, median_ms, height=0.6, color=color)
+        bars.annotate(
+            f"{median_ms:.3g}, {p99_ms:.3g} ms",
+            (max(median_ms, p99_ms, 0.0), row),
+            xytext=(5, 0),
+            textcoords="offset points",
+            va="center",
+            fontsize=8,
+        )
+    bars.set_yticks(range(len(stages)), [stage.name for stage in stages])
+    bars.set(xlabel="median (wide bars) and 99th percentile (thin bars), ms", ylim=(len(stages) - 0.5, -0.5))
+    bars.margins(x=0.25)
+    bars.set_xlim(left=min(0.0, *(1e3 * stage.median_s for stage in stages)))
+    bars.grid(axis="y", visible=False)
+    for name, times_s, ages_s in whole_way(session):
+        order = np.argsort(times_s)
+        times, ages = _few(times_s[order], 1e3 * ages_s[order])
+        over_time.plot(
+            times, ages, ".", color=unit_color(int(name.partition("/")[2])), markersize=2.5, label=name
+        )
+    over_time.set(xlabel="time (s)", ylabel="capture → command (ms)")
+    over_time.margins(x=0)
+    over_time.set_ylim(bottom=0.0)
+    handles = [
+        Line2D([], [], color=unit_color(log.number), marker=".", linestyle="", label=log.name)
+        for log in _first_runs(session)
+    ]
+    legend_above(figure, handles)
+    return figure
+
+
+def draw_news_age(session: SessionLog) -> Figure | None:
+    """Draw how old the newest image was that each robot decided by, and the age at which it stops."""
+    logs = [log for log in session.logs("robot") if any(np.isfinite(one.image_age_s) for one in log.decided)]
+    if not logs:
+        return None
+    figure = new_figure(3.2)
+    (axes,) = time_axes(figure, ["age of the newest image (s)"])
+    limit_s = session.lab.model.limits.goal_timeout_s
+    colors = dict(zip(session.lab.ids, robot_colors(len(session.lab.ids)), strict=True))
+    largest_s = limit_s
+    for log in logs:
+        times_s = session.times_s(log, [decided.time_s for decided in log.decided])
+        ages_s = np.array([decided.image_age_s for decided in log.decided])
+        largest_s = max(largest_s, float(np.nanpercentile(ages_s, 99)))
+        draw_line(axes, *_few(times_s, ages_s), color=colors[log.number], linewidth=0.8)
+    axes.axhline(limit_s, color=WARNING, linestyle="--", linewidth=1.2)
+    axes.set_ylim(0, 1.25 * largest_s)
+    robot_colorbar(figure, [axes], np.array(session.lab.ids))
+    legend_above(figure, [Line2D([], [], color=WARNING, linestyle="--", label="older: robots stop")])
+    return figure
+
+
+def draw_clocks(session: SessionLog) -> Figure | None:
+    """Draw the offsets of the units' clocks as every other process knew them, and how well."""
+    figure = new_figure(3.2)
+    (axes,) = time_axes(figure, ["clock offset (ms)"])
+    drawn = set()
+    for logs in session.runs.values():
+        for log in logs:
+            for name, samples in log.clocks.items():
+                known = [sample for sample in samples if sample.known.is_known]
+                if not known or name not in session.runs or not name.startswith("unit/"):
+                    continue
+                drawn.add(name)
+                color = unit_color(int(name.partition("/")[2]))
+                times_s = session.times_s(log, [sample.time_s for sample in known])
+                offsets = 1e3 * np.array([sample.known.offset_s for sample in known])
+                half = 1e3 * np.array([sample.known.uncertainty_s for sample in known])
+                axes.fill_between(
+                    times_s, offsets - half, offsets + half, color=color, alpha=0.08, linewidth=0
+                )
+                draw_line(axes, times_s, offsets, color=color, linewidth=0.8, alpha=0.7)
+    if not drawn:
+        return None
+    handles = [
+        Line2D([], [], color=unit_color(log.number), label=f"{log.name}, as others know it")
+        for log in _first_runs(session)
+        if log.name in drawn
+    ]
+    legend_above(figure, handles, columns=3)
+    return figure
+
+
+def _first_runs(session: SessionLog) -> Iterator[ProcessLog]:
+    """The first file of each unit."""
+    return (logs[0] for logs in session.runs.values() if logs[0].is_unit)
+
+
+def _few(times_s: Array, values: Array) -> tuple[Array, Array]:
+    """A curve of at most `MOST_POINTS` points, each the largest value of its stretch, so that peaks stay."""
+    if times_s.size <= MOST_POINTS:
+        return times_s, values
+    starts = np.linspace(0, times_s.size, MOST_POINTS, endpoint=False).astype(int)
+    return times_s[starts], np.fmax.reduceat(values, starts)
+
+
+PANELS: tuple[Panel[SessionLog], ...] = (
+    Panel(
+        "timeline",
+        "What each process did",
+        "Robots drive while nothing stops them; otherwise the colour says what does. The thin line below a "
+        "robot shows when it was armed; a row is empty while its process does not run.",
+        draw_timeline,
+    ),
+    Panel(
+        "shape_error",
+        "Shape error, as units know it",
+        "RMS distance of the robots in an image to the best-fitting similarity of the shape, on the ground "
+        "as the unit has learned it, over their RMS radius. There is no truth in it.",
+        draw_shape_error,
+    ),
+    Panel(
+        "latency",
+        "From capture to command",
+        "How long each stage takes, the first beyond the fastest picture's way; below, how old the image was "
+        "at each command that follows from it.",
+        draw_latency,
+    ),
+    Panel(
+        "images",
+        "Paths and goals in the images",
+        "Every marker's path in the camera's own pixels, and where the last goals lay. A camera that flies "
+        "moves all of them.",
+        draw_images,
+    ),
+    Panel(
+        "news_age",
+        "Age of news at the robots",
+        "How old the newest image was, by the robot's own clock, at each of its decisions.",
+        draw_news_age,
+    ),
+    Panel(
+        "clocks",
+        "Clocks",
+        "What units' clocks show more than that of each other process, and the band in which it must be, by "
+        "the stamps of messages alone.",
+        draw_clocks,
+    ),
+)
+"""The figures of a live run's page, in the order shown."""

@@ -1,0 +1,288 @@
+"""What one file of a live process says, in the columns that the report is made of."""
+
+from collections import Counter
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from skyherd.errors import InputError
+from skyherd.geometry import Array, IntArray
+from skyherd.live.diary_file import MALFORMED_RECORDS, DiaryFile
+from skyherd.live.lab import Lab, make_lab
+from skyherd.live.peers import PeerClocks
+from skyherd.live.wire import Envelope, is_stamp, plain_message
+from skyherd.messages import Detections, MotionGoals
+from skyherd.messages.clock_offset import OffsetEstimate
+from skyherd.recording.json_codec import from_plain
+from skyherd.text import printable, shorten
+
+CLOCK_S = 1.0
+"""Time between two looks at the offsets of the other processes' clocks, s. Chosen: a clock drifts by less
+than a millisecond in it."""
+
+LONGEST_LINE = 200
+"""Characters of a line for people that are shown."""
+
+
+class ClockSample(NamedTuple):
+    """What was known of another process's clock at a time, by the clock of the process that knew it."""
+
+    time_s: float
+    known: OffsetEstimate
+
+
+class Stages(NamedTuple):
+    """When one image passed each stage of a unit, s by the unit's clock."""
+
+    captured_s: float
+    arrived_s: float
+    begun_s: float
+    found_s: float
+    sent_s: float
+
+
+class Seen(NamedTuple):
+    """The markers of one image: when it was decided on, their ids (N,), and their centres (N, 2), px."""
+
+    time_s: float
+    ids: IntArray
+    centers_px: Array
+
+
+class Judged(NamedTuple):
+    """The shape in one image, as `skyherd.live.view.View` has it."""
+
+    time_s: float
+    shape_error: float
+    robots: int
+
+
+class GoalNews(NamedTuple):
+    """A goal on its way to a robot.
+
+    Attributes:
+        unit: name of the unit that sent it.
+        captured_s: when the image was taken, by the unit's clock.
+        sent_s: when it was sent, by the unit's clock.
+        received_s: when it arrived, by the robot's clock.
+        commanded_s: when the robot next decided, by its clock.
+        known: of the unit's clock, as it arrived.
+    """
+
+    unit: str
+    captured_s: float
+    sent_s: float
+    received_s: float
+    commanded_s: float
+    known: OffsetEstimate
+
+
+class Decided(NamedTuple):
+    """One decision of a robot: when, why its wheels stood still, what they were told, and age of its news."""
+
+    time_s: float
+    reason: str
+    armed: bool
+    v_mps: float
+    omega_radps: float
+    image_age_s: float
+
+
+@dataclass
+class ProcessLog:
+    """What a file says of its process.
+
+    Attributes:
+        path: the file.
+        name: of the process, such as `robot/3`.
+        lab: the set-up.
+        version: of skyherd that recorded it.
+        flaws: what is wrong with the file, in a few words each.
+        ended: whether the process ended as it should.
+        times_s: when the first and the last record were made, by the process's clock.
+        lines: what it told people, and when.
+        clocks: by process, what was known of its clock from time to time.
+        refused: how many messages it refused, by reason.
+        refused_at_s: when it noticed that it had refused more.
+        dropped: how many messages it dropped since it was too slow.
+        stages: of a unit, its images.
+        seen: of a unit, the markers in them.
+        judged: of a unit, how far the shape was in them.
+        goals_px: of a unit, its last goals in the image by robot.
+        image_size_px: of a unit, width and height of its images; (0, 0) if there was none.
+        lost_pictures: of a unit, how many pictures it did not look at since it was too slow.
+        stamped_by: of a unit, how many of its images have their time from the stream, or from their arrival.
+        decided: of a robot, its decisions.
+        goals: of a robot, the goals that it heard.
+    """
+
+    path: Path
+    name: str
+    lab: Lab
+    version: str
+    flaws: list[str] = field(default_factory=list)
+    ended: bool = False
+    times_s: tuple[float, float] = (np.inf, -np.inf)
+    lines: list[tuple[float, str]] = field(default_factory=list)
+    clocks: dict[str, list[ClockSample]] = field(default_factory=dict)
+    refused: dict[str, int] = field(default_factory=dict)
+    refused_at_s: list[float] = field(default_factory=list)
+    dropped: int = 0
+    stages: list[Stages] = field(default_factory=list)
+    seen: list[Seen] = field(default_factory=list)
+    judged: list[Judged] = field(default_factory=list)
+    goals_px: dict[int, tuple[float, float]] = field(default_factory=dict)
+    image_size_px: tuple[int, int] = (0, 0)
+    lost_pictures: int = 0
+    stamped_by: Counter[str] = field(default_factory=Counter)
+    decided: list[Decided] = field(default_factory=list)
+    goals: list[GoalNews] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self._peers = PeerClocks(self.name, self.lab.clock_limits)
+        self._waiting: list[GoalNews] = []
+        self._looked_s = -np.inf
+
+    @property
+    def number(self) -> int:
+        """Of the unit, or the marker of the robot."""
+        return int(self.name.partition("/")[2])
+
+    @property
+    def is_unit(self) -> bool:
+        """Whether it is a unit's; otherwise it is a robot's."""
+        return self.name.startswith("unit/")
+
+    def take(self, topic: str, record: dict[str, Any]) -> None:
+        """Take in a record.
+
+        Raises:
+            MALFORMED_RECORDS: it is not as this version writes it.
+        """
+        reader = getattr(self, f"_take_{topic.removeprefix('/')}", None)
+        if reader is not None:
+            reader(record)
+
+    def _now_s(self, record: dict[str, Any], key: str = "now_s") -> float:
+        now_s = _stamp(record[key])
+        self.times_s = min(self.times_s[0], now_s), max(self.times_s[1], now_s)
+        return now_s
+
+    def _take_heard(self, record: dict[str, Any]) -> None:
+        received_s, sent_s = self._now_s(record, "received_s"), _stamp(record["sent_s"])
+        message = plain_message(record["kind"], record["body"])
+        envelope = Envelope(str(record["sender"]), sent_s, message)
+        self._peers.hear(envelope, received_s)
+        if isinstance(message, MotionGoals) and self.number in message.ids and not self.is_unit:
+            known = self._peers.estimate(envelope.sender, received_s)
+            news = GoalNews(envelope.sender, message.time_s, sent_s, received_s, np.nan, known)
+            self._waiting.append(news)
+
+    def _take_beat(self, record: dict[str, Any]) -> None:
+        now_s = self._now_s(record)
+        refused = {_line(why): int(count) for why, count in record["refused"].items()}
+        if sum(refused.values()) > sum(self.refused.values()):
+            self.refused_at_s.append(now_s)
+        self.refused = refused
+        self.dropped = int(record["dropped"])
+        heard = self._peers.heard(now_s)
+        if not 0 <= now_s - self._looked_s < CLOCK_S:
+            self._looked_s = now_s
+            for name in heard:
+                self.clocks.setdefault(name, []).append(ClockSample(now_s, self._peers.estimate(name, now_s)))
+
+    def _take_decide(self, record: dict[str, Any]) -> None:
+        now_s, order, age_s = self._now_s(record), record["order"], record["image_age_s"]
+        decided = Decided(
+            now_s,
+            _line(order["reason"]),
+            bool(record["armed"]),
+            _finite(order["v_mps"]),
+            _finite(order["omega_radps"]),
+            np.nan if age_s is None else _finite(age_s),
+        )
+        self.decided.append(decided)
+        self.goals += [news._replace(commanded_s=now_s) for news in self._waiting]
+        self._waiting = []
+
+    def _take_detections(self, record: dict[str, Any]) -> None:
+        found = from_plain(Detections, record["detections"])
+        size = found.image_size_px
+        if not ((size > 0) & (size < 1e6)).all():
+            raise ValueError("image_size_px")
+        self.image_size_px = int(size[0]), int(size[1])
+        once = found.unambiguous()
+        self.seen.append(Seen(self._now_s(record), once.ids, once.centers_px))
+
+    def _take_view(self, record: dict[str, Any]) -> None:
+        error = record["shape_error"]
+        judged = Judged(
+            self.seen[-1].time_s, np.nan if error is None else _finite(error), int(record["robots"])
+        )
+        self.judged.append(judged)
+        places = zip(record["ids"], record["goals_px"], strict=True)
+        self.goals_px = {int(robot): (_finite(u), _finite(v)) for robot, (u, v) in places}
+
+    def _take_stages(self, record: dict[str, Any]) -> None:
+        self._now_s(record)
+        self.stages.append(Stages(*(_stamp(record[name]) for name in Stages._fields)))
+        self.stamped_by[_line(record["stamped_by"])] += 1
+        self.lost_pictures = int(record["dropped"])
+
+    def _take_tell(self, record: dict[str, Any]) -> None:
+        self.lines.append((self._now_s(record), _line(record["line"])))
+
+
+def read_log(path: Path) -> ProcessLog:
+    """Read a file of a live process, as far as it can be read; `flaws` says what is wrong with it.
+
+    Raises:
+        InputError: there is no such file, or nothing of a live process can be read in it.
+    """
+    diary = DiaryFile(path)
+    log: ProcessLog | None = None
+    flaws = [str(flaw) for flaw in diary.flaws]
+    try:
+        with np.errstate(invalid="raise", over="raise"):
+            for entry in diary.entries():
+                if log is not None:
+                    log.take(entry.topic, entry.content)
+                elif entry.topic == "/about":
+                    log = _begin(path, entry.content)
+    except MALFORMED_RECORDS as error:
+        why = shorten(" ".join(printable(str(error)).split()), 80)
+        flaws.append(f"its records are not as this version writes them ({why})")
+    if log is None:
+        why = "; ".join(flaws) or "no record of who it is"
+        raise InputError(str(path), why, "a file of `skyherd live run` of this version")
+    log.flaws, log.ended = flaws, diary.ended
+    return log
+
+
+def _begin(path: Path, about: dict[str, Any]) -> ProcessLog:
+    """The log of a process, from what it says of itself first."""
+    lab, name = make_lab(about["lab"], where=str(path)), str(about["name"])
+    kind, _, number = name.partition("/")
+    known = {"unit": range(len(lab.model.cameras)), "robot": lab.ids}
+    if int(number) not in known[kind] or name != f"{kind}/{int(number)}":
+        raise ValueError("name")
+    return ProcessLog(path, name, lab, _line(about["version"]))
+
+
+def _stamp(value: Any) -> float:
+    if not is_stamp(value):
+        raise ValueError("no time")
+    return float(value)
+
+
+def _finite(value: Any) -> float:
+    number = float(value)
+    if not abs(number) < 1e9:
+        raise ValueError("no finite number")
+    return number
+
+
+def _line(text: Any) -> str:
+    return shorten(printable(str(text)), LONGEST_LINE)

@@ -1,0 +1,87 @@
+"""What robots and units did over time, as stretches of one reason each."""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from skyherd.live.review.process_log import ProcessLog
+from skyherd.live.review.session_log import SessionLog
+from skyherd.live.robot_core import DRIVING
+
+DECIDING = "decides on images"
+"""What is said of a unit while images come."""
+
+_NUMBERS = re.compile(r"(?<![/\w])[+-]?\d[\d.]*(e[+-]?\d+)?")
+"""Numbers in a reason, but for those in the names of processes."""
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """A stretch of time in which a process did one thing.
+
+    Attributes:
+        reason: `DRIVING`, `DECIDING`, or what held the wheels still, without numbers.
+        start_s: since the beginning of the run.
+        length_s: how long it lasted.
+    """
+
+    reason: str
+    start_s: float
+    length_s: float
+
+
+def gist(reason: str) -> str:
+    """A reason without its numbers, so that those that differ in them alone are one."""
+    return _NUMBERS.sub("…", reason)
+
+
+def stretches(session: SessionLog, log: ProcessLog) -> list[Stretch]:
+    """What the process of a file did, in order; what is between stretches of a unit had no image."""
+    if log.is_unit:
+        times_s = session.times_s(log, [stages.sent_s for stages in log.stages])
+        return _runs(times_s, [DECIDING] * times_s.size, session.lab.model.limits.goal_timeout_s)
+    times_s = session.times_s(log, [decided.time_s for decided in log.decided])
+    return _runs(times_s, [gist(decided.reason) for decided in log.decided], np.inf)
+
+
+def armed_stretches(session: SessionLog, log: ProcessLog) -> list[Stretch]:
+    """When the robot of a file was armed."""
+    times_s = session.times_s(log, [decided.time_s for decided in log.decided])
+    runs = _runs(times_s, ["armed" if decided.armed else "" for decided in log.decided], np.inf)
+    return [run for run in runs if run.reason]
+
+
+def _runs(times_s: np.ndarray, reasons: Sequence[str], gap_s: float) -> list[Stretch]:
+    """Stretches of equal reasons, each up to the beginning of the next one; cut where a gap is longer."""
+    if not times_s.size:
+        return []
+    steps_s = np.diff(times_s)
+    usual_s = float(np.median(steps_s)) if steps_s.size else 0.0
+    found: list[Stretch] = []
+    first = 0
+    for row in range(1, times_s.size + 1):
+        if row < times_s.size and reasons[row] == reasons[first] and steps_s[row - 1] <= gap_s:
+            continue
+        joined = row < times_s.size and steps_s[row - 1] <= gap_s
+        end_s = times_s[row] if joined else times_s[row - 1] + usual_s
+        found.append(Stretch(reasons[first], float(times_s[first]), max(0.0, float(end_s - times_s[first]))))
+        first = row
+    return found
+
+
+def time_by_reason(session: SessionLog, logs: Sequence[ProcessLog]) -> dict[str, float]:
+    """How long processes did what, s, the longest first."""
+    total_s: dict[str, float] = {}
+    for log in logs:
+        for stretch in stretches(session, log):
+            total_s[stretch.reason] = total_s.get(stretch.reason, 0.0) + stretch.length_s
+    return dict(sorted(total_s.items(), key=lambda item: -item[1]))
+
+
+def driving_share(session: SessionLog, logs: Sequence[ProcessLog]) -> float:
+    """Share of the time that robots decided in that they drove; NaN without any."""
+    total_s = time_by_reason(session, logs)
+    whole_s = sum(total_s.values())
+    return total_s.get(DRIVING, 0.0) / whole_s if whole_s else np.nan

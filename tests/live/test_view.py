@@ -1,0 +1,73 @@
+"""What a unit keeps of an image for people, against the mathematics of it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from live_sessions import small_lab
+
+from skyherd.geometry import to_complex, to_points
+from skyherd.live.view import view_of
+from skyherd.messages import Detections
+from skyherd.messages.role_map import RoleMap
+
+
+@pytest.fixture(scope="module")
+def lab():
+    return small_lab(robots=5)
+
+
+def seen(points, ids):
+    corners = np.array([-10 - 10j, 10 - 10j, 10 + 10j, -10 + 10j])
+    return Detections(
+        unit_id=0,
+        time_s=100.0,
+        image_size_px=np.array([640, 480]),
+        ids=ids,
+        centers_px=to_points(points),
+        headings_rad=np.full(ids.size, -np.pi / 2),
+        sides_px=np.full(ids.size, 20.0),
+        corners_px=to_points((points[:, None] + corners).ravel()).reshape(-1, 4, 2),
+        covariances=np.zeros((ids.size, 3, 3)),
+    )
+
+
+def decision_on(lab, points, ids=None):
+    """What the lab's unit decides on robots that stand at image points; it takes pixels as they are."""
+    unit = lab.make_unit(0)
+    unit._controller.rectifier = None
+    return unit.see(seen(points, np.arange(len(points)) if ids is None else ids), 100.0).decision
+
+
+def test_a_shape_that_is_formed_has_no_error_and_its_goals_are_where_the_robots_are(lab) -> None:
+    points = 320 + 240j + 40 * np.exp(0.7j) * lab.template.points_px
+    view = view_of(decision_on(lab, points), lab.template)
+    assert view.shape_error < 1e-12 and view.robots == 5 and view.captured_s == 100.0
+    np.testing.assert_allclose(view.goals_px, to_points(points)[view.ids], atol=1e-9)
+
+
+def test_the_error_and_the_goals_are_those_of_the_best_similarity(lab) -> None:
+    rng = np.random.default_rng(4)
+    points = 320 + 240j + 40 * lab.template.points_px + rng.normal(size=5) + 5j * rng.normal(size=5)
+    view = view_of(decision_on(lab, points), lab.template)
+    design = np.stack([lab.template.points_px, np.ones(5)], axis=1)
+    fitted = design @ np.linalg.lstsq(design, points, rcond=None)[0]
+    error = np.linalg.norm(fitted - points) / np.linalg.norm(points - points.mean())
+    assert view.shape_error == pytest.approx(error, rel=1e-9)
+    assert view.ids.size == 5
+    np.testing.assert_allclose(to_complex(view.goals_px), fitted[view.ids], atol=1e-6)
+
+
+def test_robots_that_exchanged_their_places_are_held_against_these(lab) -> None:
+    roles = np.array([1, 0, 2, 4, 3])
+    points = 320 + 240j + 40 * lab.template.points_px[roles]
+    decision = decision_on(lab, points)
+    assert view_of(decision, lab.template).shape_error > 0.1
+    exchanged = replace(decision, report=replace(decision.report, roles=RoleMap(1, 0, roles)))
+    assert view_of(exchanged, lab.template).shape_error < 1e-12
+
+
+def test_two_robots_and_strangers_have_no_error(lab) -> None:
+    points = 320 + 240j + 40 * lab.template.points_px[:4]
+    view = view_of(decision_on(lab, points, np.array([0, 1, 30, 31])), lab.template)
+    assert np.isnan(view.shape_error) and view.robots == 2

@@ -34,6 +34,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import orjson
+from mcap.reader import make_reader
 
 from skyherd.files.atomic import write_text
 from skyherd.live.diary_file import read_diary
@@ -297,7 +299,9 @@ def _free_port() -> int:
 def _judge(team: Team) -> dict[str, Any]:
     """What the world and the processes have recorded."""
     limits = load_lab(str(team.lab_file), []).model.limits
-    truth = [record for topic, record in read_diary(team.folder / "world.mcap") if topic == "/truth"]
+    with (team.folder / "world.mcap").open("rb") as stream:
+        messages = make_reader(stream).iter_messages(topics=["/truth"])
+        truth = [orjson.loads(message.data) for _, _, message in messages]
     blind_s, lost_s = 0.0, 0.0
     robots = range(len(truth[0]["v_mps"]))
     for robot in robots:

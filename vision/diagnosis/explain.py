@@ -16,7 +16,7 @@ import numpy as np
 from skyherd.geometry import Array
 from skyherd.markers.dictionary import card_side
 from skyherd.messages import Detections
-from skyherd.vision.detectors.opencv_tuned import ArucoDetector
+from skyherd.vision.detectors.registry import create_detector
 from skyherd.vision.diagnosis.candidates import bright_groups, cut_squares, dark_patches, dark_quads
 from skyherd.vision.diagnosis.quad_reading import PROMISING, Reading, read_likely, read_quad
 from skyherd.vision.diagnosis.reasons import (
@@ -84,14 +84,14 @@ def explain(image: Image, dictionary: str, detections: Detections | None = None)
     Args:
         image: grey, (height, width), uint8.
         dictionary: name of the dictionary.
-        detections: what was detected; by `ArucoDetector` if left out.
+        detections: what was detected; by the default detector if left out.
 
     Raises:
         InputError: the image is not a grey one of 8 bits, or there is no such dictionary.
     """
     image = check_grey(image)
     if detections is None:
-        detections = ArucoDetector(dictionary).detect(image)
+        detections = create_detector(dictionary=dictionary).detect(image)
     readings: list[Reading] = []
     for reading in sorted(_read_all(image, dictionary, detections), key=_rank, reverse=True):
         if not _is_part(reading, readings):

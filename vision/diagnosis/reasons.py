@@ -10,7 +10,7 @@ from skyherd.vision.diagnosis.quad_reading import Reading
 
 ENOUGH_CELL_PX = 3.0
 """Pixels a cell from which on hardly a marker is missed. Measured: 18 px for the 6 cells of 4x4
-(`detectors/aruco_accuracy.toml`: 99.6 % are found)."""
+(`detectors/photometric_accuracy.toml`: all are found)."""
 
 ENOUGH_CONTRAST = 40.0
 """Smallest difference of white and black, grey levels, that is called enough. Chosen: ten times the usual

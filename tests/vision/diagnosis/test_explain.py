@@ -9,7 +9,7 @@ import pytest
 from skyherd.errors import InputError
 from skyherd.markers.dictionary import corners_of_pose, marker_cells
 from skyherd.render import Camera, CameraPose, Ground, Renderer, Sensor
-from skyherd.vision import ArucoDetector
+from skyherd.vision import create_detector
 from skyherd.vision.diagnosis.explain import Rejection, explain
 from skyherd.vision.diagnosis.quad_reading import load_templates, read_quad
 from skyherd.vision.diagnosis.reasons import ENOUGH_CELL_PX, Reason
@@ -50,7 +50,7 @@ def likely(image: np.ndarray, dictionary: str = DICTIONARY) -> list[Rejection]:
 
 def blindly(image: np.ndarray) -> list[Rejection]:
     """As for a detector that finds nothing: what is said does not hang on how good today's is."""
-    nothing = ArucoDetector(DICTIONARY).detect(image).select([])
+    nothing = create_detector(dictionary=DICTIONARY).detect(image).select([])
     return [r for r in explain(image, DICTIONARY, nothing) if r.reason is not Reason.NO_BITS]
 
 
@@ -64,7 +64,7 @@ def explained_at(image: np.ndarray, place_px: np.ndarray) -> Rejection:
 def test_nothing_is_rejected_where_all_is_well(draw) -> None:
     """The control of all below: the same picture without a fault."""
     image = draw()
-    assert ArucoDetector(DICTIONARY).detect(image).ids.tolist() == IDS
+    assert create_detector(dictionary=DICTIONARY).detect(image).ids.tolist() == IDS
     assert likely(image) == []
     assert {(r.reason, r.reading.nearest_id) for r in blindly(image)} == {(Reason.OVERLOOKED, k) for k in IDS}
 
@@ -198,7 +198,7 @@ def test_an_id_that_is_there_twice(draw) -> None:
 def test_what_reads_well_and_was_not_reported_is_overlooked(draw) -> None:
     """A detector that has lost one: its detections are handed in without it."""
     image = draw()
-    found = ArucoDetector(DICTIONARY).detect(image).select([3, 7, 12])
+    found = create_detector(dictionary=DICTIONARY).detect(image).select([3, 7, 12])
     rejected = [r for r in explain(image, DICTIONARY, found) if r.reason is not Reason.NO_BITS]
     assert [(r.reason, r.reading.nearest_id) for r in rejected] == [(Reason.OVERLOOKED, 21)]
     assert "without a fault" in rejected[0].words

@@ -37,7 +37,7 @@ class MyWorld:
 
 def main() -> np.ndarray:
     """Bring the robots into a square; returns where they end, in metres."""
-    world, detector = MyWorld(), create_detector("aruco", dictionary="4X4_50")
+    world, detector = MyWorld(), create_detector("tracking", dictionary="4X4_50")
     square = Template.from_ground_points(IDS, [[0, 0], [1, 0], [1, 1], [0, 1]])
     unit = AerialController(square, SafetyRadius(radius=1.2), Hover(), rectifier=Rectifier())
     inboxes = GoalInboxes(IDS, unit_ids=np.array([0]), lifetime_s=0.5)

@@ -42,7 +42,7 @@ def frame():
 
 def test_the_detector_finds_what_the_named_one_finds(page, frame) -> None:
     image, whole_ids = frame
-    ours = create_detector("aruco", dictionary="4X4_50").detect(image)
+    ours = create_detector(dictionary="4X4_50").detect(image)
     plain = page["PlainOpenCV"]("4X4_50").detect(image, time_s=3.0, unit_id=2)
     assert sorted(plain.ids.tolist()) == sorted(ours.ids.tolist()) == sorted(whole_ids)
     assert (plain.time_s, plain.unit_id) == (3.0, 2)

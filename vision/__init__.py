@@ -6,11 +6,12 @@
 
 from skyherd.vision.detectors.accuracy import DetectorAccuracy, load_accuracy
 from skyherd.vision.detectors.corners import detections_of_corners
-from skyherd.vision.detectors.opencv_tuned import ArucoDetector
 from skyherd.vision.detectors.peers import APRILTAG_FAMILIES, LOCUS_FAMILIES, PeerDetector, peer_names
 from skyherd.vision.detectors.registry import (
+    DEFAULT_DETECTOR,
     DEFAULT_DICTIONARY,
     Detector,
+    check_detector_name,
     create_detector,
     detector_names,
     explain_mirrored,
@@ -22,15 +23,16 @@ from skyherd.vision.photometric.detector import PhotometricDetector
 
 __all__ = [
     "APRILTAG_FAMILIES",
+    "DEFAULT_DETECTOR",
     "DEFAULT_DICTIONARY",
     "LOCUS_FAMILIES",
-    "ArucoDetector",
     "Detector",
     "DetectorAccuracy",
     "PeerDetector",
     "PhotometricDetector",
     "Reason",
     "Rejection",
+    "check_detector_name",
     "create_detector",
     "detections_of_corners",
     "detector_names",

@@ -31,7 +31,7 @@ from skyherd.files.reading import is_regular
 from skyherd.geometry import Array, IntArray, to_points
 from skyherd.markers.dictionary import dictionary_size
 from skyherd.random_streams import RunStream, generator
-from skyherd.vision import detector_names, load_accuracy
+from skyherd.vision import check_detector_name, load_accuracy
 
 BUILT_IN = "skyherd.datasets.scenarios"
 """Package of the built-in scenarios."""
@@ -199,9 +199,7 @@ def _apply_setting(tree: dict[str, Any], setting: str) -> None:
 
 def _complete(scenario: Scenario, folder: Path) -> Mission:
     rng = generator(scenario.seed, RunStream.START_PLACES)
-    if ":" not in scenario.detector and scenario.detector not in detector_names():
-        known = f"one of {', '.join(detector_names())}, or module:factory"
-        raise InputError("detector", f"no detector {scenario.detector!r}", known)
+    check_detector_name(scenario.detector)
     if scenario.perception == "noisy":
         load_accuracy(scenario.detector)
     limit = dictionary_size(scenario.marker.dictionary)

@@ -19,8 +19,7 @@ def read_template_image(path: Path, dictionary: str) -> Template:
         InputError: the file cannot be read, or fewer than two markers are found in it.
     """
     grey = read_grey(path, most_pixels=MOST_PIXELS)
-    detector = create_detector("aruco", dictionary=dictionary)
-    found = detector.detect(grey)
+    found = create_detector(dictionary=dictionary).detect(grey)
     why = explain_mirrored(grey, dictionary)
     if why is None and len(found) < 2:
         why = f"{len(found)} marker(s) of {dictionary} found"

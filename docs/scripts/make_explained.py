@@ -39,8 +39,8 @@ def make_scene() -> np.ndarray:
     """Grey picture of good markers and of one for each common fault."""
     image = Ground(20).draw(np.array([[20.0, 0, 480], [0, -20, 300], [0, 0, 1]]), SIZE_PX)
     image = draw_markers(image, [(7, 120, 110, 20, 64), (12, 350, 90, -60, 40), (21, 560, 130, 130, 52)])
-    image = draw_markers(image, [(3, 150, 300, 70, 10.0)])
-    image = draw_markers(image, [(18, 340, 290, -30, 60)], psf_px=5.6)
+    image = draw_markers(image, [(3, 150, 300, 70, 8.4)])
+    image = draw_markers(image, [(18, 340, 290, -30, 60)], psf_px=8.0)
     image = draw_markers(image, [(25, 560, 320, 200, 60)], black=118.0, white=146.0)
     image = draw_markers(image, [(33, 938, 330, 15, 76), (40, 790, 130, 250, 64), (5, 420, 500, 10, 64)])
     cv2.circle(image, (762, 108), 17, 150, -1, cv2.LINE_AA)

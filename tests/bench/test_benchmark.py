@@ -38,11 +38,11 @@ class Shy:
     """Sees nothing in odd frames."""
 
     def __init__(self, dictionary):
-        self._aruco, self._frames = create_detector("aruco", dictionary=dictionary), 0
+        self._detector, self._frames = create_detector(dictionary=dictionary), 0
 
     def detect(self, image, *, time_s=0.0, unit_id=0):
         self._frames += 1
-        seen = self._aruco.detect(image, time_s=time_s, unit_id=unit_id)
+        seen = self._detector.detect(image, time_s=time_s, unit_id=unit_id)
         return seen if self._frames % 2 else seen.select([])
 
 
@@ -285,7 +285,7 @@ def stranger(tmp_path, monkeypatch):
 
 def test_a_strangers_detector_is_measured_beside_ours(stranger):
     """It sees nothing in every other frame, so that its recall is half of that of the one it wraps."""
-    plan = Plan(("aruco", f"{stranger}:Shy"), "4X4_50", seed=1)
+    plan = Plan(("photometric", f"{stranger}:Shy"), "4X4_50", seed=1)
     ours, theirs = measure_cells(plan, [Cell(noise=2.0, cameras=1, frames=4)])
     assert ours["recall"] > 0.9
     assert theirs["recall"] == pytest.approx(ours["recall"] / 2, abs=0.05)
@@ -300,7 +300,7 @@ def test_the_example_of_the_documentation_works(tmp_path, monkeypatch):
     (tmp_path / "my_library.py").write_text(
         "from skyherd.vision import create_detector\n"
         "def find_markers(image):\n"
-        "    seen = create_detector('aruco').detect(image)\n"
+        "    seen = create_detector().detect(image)\n"
         "    return seen.ids, seen.corners_px\n"
     )
     monkeypatch.chdir(tmp_path)
@@ -317,7 +317,7 @@ def test_the_example_of_the_documentation_works(tmp_path, monkeypatch):
         ("strange_detectors:Absent", "has no attribute 'Absent'"),
         ("no_such_module:make", "No module named 'no_such_module'"),
         ("strange_detectors:", "module:factory"),
-        ("aruko", "one of apriltag3, aruco"),
+        ("photometrik", "one of apriltag3, locus-tag"),
     ],
 )
 def test_a_detector_that_cannot_be_made_is_named(stranger, name, words):
@@ -335,7 +335,7 @@ def test_peers_get_frames_of_a_dictionary_that_they_know():
     assert dictionary_for("apriltag3", "APRILTAG_25h9") == "APRILTAG_25h9"
     assert dictionary_for("locus-tag", "4X4_50") == dictionary_for("opencv", "4X4_50") == "4X4_50"
     assert dictionary_for("locus-tag", "5X5_50") == "APRILTAG_36h11"
-    assert dictionary_for("aruco", "4X4_50") == "4X4_50"
+    assert dictionary_for("photometric", "4X4_50") == "4X4_50"
     assert default_entrants()[0] == "opencv"
 
 
@@ -350,9 +350,9 @@ def test_uncorrected_peers_show_their_bias():
 
 def test_times_are_of_the_frames_after_the_first_and_relative_to_opencv():
     cells = timing_cells(WARM_UP + 8, ((320, 240),))
-    rows = measure_times(Plan(("opencv", "aruco"), "4X4_50", 1), cells, budget_s=60.0)
+    rows = measure_times(Plan(("opencv", "photometric"), "4X4_50", 1), cells, budget_s=60.0)
     assert [(r["detector"], r["noise"]) for r in rows] == [
-        ("opencv", 0.0), ("aruco", 0.0), ("opencv", 5.0), ("aruco", 5.0)
+        ("opencv", 0.0), ("photometric", 0.0), ("opencv", 5.0), ("photometric", 5.0)
     ]  # fmt: skip
     for row in rows:
         assert row["frames"] == 8
@@ -469,20 +469,20 @@ def test_the_command_leaves_its_files(tmp_path, monkeypatch, capfd):
     monkeypatch.setattr("skyherd.cli.bench.QUICK_FRAMES", WARM_UP + 1)
     monkeypatch.setattr("skyherd.cli.bench.QUICK_SIZES_PX", ((320, 240),))
     out = tmp_path / "deep" / "bench"
-    assert run("--quick", "--out", out, "--detectors", "opencv, aruco", "--jobs", 1, "--seed", 7) == 0
+    assert run("--quick", "--out", out, "--detectors", "opencv, photometric", "--jobs", 1, "--seed", 7) == 0
     assert {path.name for path in out.iterdir()} == {".skyherd.json", PAGE, RESULT, MARKDOWN, "figures"}
     told = capfd.readouterr()
     assert told.err == "" and PAGE in told.out
     content = json.loads((out / RESULT).read_text("utf-8"))
     assert content["environment"]["seed"] == 7 and content["environment"]["threads_per_detector"] == 1
-    assert {row["detector"] for row in content["rows"]} == {"opencv", "aruco"}
+    assert {row["detector"] for row in content["rows"]} == {"opencv", "photometric"}
 
 
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
         (("--detectors", "aruko"), "no detector 'aruko'"),
-        (("--detectors", "aruco,aruco"), "aruco named twice"),
+        (("--detectors", "opencv,opencv"), "opencv named twice"),
         (("--detectors", "nowhere:make"), "No module named 'nowhere'"),
         (("--dictionary", "5Y5"), "no dictionary '5Y5'"),
         (("--jobs", 0), "1 or more"),

@@ -90,7 +90,7 @@ def folder(tmp_path):
 def test_a_marker_is_confirmed_by_two_families_and_not_by_two_of_one():
     """0.3 of a side apart is another place; detectors of one family count once."""
     ours, refined, other = seen((1, (50, 50), 20)), seen((1, (51, 50), 20)), seen((1, (55.5, 50), 20))
-    assert judge({"photometric": ours, "aruco": refined}).confirmed == ()
+    assert judge({"photometric": ours, "tracking": refined}).confirmed == ()
     assert judge({"opencv": ours, "opencv-subpix": refined}).confirmed == ()
     assert places(judge({"photometric": ours, "opencv": refined}).confirmed) == [(1, 50, 50)]
     assert places(judge({"photometric": ours, "opencv": other}).confirmed) == [(1, 53, 50)]
@@ -134,43 +134,43 @@ def test_what_is_counted_is_what_was_drawn(folder, tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(tmp_path)
     sets = load_image_sets(folder)
     assert [(one.name, len(one.files)) for one in sets] == [("desk", 2)]
-    measured = measure_photographs(sets, ["opencv", "aruco", "liars:Liar"], ["opencv", "aruco"])
+    measured = measure_photographs(sets, ["opencv", "tracking", "liars:Liar"], ["opencv", "tracking"])
     rows = {row["detector"]: row for row in measured.rows}
     assert {row["confirmed"] for row in rows.values()} == {3}
-    opencv, liar, aruco = rows["opencv"], rows["liars:Liar"], rows["aruco"]
+    opencv, liar, tracking = rows["opencv"], rows["liars:Liar"], rows["tracking"]
     assert (opencv["found"], opencv["recall"], opencv["wrong_ids"], opencv["alone"]) == (3, 1.0, 0, 1)
     assert opencv["times_reference"] == 1.0 and opencv["images"] == 2
     assert (liar["found"], liar["wrong_ids"], liar["alone"]) == (2, 1, 2)
-    assert aruco["found"] == 2, "it leaves out ids that repeat"
+    assert tracking["found"] == 2, "it leaves out ids that repeat"
     missed = {(row["image"], row["id"], row["missed_by"]) for row in measured.missed}
-    assert missed == {("a.png", 1, "liars:Liar"), ("b.png", 3, "aruco")}
+    assert missed == {("a.png", 1, "liars:Liar"), ("b.png", 3, "tracking")}
     (one,) = (row for row in measured.missed if row["id"] == 1)
     assert one["u_px"] == pytest.approx(53.5, abs=0.5) and one["side_px"] == pytest.approx(48, abs=1)
-    assert one["found_by"] == "opencv aruco"
+    assert one["found_by"] == "opencv tracking"
     assert {(row["id"], row["kind"]) for row in measured.unconfirmed} == {
         (9, "wrong id"),
         (7, "alone"),
         (3, "alone"),
     }
-    assert len(measured.missed_tiles["liars:Liar"]) == len(measured.missed_tiles["aruco"]) == 1
+    assert len(measured.missed_tiles["liars:Liar"]) == len(measured.missed_tiles["tracking"]) == 1
 
 
 def test_the_command_leaves_all_it_promises(folder, tmp_path, capsys):
     out = tmp_path / "out"
     code, said, err = call(
-        capsys, "bench", "photographs", folder, "--detector", "opencv,aruco,photometric", "--out", out
+        capsys, "bench", "photographs", folder, "--detector", "opencv,tracking,photometric", "--out", out
     )
     assert code == 0, err
     assert "desk" in said and "100.0 %" in said and str(out / "photographs.html") in said
     assert "opencv-subpix" not in said
     result = json.loads((out / "photographs.json").read_text())
-    assert {row["detector"] for row in result["rows"]} == {"opencv", "aruco", "photometric"}
+    assert {row["detector"] for row in result["rows"]} == {"opencv", "tracking", "photometric"}
     with (out / "missed.csv").open() as lines:
         rows = list(csv.DictReader(lines))
     assert {(row["image"], row["id"]) for row in rows} == {("b.png", "3")}
     page = (out / "photographs.html").read_text()
-    assert "Confirmed, but missed by aruco" in page and page.count("data:image/png") >= 2
-    assert (out / "figures" / "missed_aruco.png").exists()
+    assert "Confirmed, but missed by tracking" in page and page.count("data:image/png") >= 2
+    assert (out / "figures" / "missed_tracking.png").exists()
 
 
 @pytest.mark.parametrize(

@@ -128,11 +128,13 @@ def test_rejections_are_numbered_with_place_and_remedy(here, capsys) -> None:
     image[180:220, 250:290] = 30  # and a dark patch that is no marker
     Image.fromarray(image).save("small.png")
     _, out, _ = call(capsys, "small.png", "--explain")
-    assert "1. at (" in out and "px a cell, at least 3 are needed" in out and "print larger" in out
+    assert "1. at (" in out and ", at least 8 (most like id" in out and "print larger" in out
     assert "more dark quadrilateral(s) without bits" in out
     with open("detections/small/rejected.csv", newline="") as file:
         rows = list(csv.DictReader(file))
-    assert rows[0]["reason"] == "too few pixels a cell" and float(rows[0]["cell_px"]) < 2
+    assert rows[0]["reason"] == "too few pixels" and float(rows[0]["cell_px"]) < 2
+    assert rows[0]["quantity"] == "side in px"
+    assert float(rows[0]["value"]) < float(rows[0]["limit"]) == 8.0
     assert rows[-1]["reason"] == "no bits"
 
 

@@ -156,7 +156,7 @@ def measure(request, here):
     photograph(here / "in" / "a.png")
     photograph(here / "in" / "b.png", 30)
     (here / "in" / "photographs.toml").write_text(SETS)
-    return ["bench", request.param, "in", "--detector", "aruco"]
+    return ["bench", request.param, "in", "--detector", "opencv"]
 
 
 def test_measurements_on_photographs_replace_only_their_own(here, capsys, measure):

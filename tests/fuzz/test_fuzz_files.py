@@ -95,7 +95,7 @@ def pictures(kind, data):
     """`detect`, and a scenario's template image."""
     with playground() as folder:
         Path(f"a.{kind}").write_bytes(data.draw(damaged(picture(kind))))
-        assert_well_behaved(folder, "detect", f"a.{kind}", "--detector", "aruco")
+        assert_well_behaved(folder, "detect", f"a.{kind}", "--detector", "opencv")
         assert_well_behaved(folder, "scenario", "check", "star", "--set", f'template.image="a.{kind}"')
 
 
@@ -103,7 +103,7 @@ def pictures(kind, data):
 def videos(data):
     with playground() as folder:
         Path("a.avi").write_bytes(data.draw(damaged(video())))
-        assert_well_behaved(folder, "detect", "a.avi", "--detector", "aruco")
+        assert_well_behaved(folder, "detect", "a.avi", "--detector", "opencv")
 
 
 @fuzzed(12, name=st.sampled_from(scenario_names()), data=st.data())
@@ -198,7 +198,7 @@ def sets_of_photographs(verb, data):
         Path("in").mkdir()
         Path("in/photographs.toml").write_bytes(data.draw(damaged(SETS) | nonsense(SETS)))
         Path("in/a.png").write_bytes(picture("png"))
-        assert_well_behaved(folder, "bench", verb, "in", "--detector", "aruco", "--out", "out")
+        assert_well_behaved(folder, "bench", verb, "in", "--detector", "opencv", "--out", "out")
 
 
 test_pictures, test_pictures_long = pictures

@@ -69,7 +69,7 @@ def entrance(name, data):
 test_entrance, test_entrance_long = entrance
 
 
-@fuzzed(8, image=ANYTHING, name=st.sampled_from(["photometric", "aruco", "opencv"]))
+@fuzzed(8, image=ANYTHING, name=st.sampled_from(["photometric", "opencv"]))
 def images(image, name):
     """`detect(None)`, and arrays that are no grey images."""
     detector = skyherd.create_detector(name)
@@ -79,7 +79,7 @@ def images(image, name):
 test_images, test_images_long = images
 
 
-@pytest.mark.parametrize("name", ["aruco", "photometric", "tracking", "opencv"])
+@pytest.mark.parametrize("name", ["photometric", "tracking", "opencv"])
 def test_a_detector_of_no_dictionary_is_refused_when_it_is_made(name):
     with pytest.raises(skyherd.InputError, match="no dictionary 'x'"):
         skyherd.create_detector(name, dictionary="x")
@@ -90,4 +90,4 @@ def test_a_detector_of_no_dictionary_is_refused_when_it_is_made(name):
 )
 def test_a_border_that_is_no_number_of_cells_is_refused(border_bits):
     with pytest.raises(skyherd.InputError, match="border bits"):
-        skyherd.create_detector("aruco", border_bits=border_bits)
+        skyherd.create_detector(border_bits=border_bits)

@@ -70,9 +70,7 @@ def test_pages_are_detected_at_true_size_heading_up(dictionary: str) -> None:
     for figure in draw_pages(ids, layout, dictionary):
         file = io.BytesIO()
         figure.savefig(file, dpi=254, format="png")
-        seen = create_detector("aruco", dictionary=dictionary).detect(
-            np.asarray(Image.open(file).convert("L"))
-        )
+        seen = create_detector(dictionary=dictionary).detect(np.asarray(Image.open(file).convert("L")))
         np.testing.assert_allclose(seen.sides_px, 500, atol=2.0)
         np.testing.assert_allclose(np.degrees(seen.headings_rad), -90, atol=0.3)
         found += seen.ids.tolist()

@@ -1,9 +1,12 @@
 """Recall by the truth: a marker counts as found only where it is."""
 
+from itertools import islice
+
 import numpy as np
 import pytest
 
-from skyherd.datasets import load_mission
+from skyherd.datasets import load_mission, scenario_names
+from skyherd.loop import run_steps
 from skyherd.messages import Detections
 from skyherd.sim.perception import RenderedPerception
 from skyherd.sim.physics import make_world
@@ -40,3 +43,27 @@ def test_a_detection_in_a_wrong_place_is_false_and_finds_nothing(how, found):
     assert (changed in sight.found_ids) == found
     assert sight.false_detections == (0 if found else 1)
     assert set(sight.whole_ids) - set(sight.found_ids) == (set() if found else {changed})
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["triangle", *(pytest.param(n, marks=pytest.mark.slow) for n in scenario_names() if n != "triangle")],
+)
+@pytest.mark.parametrize("kind", ["rendered", "noisy"])
+def test_every_scenario_runs_on_opencvs_detector_alone(name, kind):
+    """Its detections, of which it tells no covariance, go through the loop: most markers of the first images
+    are there, and controllers set goals for all robots that they control."""
+    mission = load_mission(name, ["detector=opencv", f"perception={kind}"])
+    step, _ = islice(run_steps(mission), 2)
+    sights = [frame.sight for frame in step.frames.values()]
+    found, whole = (sum(ids.size for ids in lists) for lists in zip(*map(_ids_of, sights), strict=True))
+    assert found >= 0.6 * whole > 0
+    assert all(sight.detections.covariances.any() == (kind == "noisy") for sight in sights)
+    for frame in step.frames.values():
+        goals = frame.decision.goals
+        controlled = frame.decision.report.controlled_ids
+        assert np.array_equal(np.sort(controlled), np.zeros(0) if goals is None else np.sort(goals.ids))
+
+
+def _ids_of(sight):
+    return sight.found_ids, sight.whole_ids

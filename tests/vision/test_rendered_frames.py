@@ -17,7 +17,7 @@ from skyherd.loop import run_steps
 from skyherd.markers.dictionary import card_side, dictionary_names, pose_of_corners
 from skyherd.messages import Detections
 from skyherd.render import Camera, CameraPose, Ground, Renderer, Sensor, project_markers
-from skyherd.vision import ArucoDetector, create_detector, explain_mirrored
+from skyherd.vision import create_detector, explain_mirrored
 from skyherd.vision.detectors.accuracy import load_accuracy
 
 DICTIONARY, IMAGE_PX, PER_FRAME = "4X4_50", 800, 16
@@ -50,7 +50,7 @@ def renderer() -> Renderer:
 def measure(renderer: Renderer, side_px: float, frames: int, seed: int) -> Measured:
     """Markers on a jittered grid, all cards whole, at any heading, id, yaw and place on the ground."""
     rng = np.random.default_rng([seed, int(side_px)])
-    detector = create_detector("aruco", dictionary=DICTIONARY)
+    detector = create_detector(dictionary=DICTIONARY)
     found, false, errors, covariances, sides = 0, 0, [], [], []
     spacing = (IMAGE_PX / side_px - 2.5) / 4
     for _ in range(frames):
@@ -146,7 +146,7 @@ def test_centres_are_within_the_shipped_tables_rms(measured) -> None:
     errors, 90 % of them below 4.61. The share below is then 0.9 but for 5 binomial deviations; tails
     heavier than normal at the same RMS only put more into the bulk.
     """
-    table = load_accuracy("aruco")
+    table = load_accuracy("photometric")
     for r in measured.values():
         std = np.interp(r.side_px, table.sides_px, table.position_std_px)
         squares = np.sum(r.error[:, :2] ** 2, axis=1) / std**2
@@ -181,7 +181,7 @@ def test_a_robot_that_drives_forward_moves_along_its_image_heading(renderer, yaw
     start = np.array([[0.0, -1.0], [6.0, -1.0], [3.0, 4.0], [3.0, -6.0]])
     ahead = start + 2.0 * np.column_stack([np.cos(headings), np.sin(headings)])
     before, after = (
-        ArucoDetector(DICTIONARY).detect(renderer.render(camera, pose, ids, positions, headings))
+        create_detector(dictionary=DICTIONARY).detect(renderer.render(camera, pose, ids, positions, headings))
         for positions in (start, ahead)
     )
     assert before.ids.tolist() == after.ids.tolist() == ids.tolist()
@@ -196,7 +196,7 @@ def test_corners_zero_and_one_lie_ahead_left_then_right(renderer) -> None:
     image = renderer.render(
         camera, pose, np.array([7]), np.zeros((1, 2)), np.array([np.pi / 2])
     )  # north: image up
-    seen = ArucoDetector(DICTIONARY).detect(image)
+    seen = create_detector(dictionary=DICTIONARY).detect(image)
     assert seen.headings_rad[0] == pytest.approx(-np.pi / 2, abs=0.02)
     np.testing.assert_allclose(
         seen.corners_px[0] - 99.5, [[-20, -20], [20, -20], [20, 20], [-20, 20]], atol=0.5
@@ -227,7 +227,7 @@ def picture(renderer: Renderer, ids: list[int], *, mirrored: bool = False) -> np
 
 
 def test_a_mirrored_stream_decodes_nothing_and_that_is_said(renderer) -> None:
-    detector = ArucoDetector(DICTIONARY)
+    detector = create_detector(dictionary=DICTIONARY)
     image = picture(renderer, [3, 12, 21, 40], mirrored=True)
     assert len(detector.detect(image)) == 0
     why = explain_mirrored(image, DICTIONARY)
@@ -257,14 +257,14 @@ def test_a_run_through_a_mirrored_camera_is_refused(scenario_tree, name) -> None
 
 
 def test_an_empty_image_is_not_explained_away(renderer) -> None:
-    detector = ArucoDetector(DICTIONARY)
+    detector = create_detector(dictionary=DICTIONARY)
     image = picture(renderer, [])
     assert len(detector.detect(image)) == 0
     assert explain_mirrored(image, DICTIONARY) is None
 
 
 def test_an_id_that_is_seen_twice_is_left_out(renderer) -> None:
-    seen = ArucoDetector(DICTIONARY).detect(picture(renderer, [3, 8, 3, 40]))
+    seen = create_detector(dictionary=DICTIONARY).detect(picture(renderer, [3, 8, 3, 40]))
     assert seen.ids.tolist() == [8, 40]
 
 
@@ -281,27 +281,27 @@ def test_an_id_that_is_seen_twice_is_left_out(renderer) -> None:
 )
 def test_only_grey_images_of_8_bits_are_taken(image) -> None:
     with pytest.raises(InputError, match=r"grey, \(height, width\), uint8"):
-        ArucoDetector(DICTIONARY).detect(image)
+        create_detector(dictionary=DICTIONARY).detect(image)
 
 
 def test_an_unknown_detector_or_dictionary_is_named_with_those_there_are() -> None:
-    with pytest.raises(InputError, match="no detector 'yolo'; one of apriltag3, aruco"):
+    with pytest.raises(InputError, match="no detector 'yolo'; one of apriltag3, locus-tag"):
         create_detector("yolo")
     with pytest.raises(InputError, match="no dictionary '9X9_1'") as raised:
-        ArucoDetector("9X9_1").detect(np.zeros((40, 40), np.uint8))
+        create_detector(dictionary="9X9_1").detect(np.zeros((40, 40), np.uint8))
     assert all(name in str(raised.value) for name in dictionary_names())
 
 
 def test_detecting_does_not_change_the_image(renderer) -> None:
     image = picture(renderer, [3, 8])
     before = image.copy()
-    ArucoDetector(DICTIONARY).detect(image)
+    create_detector(dictionary=DICTIONARY).detect(image)
     np.testing.assert_array_equal(image, before)
 
 
 def test_one_detector_serves_images_of_several_sizes(renderer) -> None:
     """Settings are in pixels: the same marker is found in a small picture and in a large one around it."""
-    detector = ArucoDetector(DICTIONARY)
+    detector = create_detector(dictionary=DICTIONARY)
     small = picture(renderer, [3, 8])
     large = np.full((1200, 1600), 128, np.uint8)
     large[500:900, 700:1100] = small
@@ -312,16 +312,18 @@ def test_one_detector_serves_images_of_several_sizes(renderer) -> None:
 
 
 def test_detections_carry_their_unit_time_and_size(renderer) -> None:
-    seen: Detections = ArucoDetector(DICTIONARY).detect(picture(renderer, [3]), time_s=2.5, unit_id=4)
+    seen: Detections = create_detector(dictionary=DICTIONARY).detect(
+        picture(renderer, [3]), time_s=2.5, unit_id=4
+    )
     assert (seen.unit_id, seen.time_s, seen.image_size_px.tolist()) == (4, 2.5, [400, 400])
-    wide = ArucoDetector(DICTIONARY).detect(np.zeros((30, 70), np.uint8))
+    wide = create_detector(dictionary=DICTIONARY).detect(np.zeros((30, 70), np.uint8))
     assert wide.image_size_px.tolist() == [70, 30] and len(wide) == 0
 
 
 def test_markers_that_are_no_robots_are_ignored_by_the_controller(renderer) -> None:
     """A stray marker 40 in view changes neither goals nor flight nor what is reported."""
     template = Template(np.array([3, 8, 21]), np.array([0, 1, 1j]))
-    seen = ArucoDetector(DICTIONARY).detect(picture(renderer, [3, 8, 21, 40]))
+    seen = create_detector(dictionary=DICTIONARY).detect(picture(renderer, [3, 8, 21, 40]))
     assert 40 in seen.ids
     with_stray, without = (
         AerialController(template, SafetyRadius(radius=1.4), Hover()).step(detections)

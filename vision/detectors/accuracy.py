@@ -15,7 +15,7 @@ import numpy as np
 from skyherd.errors import InputError
 from skyherd.geometry import Array
 
-MEASURED_AS = {"aruco": "aruco", "photometric": "photometric", "tracking": "photometric"}
+MEASURED_AS = {"photometric": "photometric", "tracking": "photometric", "opencv": "opencv"}
 """Detectors whose errors were measured, and whose table has them: following markers changes the time taken,
 not the errors."""
 
@@ -30,19 +30,13 @@ class DetectorAccuracy:
 
     Attributes:
         sides_px: (K,) true sides.
-        side_bias_px: (K,) means of measured minus true side.
         position_std_px: (K,) standard deviations of each of u and v.
         heading_std_rad: (K,) standard deviations of the heading.
     """
 
     sides_px: Array
-    side_bias_px: Array
     position_std_px: Array
     heading_std_rad: Array
-
-    def true_sides_px(self, measured_px: Array) -> Array:
-        """Return measured sides (N,), px, with the mean error at their size subtracted."""
-        return measured_px - np.interp(measured_px, self.sides_px + self.side_bias_px, self.side_bias_px)
 
     def covariances(self, sides_px: Array) -> Array:
         """Return covariances (N, 3, 3) of (u, v, heading) for markers of true sides (N,), px.
@@ -89,7 +83,6 @@ def load_accuracy(detector: str) -> DetectorAccuracy:
 
     return DetectorAccuracy(
         sides_px=column("side_px"),
-        side_bias_px=column("side_bias_px"),
         position_std_px=column("position_std_px"),
         heading_std_rad=np.radians(column("heading_std_deg")),
     )

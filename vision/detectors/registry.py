@@ -16,10 +16,12 @@ from skyherd.markers.dictionary import with_border
 from skyherd.messages import Detections
 from skyherd.messages.checks import check_flags
 from skyherd.plugins import import_factory
-from skyherd.vision.detectors.opencv_tuned import ArucoDetector
 from skyherd.vision.detectors.peers import PeerDetector, peer_names
 from skyherd.vision.grey import Image, check_grey
 from skyherd.vision.photometric.detector import PhotometricDetector
+
+DEFAULT_DETECTOR = "photometric"
+"""Detector where none is named: it finds what OpenCV's does and more, and is the most precise."""
 
 DEFAULT_DICTIONARY = "4X4_50"
 """Marker dictionary where none is named: OpenCV's first 50 markers of 4 x 4 bits."""
@@ -86,7 +88,6 @@ class Detector(Protocol):
 
 
 _DETECTORS: dict[str, Callable[[str], Detector]] = {
-    "aruco": ArucoDetector,
     "photometric": lambda dictionary: PhotometricDetector(dictionary, following=False),
     "tracking": PhotometricDetector,
     **{name: partial(PeerDetector, name) for name in peer_names()},
@@ -97,6 +98,21 @@ _DETECTORS: dict[str, Callable[[str], Detector]] = {
 def detector_names() -> list[str]:
     """Return the names that `create_detector` knows, in alphabetical order; `module:factory` comes on top."""
     return sorted(_DETECTORS)
+
+
+INSTEAD = {"aruco": "photometric, or opencv for that of OpenCV alone"}
+"""Names that no detector has, and what to use instead."""
+
+
+def check_detector_name(name: str) -> None:
+    """Refuse a name that `create_detector` does not know; what `module:factory` names is not imported.
+
+    Raises:
+        InputError: there is no detector of that name.
+    """
+    if ":" not in name and name not in _DETECTORS:
+        usual = f"one of {', '.join(detector_names())}, or module:factory"
+        raise InputError("detector", f"no detector {name!r}", INSTEAD.get(name, usual))
 
 
 class InvertedDetector:
@@ -112,7 +128,7 @@ class InvertedDetector:
 
 
 def create_detector(
-    name: str,
+    name: str = DEFAULT_DETECTOR,
     *,
     dictionary: str = DEFAULT_DICTIONARY,
     corrected: bool = True,
@@ -149,16 +165,13 @@ def create_detector(
 
 def _create_plain(name: str, dictionary: str, *, corrected: bool, repeats: bool) -> Detector:
     """A detector of markers that are black on white."""
+    check_detector_name(name)
     if repeats:
         if name != "photometric":
             raise InputError("detector", f"{name} leaves out ids that repeat", "photometric for them")
         return PhotometricDetector(dictionary, following=False, repeats=True)
     if ":" in name:
         return _import_detector(name, dictionary)
-    if name not in _DETECTORS:
-        raise InputError(
-            "detector", f"no detector {name!r}", f"one of {', '.join(detector_names())}, or module:factory"
-        )
     if not corrected and name in peer_names():
         return PeerDetector(name, dictionary, corrected=False)
     return _DETECTORS[name](dictionary)
@@ -197,7 +210,7 @@ def explain_mirrored(image: Image, dictionary: str) -> str | None:
     Raises:
         InputError: the image is not a grey one of 8 bits, or there is no such dictionary.
     """
-    detector = ArucoDetector(dictionary)
+    detector = PhotometricDetector(dictionary, following=False, repeats=True)
     found, flipped = (len(detector.detect(view)) for view in (image, np.ascontiguousarray(image[:, ::-1])))
     if flipped <= found:
         return None

@@ -1,34 +1,41 @@
-"""Why markers were not detected: every rejected candidate, with what was measured of it and a remedy.
+"""Why markers were not detected: where the default detector loses each candidate, and by which limit.
 
-Explaining is not detecting: this is a slow and thorough pass, for people who set up cameras and markers, over
-what a detector left. Candidates (`candidates`) are read by correlation with all markers under several blurs
-(`quad_reading`), so that blur, contrast and the nearest id are measured from the bits themselves. The first
-limit that is broken, in the order of `Reason`, is the reason given (`reasons`): a marker of too few pixels
-has wrong bits as well.
+This follows the detector's own stages. What both of its looks see (`PhotometricDetector.looks`) is taken as
+it is: a candidate that was fitted is told by the first test that its fit fails, an outline that was not
+decoded by the cells that are wrong. What the search does not find at all is looked for in other, slower ways
+(`candidates`), read by correlation with all markers (`quad_reading`), and fitted all the same, to say which
+test it would fail.
 """
 
 from collections import Counter
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 
 from skyherd.geometry import Array
-from skyherd.markers.dictionary import card_side
+from skyherd.markers.dictionary import card_side, cells_per_side, code_distance
 from skyherd.messages import Detections
-from skyherd.vision.detectors.opencv_tuned import ArucoDetector
+from skyherd.vision.detectors.registry import create_detector
 from skyherd.vision.diagnosis.candidates import bright_groups, cut_squares, dark_patches, dark_quads
 from skyherd.vision.diagnosis.quad_reading import PROMISING, Reading, read_likely, read_quad
 from skyherd.vision.diagnosis.reasons import (
     CERTAIN,
-    ENOUGH_CELL_PX,
+    Measured,
     Reason,
+    Suspect,
     describe,
+    failed_test,
     find_reason,
+    is_clear,
     is_cut,
     is_dark,
 )
 from skyherd.vision.grey import Image, check_grey
+from skyherd.vision.photometric.detector import PhotometricDetector
+from skyherd.vision.photometric.verify import Quantity, image_noise, verification_tests
+from skyherd.vision.search.decode import decode_quads
 
 GROWTHS_PX = (0.5, 1.0)
 """By how much a contour is moved outwards and read again, px. Derived: thresholds lose up to a pixel of an
@@ -38,9 +45,9 @@ REACH = 0.6
 """A candidate centred within this share of a detected card's side from its centre is part of that card.
 Chosen: more than half, for candidates that reach over its edge."""
 
-FRAME_BONUS = 0.3
-"""Added to the rank of candidates that read without a fault or have a clear frame, a likeness. Chosen: more
-than likenesses of markers in one place differ by."""
+BONUS = 0.3
+"""Added to the rank of candidates that read without a fault or have a clear frame, and of those that were
+fitted, a likeness. Chosen: more than likenesses of markers in one place differ by."""
 
 VISIBLE_EXPONENT = 0.25
 """Exponent of the share in the image in a candidate's rank. Chosen: a square half outside loses a sixth."""
@@ -56,11 +63,13 @@ class Rejection:
 
     Attributes:
         reason: what is wrong with it.
-        reading: what was measured of it.
+        measured: the quantity that fails, with its limit; None if the reason is no quantity.
+        reading: what its cells read.
         words: the reason with its numbers, and what to do about it.
     """
 
     reason: Reason
+    measured: Measured | None
     reading: Reading
     words: str
 
@@ -84,52 +93,96 @@ def explain(image: Image, dictionary: str, detections: Detections | None = None)
     Args:
         image: grey, (height, width), uint8.
         dictionary: name of the dictionary.
-        detections: what was detected; by `ArucoDetector` if left out.
+        detections: what was detected; by the default detector if left out.
 
     Raises:
         InputError: the image is not a grey one of 8 bits, or there is no such dictionary.
     """
-    image = check_grey(image)
+    image, detector = check_grey(image), PhotometricDetector(dictionary, following=False, repeats=True)
     if detections is None:
-        detections = ArucoDetector(dictionary).detect(image)
-    readings: list[Reading] = []
-    for reading in sorted(_read_all(image, dictionary, detections), key=_rank, reverse=True):
-        if not _is_part(reading, readings):
-            readings.append(reading)
-    exact = Counter([r.nearest_id for r in readings if r.wrong_bits == 0 and not r.mirrored])
-    exact.update(detections.ids.tolist())
+        detections = create_detector(dictionary=dictionary).detect(image)
+    suspects: list[Suspect] = []
+    for suspect in sorted(_all_suspects(image, detector, detections), key=_rank, reverse=True):
+        if not _is_part(suspect.reading, suspects):
+            suspects.append(suspect)
+    there = Counter(detections.ids.tolist())
+    there.update(s.reading.nearest_id for s in suspects if s.good or _is_exact(s.reading))
     rejections = []
-    size_px = np.array([image.shape[1], image.shape[0]])
-    for reading in readings:
-        reason = find_reason(reading, size_px, again=exact[reading.nearest_id] > 1)
+    for suspect in suspects:
+        reading = suspect.reading
+        if not suspect.seen:
+            suspect = replace(suspect, failed=_failed_all_the_same(image, detector, reading))
+        again = there[reading.nearest_id] > 1
+        reason, measured = find_reason(suspect, cells_per_side(dictionary), again=again)
         if reason is Reason.NO_BITS and not is_dark(reading):
             continue
-        rejections.append(Rejection(reason, reading, describe(reason, reading, dictionary)))
+        words = describe(reason, measured, reading, dictionary)
+        rejections.append(Rejection(reason, measured, reading, words))
     return sorted(rejections, key=lambda rejection: rejection.reason is Reason.NO_BITS)
 
 
-def _read_all(image: Image, dictionary: str, detections: Detections) -> list[Reading]:
-    """Readings of all candidates that are apart from the detections.
+def _all_suspects(image: Image, detector: PhotometricDetector, detections: Detections) -> list[Suspect]:
+    """All that may be markers, apart from the detections.
+
+    What reaches the image's border and reads with a fault is left out, since the border may be its outline.
+    """
+    dictionary = detector.dictionary
+    first, second = detector.looks(image)
+    reach_px = REACH * card_side(dictionary) * detections.sides_px
+
+    def is_known(corners_px: Array) -> bool:
+        return _is_known(corners_px, detections.centers_px, reach_px)
+
+    noise, distance = image_noise(image), code_distance(dictionary)
+    suspects: list[Suspect] = []
+    for look, beside in ((first, None), (second, first.found)):
+        fits = look.fits if beside is None else beside.joined(look.fits)
+        tests = verification_tests(fits, noise, distance) if fits.ids.size else []
+        for row, corners_px in enumerate(look.candidates.corners_px):
+            if not is_known(corners_px):
+                failed = failed_test(tests, fits.ids.size - look.fits.ids.size + row)
+                reading = _read_grown(image, corners_px, dictionary)
+                good = bool(look.good[row])
+                suspects.append(Suspect(reading, True, True, good, None if good else failed))
+        unread = [quad for quad in look.quads_px if not is_known(quad)]
+        suspects += [Suspect(_read_grown(image, quad, dictionary), seen=True) for quad in unread]
+    size_px = np.array([image.shape[1], image.shape[0]])
+    suspects = [s for s in suspects if s.good or _is_exact(s.reading) or not is_cut(s.reading, size_px)]
+    unseen = _read_unseen(image, dictionary, is_known)
+    return suspects + [Suspect(reading, seen=False) for reading in unseen]
+
+
+def _read_unseen(image: Image, dictionary: str, is_known: Callable[[Array], bool]) -> list[Reading]:
+    """Readings of what the search may not have found.
 
     Squares that were guessed rather than seen count only if they read without a fault, and so do those that
     touch the border, whose outline may be the border itself.
     """
     size_px = np.array([image.shape[1], image.shape[0]])
-    reach_px = REACH * card_side(dictionary) * detections.sides_px
     outlines = [*dark_quads(image, dictionary), *dark_patches(image)]
     guesses = [*cut_squares(image, dictionary), *bright_groups(image, dictionary)]
-    outlines, guesses = (
-        [quad for quad in quads if not _is_known(quad, detections.centers_px, reach_px)]
-        for quads in (outlines, guesses)
-    )
-    seen = [_read_grown(image, quad, dictionary) for quad in outlines]
+    seen = [_read_grown(image, quad, dictionary) for quad in outlines if not is_known(quad)]
     whole = [reading for reading in seen if not is_cut(reading, size_px)]
     doubtful = [reading for reading in seen if is_cut(reading, size_px)]
-    likely = (read_likely(image, quad, dictionary, GUESS) for quad in guesses)
+    likely = (read_likely(image, quad, dictionary, GUESS) for quad in guesses if not is_known(quad))
     doubtful += [reading for reading in likely if reading is not None]
     return whole + [
         r for r in doubtful if r.likeness >= SURE and r.wrong_bits == 0 and r.visible >= MIN_VISIBLE
     ]
+
+
+def _failed_all_the_same(
+    image: Image, detector: PhotometricDetector, reading: Reading
+) -> tuple[Quantity, Measured] | None:
+    """The test that a fit from a reading's corners fails; None if it fails none or is plainly no marker."""
+    if not _is_exact(reading):
+        return None
+    sigma_px = reading.blur_cells * float(reading.cell_px.mean())
+    candidates = decode_quads(image, reading.corners_px[None], detector.dictionary, sigma_px)
+    fits = detector.look_at(image, candidates).fits
+    if not fits.ids.size:
+        return None
+    return failed_test(verification_tests(fits, image_noise(image), code_distance(detector.dictionary)), 0)
 
 
 def _read_grown(image: Image, corners_px: Array, dictionary: str) -> Reading:
@@ -141,14 +194,29 @@ def _read_grown(image: Image, corners_px: Array, dictionary: str) -> Reading:
         readings += [
             read_quad(image, _grown(corners_px, 1 + grow / reach), dictionary) for grow in GROWTHS_PX
         ]
-    return max(readings, key=_rank)
+    return max(readings, key=_likeness)
 
 
-def _rank(reading: Reading) -> float:
-    """How marker-like a reading is; of squares that share a place the highest stays."""
+def _is_exact(reading: Reading) -> bool:
+    """Whether it is plainly a marker, with no wrong bit, and no mirror image of one."""
+    return reading.wrong_bits == 0 and reading.likeness >= CERTAIN and not reading.mirrored
+
+
+def _rank(suspect: Suspect) -> tuple[float, bool]:
+    """How marker-like a suspect is, and whether it was fitted: of those in one place the highest stays."""
+    reached = (suspect.fitted and suspect.reading.wrong_bits == 0) + 2 * suspect.good
+    return _likeness(suspect.reading) + BONUS * reached, suspect.fitted
+
+
+def _likeness(reading: Reading) -> float:
+    """How marker-like a reading is."""
+    return float(reading.likeness * reading.visible**VISIBLE_EXPONENT + BONUS * _reads_well(reading))
+
+
+def _reads_well(reading: Reading) -> bool:
+    """Whether it reads without a fault, mirrored or not, or has a clear frame."""
     exact = reading.likeness >= CERTAIN and reading.wrong_bits == 0
-    frame = reading.framed and reading.cell_px[0] >= ENOUGH_CELL_PX and is_dark(reading)
-    return float(reading.likeness * reading.visible**VISIBLE_EXPONENT + FRAME_BONUS * (exact or frame))
+    return exact or (is_clear(reading) and is_dark(reading))
 
 
 def _contains(corners_px: Array, point_px: Array) -> bool:
@@ -173,10 +241,11 @@ def _is_known(corners_px: Array, centers_px: Array, reach_px: Array) -> bool:
     return any(_contains(corners_px, centers_px[k]) for k in np.flatnonzero(distances < extent))
 
 
-def _is_part(reading: Reading, better: list[Reading]) -> bool:
+def _is_part(reading: Reading, better: list[Suspect]) -> bool:
     """Whether it shares its place with a better candidate."""
     center = reading.corners_px.mean(axis=0)
     return any(
-        _contains(other.corners_px, center) or _contains(reading.corners_px, other.corners_px.mean(axis=0))
+        _contains(other.reading.corners_px, center)
+        or _contains(reading.corners_px, other.reading.corners_px.mean(axis=0))
         for other in better
     )

@@ -59,23 +59,37 @@ FIRST_MIDDLE = 128.0
 class Templates:
     """All N markers of a dictionary in four quarter turns, as they are and mirrored: 8 N templates.
 
-    The row of marker i in turn k is `4 N mirrored + N k + i`.
+    The row of marker i in turn k is `4 N mirrored + N k + i`. A mirror image that is a marker as well, of the
+    same id or of another, counts as that marker.
 
     Attributes:
         white: (8 N, n, n) which cells are white.
         levels: (8 N, n, n) levels of the cells' middles under `FIRST_BLUR_CELLS`, 0 black, 1 white.
         standard: (8 N, n n) the same, each template with mean 0 and standard deviation 1.
         count: number N of markers.
+        unmirrored: (8 N,) for each row the row of the same cells that is not mirrored, or itself if the
+            mirror image is no marker.
     """
 
     white: BoolArray
     levels: npt.NDArray[np.float32]
     standard: npt.NDArray[np.float32]
     count: int
+    unmirrored: IntArray
 
     def row(self, index: int) -> tuple[int, bool]:
-        """Return the marker id of a row, and whether it is mirrored."""
-        return index % self.count, index >= 4 * self.count
+        """Return the marker id of a row, and whether it is the mirror image of a marker and none itself."""
+        own = int(self.unmirrored[index])
+        return own % self.count, own >= 4 * self.count
+
+    def wrong_cells(self, index: int, white: BoolArray, seen: BoolArray) -> tuple[tuple[int, int], ...]:
+        """Return row and column, from 1, of the cells (n, n) that are seen and are not those of a row.
+
+        They are counted in the marker, from its corner that is ahead on the left.
+        """
+        own = int(self.unmirrored[index])
+        turned = np.rot90((white != self.white[own]) & seen, -(own % (4 * self.count) // self.count))
+        return tuple((int(row) + 1, int(column) + 1) for row, column in np.argwhere(turned))
 
 
 def _blurred(white: BoolArray, blur_cells: float, per_cell: int) -> npt.NDArray[np.float32]:
@@ -91,7 +105,9 @@ def load_templates(dictionary: str) -> Templates:
     sides = (cells, cells[:, :, ::-1])
     white = np.concatenate([np.rot90(side, turn, (1, 2)) for side in sides for turn in range(4)])
     levels = _blurred(white, FIRST_BLUR_CELLS, 1)
-    return Templates(white, levels, standardised(levels.reshape(len(levels), -1)), count)
+    rows = {cell.tobytes(): row for row, cell in reversed(list(enumerate(white[: 4 * count])))}
+    unmirrored = np.array([rows.get(cell.tobytes(), row) for row, cell in enumerate(white)])
+    return Templates(white, levels, standardised(levels.reshape(len(levels), -1)), count, unmirrored)
 
 
 @dataclass(frozen=True)
@@ -109,7 +125,7 @@ class Reading:
         likeness: correlation with the nearest marker, -1 to 1.
         nearest_id: id of the marker that it is most like.
         mirrored: whether it is most like that marker's mirror image.
-        wrong_bits: number of cells that differ from that marker's, the border included.
+        wrong_cells: row and column, from 1, of the cells that differ from that marker's, the border included.
         visible: share of its cells that lie in the image.
         blur_cells: standard deviation of its blur, lens and pixel together, in cells.
     """
@@ -124,9 +140,14 @@ class Reading:
     likeness: float
     nearest_id: int
     mirrored: bool
-    wrong_bits: int
+    wrong_cells: tuple[tuple[int, int], ...]
     visible: float
     blur_cells: float
+
+    @property
+    def wrong_bits(self) -> int:
+        """Number of cells that differ from the nearest marker's, the border included."""
+        return len(self.wrong_cells)
 
     @property
     def contrast(self) -> float:
@@ -246,7 +267,7 @@ def _read(sight: _Sight, match: "Match") -> Reading:
         likeness=match.likeness,
         nearest_id=nearest_id,
         mirrored=mirrored,
-        wrong_bits=int(((ring > middle) != templates.white[match.row])[seen].sum()),
+        wrong_cells=templates.wrong_cells(match.row, ring > middle, seen),
         visible=float(seen.mean()),
         blur_cells=match.blur_cells,
     )

@@ -1,5 +1,10 @@
-"""Why a candidate is no detection: the limits, which of them it breaks, and how that is put into words."""
+"""Why a candidate is no detection: at which stage of the detector it is lost, by which limit, and what to do.
 
+The stages are those of `skyherd.vision.photometric.detector`: the search for an outline, the decoding of its
+cells, the fit, and the tests that verify it (`skyherd.vision.photometric.verify`).
+"""
+
+from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
@@ -7,22 +12,19 @@ import numpy as np
 from skyherd.geometry import Array
 from skyherd.markers.dictionary import cells_per_side
 from skyherd.vision.diagnosis.quad_reading import Reading
+from skyherd.vision.photometric.unknown_blur import MAX_SIGMA_SHARE
+from skyherd.vision.photometric.verify import MAX_BLUR_CELLS, FitTest, Quantity
+from skyherd.vision.search.quads import MIN_QUAD_SIDE_PX
+from skyherd.vision.search.regions import DARKER
 
-ENOUGH_CELL_PX = 3.0
-"""Pixels a cell from which on hardly a marker is missed. Measured: 18 px for the 6 cells of 4x4
-(`detectors/aruco_accuracy.toml`: 99.6 % are found)."""
+LEAST_SIDE_PX = MIN_QUAD_SIDE_PX + 1.0
+"""Smallest side of a marker that the search looks for, px. Derived: `MIN_QUAD_SIDE_PX` is between the centres
+of the outermost pixels, which are half a pixel inside of the edges."""
 
-ENOUGH_CONTRAST = 40.0
-"""Smallest difference of white and black, grey levels, that is called enough. Chosen: ten times the usual
-noise and more."""
-
-MAX_BLUR_CELLS = 0.55
-"""Standard deviation of the blur, in cells, beyond which neighbouring cells run into each other. Chosen: half
-a cell and a little."""
-
-OBLIQUE_DEG = 60.0
-"""Tilt, degrees, beyond which a marker with too few pixels is called oblique instead. Derived: its cells are
-then half as high as wide, `cos 60°`."""
+LEAST_SEARCHED_CONTRAST = 3.0 * DARKER
+"""Contrast, grey levels, below which the search may see no outline. Derived: it takes what is darker than the
+mean around it by `DARKER`, and that mean lies half-way at an edge. Chosen: half as much again, for blur and
+noise."""
 
 QUIET_SHARE = 0.4
 """A quiet zone must lie at least this share of the way from black to white on every side. Chosen: a little
@@ -36,12 +38,13 @@ MARKER_LIKE = 0.6
 """Likeness of a clear frame below which its content is not taken as bits. Chosen: below a marker with several
 wrong cells, above most other drawings."""
 
-KNOWN_SHARE = 0.75
-"""Share of a cut marker that must be in the image to say which marker it is. Chosen: less is like several."""
-
 CERTAIN = 0.9
 """Likeness of what is plainly a marker. Small or faint candidates have to reach it, since chance is like some
 marker too. Chosen between such likenesses and those of undamaged markers, 0.95 and more."""
+
+CLEAR_CELL_PX, CLEAR_CONTRAST, CLEAR_BLUR_CELLS = 3.0, 40.0, 0.55
+"""Smallest cell, px, smallest contrast, grey levels, and largest blur, cells, of a clear frame. Chosen: what
+is in it can then be told from bits, however unlike a marker it is."""
 
 MIN_CONTRAST = 8.0
 """Difference of white and black, grey levels, that bits must exceed. Chosen: above the usual noise of 3."""
@@ -58,58 +61,197 @@ MIN_QUIET_CONTRAST = 1.0
 """Smallest contrast, grey levels, that the quiet zone's level is compared with, so that none divides by
 zero."""
 
+SHOWN_CELLS = 4
+"""Most wrong cells that are named one by one. Chosen: they fit into a line."""
+
 
 class Reason(Enum):
-    """Why a candidate is no detection; the values are the words that users read.
+    """Why a candidate is no detection; the values are the words that users read."""
 
-    Of several reasons that hold, the first in this order is given.
+    REPEATED = "id seen twice"
+    OVERLOOKED = "found by photometric"
+    NO_BITS = "no bits"
+    MIRRORED = "mirrored"
+    WRONG_BITS = "bits wrong"
+    FEW_PIXELS = "too few pixels"
+    NO_QUIET_ZONE = "no quiet zone"
+    NO_OUTLINE = "no outline"
+    LOW_CONTRAST = "low contrast"
+    TOO_WHITE = "white too bright"
+    BLURRED = "too blurred"
+    CUT = "cut by the border"
+    OBLIQUE = "too oblique"
+    TOO_NEAR = "too near at a slant"
+    NOISY = "too noisy"
+    UNSETTLED = "fit not settled"
+    WRONG_CELL = "a cell doubtful"
+    UNLIKE_PIXELS = "pixels unlike the marker"
+    UNLIKE_CELLS = "cells unlike the marker"
+    PALE_PRINT = "paler than the others"
+
+
+OF_QUANTITY = {
+    Quantity.CONTRAST: Reason.LOW_CONTRAST,
+    Quantity.WHITE: Reason.TOO_WHITE,
+    Quantity.BLUR: Reason.BLURRED,
+    Quantity.AREA: Reason.CUT,
+    Quantity.SQUEEZE: Reason.OBLIQUE,
+    Quantity.LEAN: Reason.TOO_NEAR,
+    Quantity.CELL_NOISE: Reason.NOISY,
+    Quantity.LAST_STEP: Reason.UNSETTLED,
+    Quantity.WORST_CELL: Reason.WRONG_CELL,
+    Quantity.PIXEL_RESIDUAL: Reason.UNLIKE_PIXELS,
+    Quantity.CELL_RESIDUAL: Reason.UNLIKE_CELLS,
+    Quantity.PRINT_CONTRAST: Reason.PALE_PRINT,
+}
+"""What a failed test of a fit means."""
+
+
+SPOILED_BY_GROUND = {
+    Quantity.WORST_CELL,
+    Quantity.LAST_STEP,
+    Quantity.CELL_NOISE,
+    Quantity.PIXEL_RESIDUAL,
+    Quantity.CELL_RESIDUAL,
+}
+"""Tests that a fit fails where dark ground takes the place of the white margin, which it expects."""
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A quantity of one candidate and its limit.
+
+    Attributes:
+        name: of the quantity, with its unit.
+        value: of this candidate.
+        limit: largest value that passes, or smallest one.
+        at_least: whether the limit is the smallest value that passes.
     """
 
-    NO_BITS = "no bits"
-    CUT = "cut by the border"
-    LOW_CONTRAST = "low contrast"
-    MIRRORED = "mirrored"
-    REPEATED = "id seen twice"
-    OBLIQUE = "too oblique"
-    FEW_PIXELS = "too few pixels a cell"
-    BLURRED = "too blurred"
-    NO_QUIET_ZONE = "no quiet zone"
-    WRONG_BITS = "bits wrong"
-    OVERLOOKED = "overlooked"
+    name: str
+    value: float
+    limit: float
+    at_least: bool = False
+
+    def __str__(self) -> str:
+        allowed = "at least" if self.at_least else "at most"
+        return f"{self.name} {self.value:.3g}, {allowed} {self.limit:.3g}"
 
 
-def find_reason(reading: Reading, image_size_px: Array, *, again: bool) -> Reason:
-    """Return the first reason that holds, in the order of `Reason`; `OVERLOOKED` if none does.
+@dataclass(frozen=True)
+class Suspect:
+    """What may be a marker, and how far the detector came with it.
+
+    Attributes:
+        reading: of it, by correlation with all markers.
+        seen: whether the search found its outline.
+        fitted: whether its cells were decoded and a marker was fitted to it.
+        good: whether the fit is verified.
+        failed: the first test that the fit fails; None without a fit, or if it fails none.
+    """
+
+    reading: Reading
+    seen: bool
+    fitted: bool = False
+    good: bool = False
+    failed: tuple[Quantity, Measured] | None = None
+
+
+def failed_test(tests: list[FitTest], row: int) -> tuple[Quantity, Measured] | None:
+    """Return the first of a fit's tests that it fails, with value and limit; None if it passes all."""
+    for test in tests:
+        if not test.passed()[row]:
+            limit = float(np.broadcast_to(test.limits, test.values.shape)[row])
+            name = UNITS[test.quantity]
+            return test.quantity, Measured(name, float(test.values[row]), limit, test.at_least)
+    return None
+
+
+UNITS = {
+    Quantity.CONTRAST: "contrast in grey levels",
+    Quantity.WHITE: "white in grey levels",
+    Quantity.BLUR: "blur in cells",
+    Quantity.AREA: "share of its area in the image",
+    Quantity.SQUEEZE: "squeeze",
+    Quantity.LEAN: "lean",
+    Quantity.CELL_NOISE: "noise of a cell",
+    Quantity.LAST_STEP: "last step in px",
+    Quantity.WORST_CELL: "worst cell as a share of a wrong one",
+    Quantity.PIXEL_RESIDUAL: "residual of the pixels in grey levels",
+    Quantity.CELL_RESIDUAL: "residual of the cells in grey levels",
+    Quantity.PRINT_CONTRAST: "print contrast",
+}
+"""Names of the quantities with their units, as users read them."""
+
+
+def find_reason(suspect: Suspect, n_cells: int, *, again: bool) -> tuple[Reason, Measured | None]:
+    """Return why a suspect is no detection, and the quantity that says so, if one does.
 
     Args:
-        reading: of the candidate.
-        image_size_px: (2,) width and height of the image.
-        again: whether its id was read without a fault elsewhere too.
+        suspect: the candidate.
+        n_cells: cells along a side of the marker, on which it depends how much blur a fit assumes at most.
+        again: whether its id is there without a fault elsewhere too.
     """
+    reading = suspect.reading
     exact = reading.wrong_bits == 0 and reading.likeness >= CERTAIN
-    short = reading.cell_px[0]
-    tests = (
-        (Reason.NO_BITS, not _has_bits(reading)),
-        (Reason.CUT, is_cut(reading, image_size_px)),
-        (Reason.LOW_CONTRAST, reading.contrast < ENOUGH_CONTRAST),
-        (Reason.MIRRORED, exact and reading.mirrored),
-        (Reason.REPEATED, exact and again),
-        (Reason.OBLIQUE, reading.tilt_deg > OBLIQUE_DEG and short < ENOUGH_CELL_PX),
-        (Reason.FEW_PIXELS, short < ENOUGH_CELL_PX),
-        (Reason.BLURRED, reading.blur_cells > MAX_BLUR_CELLS),
-        (Reason.NO_QUIET_ZONE, bool(_lacks_quiet(reading).any())),
-        (Reason.WRONG_BITS, reading.wrong_bits > 0),
-    )
-    return next((reason for reason, holds in tests if holds), Reason.OVERLOOKED)
+    if (suspect.good or exact) and again and not reading.mirrored:
+        return Reason.REPEATED, None
+    if suspect.good:
+        return Reason.OVERLOOKED, None
+    if not _has_bits(reading):
+        return Reason.NO_BITS, Measured("likeness", reading.likeness, CERTAIN, at_least=True)
+    if exact and reading.mirrored:
+        return Reason.MIRRORED, None
+    if reading.side_px < LEAST_SIDE_PX:
+        return Reason.FEW_PIXELS, Measured("side in px", reading.side_px, LEAST_SIDE_PX, at_least=True)
+    most_blur_cells = min(MAX_BLUR_CELLS, MAX_SIGMA_SHARE * n_cells)
+    if reading.blur_cells > most_blur_cells and reading.likeness >= CERTAIN:
+        return Reason.BLURRED, Measured(UNITS[Quantity.BLUR], reading.blur_cells, most_blur_cells)
+    if not suspect.seen:
+        return _unseen_reason(suspect)
+    dark = int(_lacks_quiet(reading).sum())
+    if dark and not reading.wrong_bits and suspect.failed and suspect.failed[0] in SPOILED_BY_GROUND:
+        return Reason.NO_QUIET_ZONE, Measured("edges without a white margin", dark, 0.0)
+    if reading.wrong_bits and (not suspect.fitted or _is_cell(suspect.failed)):
+        return Reason.WRONG_BITS, Measured("wrong cells", reading.wrong_bits, 0.0)
+    return _test_reason(suspect.failed)
+
+
+def _unseen_reason(suspect: Suspect) -> tuple[Reason, Measured | None]:
+    """Why the search finds no outline around what reads as a marker."""
+    reading = suspect.reading
+    if reading.contrast < LEAST_SEARCHED_CONTRAST and suspect.failed is None:
+        name = UNITS[Quantity.CONTRAST]
+        return Reason.LOW_CONTRAST, Measured(name, reading.contrast, LEAST_SEARCHED_CONTRAST, at_least=True)
+    dark = int(_lacks_quiet(reading).sum())
+    if dark:
+        return Reason.NO_QUIET_ZONE, Measured("edges without a white margin", dark, 0.0)
+    if reading.wrong_bits:
+        return Reason.WRONG_BITS, Measured("wrong cells", reading.wrong_bits, 0.0)
+    if reading.visible < 1 and suspect.failed is None:
+        return Reason.CUT, Measured("share of its cells in the image", reading.visible, 1.0, at_least=True)
+    return _test_reason(suspect.failed)
+
+
+def _test_reason(failed: tuple[Quantity, Measured] | None) -> tuple[Reason, Measured | None]:
+    return (Reason.NO_OUTLINE, None) if failed is None else (OF_QUANTITY[failed[0]], failed[1])
+
+
+def _is_cell(failed: tuple[Quantity, Measured] | None) -> bool:
+    return failed is not None and failed[0] is Quantity.WORST_CELL
 
 
 def _has_bits(reading: Reading) -> bool:
     """Whether it is plainly a marker, or a large, sharp and clear frame with something in it."""
     if reading.contrast <= max(MIN_CONTRAST, BIT_SHARE * reading.depth):
         return False
-    clear = reading.framed and reading.cell_px[0] >= ENOUGH_CELL_PX and reading.contrast >= ENOUGH_CONTRAST
-    clear = clear and reading.blur_cells <= MAX_BLUR_CELLS and not _lacks_quiet(reading).any()
-    return reading.likeness >= (MARKER_LIKE if clear else CERTAIN)
+    return reading.likeness >= (MARKER_LIKE if is_clear(reading) else CERTAIN)
+
+
+def is_clear(reading: Reading) -> bool:
+    """Return whether a candidate is a large, sharp and clear frame on white."""
+    clear = reading.framed and reading.cell_px[0] >= CLEAR_CELL_PX and reading.contrast >= CLEAR_CONTRAST
+    return clear and reading.blur_cells <= CLEAR_BLUR_CELLS and not bool(_lacks_quiet(reading).any())
 
 
 def is_dark(reading: Reading) -> bool:
@@ -130,51 +272,50 @@ def _lacks_quiet(reading: Reading) -> Array:
 
 
 WORDS = {
-    Reason.NO_BITS: "a dark quadrilateral without bits",
-    Reason.CUT: "{seen} in the picture{known}: all of it must be, with its white margin",
-    Reason.LOW_CONTRAST: "white {white:.0f} is only {contrast:.0f} grey levels above black {black:.0f}, "
-    "at least {enough_contrast:.0f} are needed ({like}): more light, less glare, a better print",
-    Reason.MIRRORED: "the mirror image of id {id}: flip the picture left to right",
     Reason.REPEATED: "id {id} is there more than once, so that none is trusted: use each id once",
-    Reason.OBLIQUE: "seen {tilt_deg:.0f} deg from straight above, {cell_px:.1f} px a cell the short way, "
-    "at least {enough_cell_px:.0f} are needed ({like}): look from above, or fly nearer",
-    Reason.FEW_PIXELS: "{cell_px:.1f} px a cell, at least {enough_cell_px:.0f} are needed ({like}): "
-    "fly lower, zoom in or print larger",
-    Reason.BLURRED: "blurred by {blur_px:.1f} px, {blur_cells:.1f} of a cell; at most {most_blur_cells:g} "
-    "can be read ({like}): focus, expose for less time, or print larger",
+    Reason.OVERLOOKED: "the detector photometric finds id {id} here: use it",
+    Reason.NO_BITS: "a dark quadrilateral without bits",
+    Reason.MIRRORED: "the mirror image of id {id}: flip the picture left to right",
+    Reason.WRONG_BITS: "{wrong} of {cells} cells differ from the nearest marker, id {id} (row.column "
+    "{which}): covered in part, dirty, or of another dictionary than {dictionary}",
+    Reason.FEW_PIXELS: "{measured} ({like}): fly lower, zoom in or print larger",
     Reason.NO_QUIET_ZONE: "no white margin at {dark_edges} of its 4 edges ({like}): leave one cell, "
     "{cell_percent:.0f} % of its side, white all around",
-    Reason.WRONG_BITS: "{wrong} of {cells} cells differ from the nearest marker, id {id}: covered "
-    "in part, dirty, or of another dictionary than {dictionary}",
-    Reason.OVERLOOKED: "reads as id {id} without a fault, {cell_px:.1f} px a cell: try another detector",
+    Reason.NO_OUTLINE: "no dark square with four straight sides is found around it ({like}): keep "
+    "away what crosses or touches its border",
+    Reason.LOW_CONTRAST: "{measured} ({like}): more light, less glare, a better print",
+    Reason.TOO_WHITE: "{measured} ({like}): expose for less time, or less glare",
+    Reason.BLURRED: "{measured} ({like}): focus, expose for less time, or print larger",
+    Reason.CUT: "{measured} ({like}): all of it must be in the picture, with its white margin",
+    Reason.OBLIQUE: "{measured}, seen at {tilt_deg:.0f} deg ({like}): look from nearer to straight above",
+    Reason.TOO_NEAR: "{measured} ({like}): look from farther away, or from nearer to straight above",
+    Reason.NOISY: "{measured} ({like}): more light, fly lower or print larger",
+    Reason.UNSETTLED: "{measured} ({like}): something that looks like part of it is beside it, or it is bent",
+    Reason.WRONG_CELL: "{measured} ({like}): covered in part, dirty, or too much sharpening and compression",
+    Reason.UNLIKE_PIXELS: "{measured} ({like}): bent, covered in part, glare, or too much sharpening and "
+    "compression",
+    Reason.UNLIKE_CELLS: "{measured} ({like}): glare or shade across it, or covered in part",
+    Reason.PALE_PRINT: "{measured} ({like}): print all markers alike, without glare",
 }
 """What users read for each reason, with places for the numbers that `describe` fills in."""
 
 
-def describe(reason: Reason, reading: Reading, dictionary: str) -> str:
+def describe(reason: Reason, measured: Measured | None, reading: Reading, dictionary: str) -> str:
     """Return the reason with the numbers that were measured, and what to do about it, in words."""
-    r, n = reading, cells_per_side(dictionary)
-    like = f"most like id {r.nearest_id}"
-    if r.wrong_bits:
-        like += f", {r.wrong_bits} of {n * n} cells wrong"
+    n, wrong = cells_per_side(dictionary), reading.wrong_cells
+    like = f"most like id {reading.nearest_id}"
+    if wrong:
+        like += f", {len(wrong)} of {n * n} cells wrong"
+    which = ", ".join(f"{row}.{column}" for row, column in wrong[:SHOWN_CELLS])
     return WORDS[reason].format(
+        measured=measured,
         like=like,
-        known=f" ({like})" if r.visible > KNOWN_SHARE else "",
-        seen=f"only {r.visible:.0%} of it is" if r.visible < 1 else "it touches the edge of what is",
-        id=r.nearest_id,
-        wrong=r.wrong_bits,
+        id=reading.nearest_id,
+        wrong=len(wrong),
+        which=which + (", …" if len(wrong) > SHOWN_CELLS else ""),
         cells=n * n,
         cell_percent=100 / n,
-        cell_px=r.cell_px[0],
-        enough_cell_px=ENOUGH_CELL_PX,
-        black=r.black,
-        white=r.white,
-        contrast=r.contrast,
-        enough_contrast=ENOUGH_CONTRAST,
-        blur_px=r.blur_cells * r.cell_px.mean(),
-        blur_cells=r.blur_cells,
-        most_blur_cells=MAX_BLUR_CELLS,
-        tilt_deg=r.tilt_deg,
-        dark_edges=int(_lacks_quiet(r).sum()),
+        tilt_deg=reading.tilt_deg,
+        dark_edges=int(_lacks_quiet(reading).sum()),
         dictionary=dictionary,
     )

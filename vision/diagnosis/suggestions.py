@@ -3,9 +3,12 @@
 import numpy as np
 
 from skyherd.markers.dictionary import dictionary_names, dictionary_size, load_dictionary, marker_cells
-from skyherd.vision.detectors.opencv_tuned import ArucoDetector
-from skyherd.vision.detectors.registry import explain_mirrored
+from skyherd.vision.detectors.registry import DEFAULT_DETECTOR, create_detector, explain_mirrored
 from skyherd.vision.grey import Image
+
+QUICK_DETECTOR = "opencv"
+"""Detector with which all dictionaries are tried, one after the other. Chosen: an image takes it the least
+time."""
 
 
 def suggest_dictionary(image: Image, dictionary: str) -> str | None:
@@ -15,25 +18,27 @@ def suggest_dictionary(image: Image, dictionary: str) -> str | None:
     preferred, and of a series such as 4X4_50 to 4X4_1000 the smallest that has all ids found. All
     dictionaries are tried.
     """
-    return _best_dictionary(image, len(ArucoDetector(dictionary).detect(image)) + 1)
+    found = create_detector(QUICK_DETECTOR, dictionary=dictionary).detect(image)
+    return _best_dictionary(image, QUICK_DETECTOR, len(found) + 1)
 
 
 def find_dictionary(image: Image) -> str | None:
     """Return the dictionary that decodes most of a grey image (height, width); None if none decodes anything.
 
-    The preferences are those of `suggest_dictionary`.
+    The preferences are those of `suggest_dictionary`. If OpenCV's detector reads nothing, the default one
+    is asked, which takes seconds.
 
     Raises:
         InputError: the image is not a grey one of 8 bits.
     """
-    return _best_dictionary(image, 1)
+    return _best_dictionary(image, QUICK_DETECTOR, 1) or _best_dictionary(image, DEFAULT_DETECTOR, 1)
 
 
-def _best_dictionary(image: Image, at_least: int) -> str | None:
-    """The dictionary that decodes most markers, if it decodes `at_least` so many."""
+def _best_dictionary(image: Image, detector: str, at_least: int) -> str | None:
+    """The dictionary of which a detector finds most markers, if it finds `at_least` so many."""
     best = None
     for name in _largest_of_series():
-        ids = ArucoDetector(name).detect(image).ids
+        ids = create_detector(detector, dictionary=name).detect(image).ids
         rank = ids.size, int(load_dictionary(name).maxCorrectionBits), -dictionary_size(name)
         if ids.size >= at_least and (best is None or rank > best[0]):
             best = rank, name, int(ids.max())

@@ -13,7 +13,9 @@ sun and shade. What has less of it than the camera's markers is no print, but gr
 """
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
+from enum import Enum
 from functools import lru_cache
 
 import numpy as np
@@ -127,21 +129,70 @@ ROUNDING_NOISE = math.sqrt(UNIFORM_VARIANCE)
 """Least noise of an image, grey levels. Derived: rounding to whole grey levels has `sqrt(1 / 12)` = 0.29."""
 
 
+class Quantity(Enum):
+    """What the tests of a fit compare with a limit; the values are the words that users read."""
+
+    CONTRAST = "contrast"
+    WHITE = "white level"
+    BLUR = "blur in cells"
+    CELL_NOISE = "noise of a cell"
+    LAST_STEP = "last step of the fit"
+    AREA = "area in the image"
+    SQUEEZE = "squeeze"
+    LEAN = "lean"
+    WORST_CELL = "worst cell"
+    PIXEL_RESIDUAL = "residual of the pixels"
+    CELL_RESIDUAL = "residual of the cells"
+    PRINT_CONTRAST = "print contrast"
+
+
+@dataclass(frozen=True)
+class FitTest:
+    """One test of N fits: a quantity of each, and its limit.
+
+    Attributes:
+        quantity: what is tested.
+        values: (N,) of the quantity, in the unit that the function which makes the test says.
+        limits: (N,) largest values that pass, or smallest ones; one number for all fits alike.
+        at_least: whether limits are the smallest values that pass.
+    """
+
+    quantity: Quantity
+    values: Array
+    limits: Array | float
+    at_least: bool = False
+
+    def passed(self) -> BoolArray:
+        """Return which fits (N,) pass; one whose value is no number does not."""
+        return np.asarray(self.values >= self.limits if self.at_least else self.values <= self.limits)
+
+
+def _all_passed(tests: Iterable[FitTest]) -> BoolArray:
+    """Which fits (N,) pass all of at least one test."""
+    return np.asarray(np.logical_and.reduce([test.passed() for test in tests]))
+
+
 def bits_are_right(fits: FitResults, distance: int) -> BoolArray:
     """Return which fits (N,) are plausible markers and leave every cell the colour it should have.
 
     `distance` is the least number of bits by which two markers of the dictionary differ.
     """
-    return _bits_are_right(fits, WrongCellResiduals.of(fits), distance)
+    return _all_passed(_bit_tests(fits, WrongCellResiduals.of(fits), distance))
 
 
-def _bits_are_right(fits: FitResults, wrong: "WrongCellResiduals", distance: int) -> BoolArray:
+def _bit_tests(fits: FitResults, wrong: "WrongCellResiduals", distance: int) -> list[FitTest]:
+    """Tests of what fits look like, of their last step, px, and of their cells, as shares of a wrong one."""
     cell_noises = fits.noise_stds / (wrong.means * wrong.cells_px)
     worst = np.abs(fits.cell_means).max(axis=(1, 2)) / wrong.means
     allowed = np.minimum(WRONG_CELL_SHARE + WRONG_CELL_SIGMAS * cell_noises, WRONG_CELL_LIMIT)
     if distance >= STRONG_DISTANCE:
         allowed = np.full_like(worst, STRONG_CELL_LIMIT)
-    return np.asarray(_are_plausible(fits, cell_noises) & (worst < allowed))
+    return [
+        *_plausibility_tests(fits),
+        FitTest(Quantity.WORST_CELL, worst, allowed),
+        FitTest(Quantity.LAST_STEP, fits.moved_px, MAX_LAST_STEP_PX),
+        FitTest(Quantity.CELL_NOISE, cell_noises, MAX_CELL_NOISE),
+    ]
 
 
 def may_be_occluded(fits: FitResults, noise: float) -> BoolArray:
@@ -158,19 +209,31 @@ def may_be_occluded(fits: FitResults, noise: float) -> BoolArray:
     return np.asarray(mostly_right & contrasty & outliers)
 
 
-def _are_plausible(fits: FitResults, cell_noises: Array) -> BoolArray:
-    """Which fits (N,) have settled, with contrast, sharpness, pixels and a shape such as markers have."""
-    plausible = (fits.contrasts >= MIN_MARKER_CONTRAST) & (fits.blacks + fits.contrasts <= MAX_WHITE)
-    plausible &= (fits.blurs_cells <= MAX_BLUR_CELLS) & (cell_noises <= MAX_CELL_NOISE)
-    plausible &= fits.moved_px <= MAX_LAST_STEP_PX
-    plausible &= fits.pixels >= MIN_AREA_SHARE * fits.homographies.sides_px() ** 2
-    plausible &= np.abs(fits.homographies.squeezes) <= MAX_SQUEEZE * np.abs(fits.homographies.arms)
-    plausible &= np.abs(fits.homographies.leans()) <= MAX_LEAN
-    return np.asarray(plausible)
+def _plausibility_tests(fits: FitResults) -> list[FitTest]:
+    """Tests whether fits have contrast, sharpness, a shape and pixels such as markers have.
+
+    Contrast and white are grey levels, the blur is in cells, the others are shares of area, arm and side.
+    """
+    shapes = fits.homographies
+    return [
+        FitTest(Quantity.CONTRAST, fits.contrasts, MIN_MARKER_CONTRAST, at_least=True),
+        FitTest(Quantity.WHITE, fits.blacks + fits.contrasts, MAX_WHITE),
+        FitTest(Quantity.BLUR, fits.blurs_cells, MAX_BLUR_CELLS),
+        FitTest(Quantity.AREA, fits.pixels / shapes.sides_px() ** 2, MIN_AREA_SHARE, at_least=True),
+        FitTest(Quantity.SQUEEZE, np.abs(shapes.squeezes) / np.abs(shapes.arms), MAX_SQUEEZE),
+        FitTest(Quantity.LEAN, np.abs(shapes.leans()), MAX_LEAN),
+    ]
 
 
 def verified(fits: FitResults, noise: float, distance: int) -> BoolArray:
-    """Return which fits (N,) show their marker, leave little but noise, and are printed alike.
+    """Return which fits (N,) pass all of `verification_tests`, with the same arguments."""
+    return _all_passed(verification_tests(fits, noise, distance))
+
+
+def verification_tests(fits: FitResults, noise: float, distance: int) -> list[FitTest]:
+    """Return all tests of fits: that they show their marker, leave little but noise, and are printed alike.
+
+    The tests are in the order in which they are best told: one that fails often makes later ones fail too.
 
     Args:
         fits: of N markers.
@@ -179,11 +242,10 @@ def verified(fits: FitResults, noise: float, distance: int) -> BoolArray:
         distance: least number of bits by which two markers of the dictionary differ.
     """
     wrong = WrongCellResiduals.of(fits)
-    right = _bits_are_right(fits, wrong, distance) & _residuals_are_small(fits, wrong, noise, distance)
-    if not right.any():
-        return right
-    prints = fits.print_contrasts()
-    return right & (prints >= MIN_PRINT_SHARE * weighted_median(prints, fits.pixels * right))
+    tests = [*_bit_tests(fits, wrong, distance), *_residual_tests(fits, wrong, noise, distance)]
+    right, prints = _all_passed(tests), fits.print_contrasts()
+    usual = weighted_median(prints, fits.pixels * right) if right.any() else 0.0
+    return [*tests, FitTest(Quantity.PRINT_CONTRAST, prints, MIN_PRINT_SHARE * usual, at_least=True)]
 
 
 def residual_is_noise(fits: FitResults, noise: float) -> BoolArray:
@@ -195,10 +257,10 @@ def residual_is_noise(fits: FitResults, noise: float) -> BoolArray:
     return np.asarray(quiet & (fits.moved_px <= OCCLUSION_LAST_STEP_PX))
 
 
-def _residuals_are_small(
+def _residual_tests(
     fits: FitResults, wrong: "WrongCellResiduals", noise: float, distance: int
-) -> BoolArray:
-    """Which fits (N,) leave little more than the noise, pixel by pixel and cell by cell."""
+) -> list[FitTest]:
+    """Tests whether fits leave little more than the noise, pixel by pixel and cell by cell, grey levels."""
     over_cells = np.sqrt(np.square(fits.cell_means).mean(axis=(1, 2)))
     sharp = STRONG_BLUR_CELLS if distance >= STRONG_DISTANCE else SHARP_BLUR_CELLS
     share = MODEL_SHARE * np.minimum(1.0, sharp / fits.blurs_cells)
@@ -208,12 +270,13 @@ def _residuals_are_small(
     if distance < STRONG_DISTANCE:
         model = np.where(noise > MAX_PROCESSED_NOISE * fits.contrasts, 0.0, model)
     noise *= STRONG_NOISE_FACTOR if distance >= STRONG_DISTANCE else NOISE_FACTOR
-    small = fits.noise_stds <= np.maximum(noise, model)
+    tests = [FitTest(Quantity.PIXEL_RESIDUAL, fits.noise_stds, np.maximum(noise, model))]
     if distance < STRONG_DISTANCE:
         worst = np.abs(fits.cell_means).max(axis=(1, 2)) / wrong.means
-        small &= worst <= np.hypot(WEAK_CELL_SHARE, WRONG_CELL_SIGMAS * cell_noises)
-    small &= over_cells <= np.maximum(noise / wrong.cells_px, CELL_MODEL_SHARE * fits.contrasts)
-    return np.asarray(small)
+        most = np.hypot(WEAK_CELL_SHARE, WRONG_CELL_SIGMAS * cell_noises)
+        tests = [FitTest(Quantity.WORST_CELL, worst, most), *tests]
+    over_noise = np.maximum(noise / wrong.cells_px, CELL_MODEL_SHARE * fits.contrasts)
+    return [*tests, FitTest(Quantity.CELL_RESIDUAL, over_cells, over_noise)]
 
 
 def image_noise(image: Image) -> float:

@@ -49,6 +49,11 @@ class DecodedQuads(RowRecord):
     correlations: Array
 
 
+def no_decoded_quads() -> DecodedQuads:
+    """Return a record of no quadrilateral."""
+    return DecodedQuads(np.zeros(0, dtype=np.int64), np.zeros((0, 4, 2)), np.zeros(0))
+
+
 def decode_quads(
     image: npt.NDArray[np.uint8], quads_px: Array, dictionary: str, sigma_px: float
 ) -> DecodedQuads:
@@ -63,7 +68,7 @@ def decode_quads(
         sigma_px: standard deviation of the blur of lens and pixel together.
     """
     if not len(quads_px):
-        return DecodedQuads(np.zeros(0, dtype=np.int64), np.zeros((0, 4, 2)), np.zeros(0))
+        return no_decoded_quads()
     corners = to_complex(quads_px)
     n_cells = cells_per_side(dictionary)
     cells = _read_cells(image, corners, n_cells)

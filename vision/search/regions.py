@@ -3,7 +3,8 @@
 A pixel is dark if it is below the mean of its surroundings by a constant. An image of half the size shows
 first where dark pixels crowd: around a marker's edge they are dark by much and in number, those of noise and
 texture are not. The places found are laid side by side in one smaller image, so that empty parts of the image
-cost nothing, and all of them are treated at once.
+cost nothing, and all of them are treated at once. A second look leaves out the places around markers that are
+known already.
 """
 
 from dataclasses import dataclass
@@ -11,7 +12,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from skyherd.geometry import ComplexArray, IntArray
+from skyherd.geometry import Array, ComplexArray, IntArray
 from skyherd.vision.grey import Image
 
 SMOOTHING_PX = 3
@@ -65,6 +66,16 @@ class Boundaries:
     lengths: IntArray
 
 
+ENLARGEMENT = 2
+"""How many times as large an image is in which small squares are looked for. Chosen: at twice the size a cell
+of a pixel and a half is as wide as the filters above; three would take more than twice the time of two."""
+
+KNOWN_LINE_PX = 2 * COARSE_WINDOW - 1
+"""Width, px of the image of half the size, of the line along the edges of known squares on which pixels do
+not crowd. Derived: an edge darkens the means over `COARSE_WINDOW`, taken twice, as far as `COARSE_WINDOW - 1`
+to either side."""
+
+
 @dataclass(frozen=True)
 class Mosaic:
     """K places of an image, laid side by side in one image.
@@ -80,6 +91,18 @@ class Mosaic:
     mask: Image
     begins: IntArray
     offsets: ComplexArray
+
+    def enlarged(self) -> "Mosaic":
+        """Return the mosaic of an image that is `ENLARGEMENT` times as large."""
+        image, mask = (
+            np.asarray(cv2.resize(part, None, fx=ENLARGEMENT, fy=ENLARGEMENT, interpolation=how), np.uint8)
+            for part, how in ((self.image, cv2.INTER_LINEAR), (self.mask, cv2.INTER_NEAREST))
+        )
+        return Mosaic(image, mask, ENLARGEMENT * self.begins, ENLARGEMENT * self.offsets)
+
+    def shifts(self, columns: Array) -> ComplexArray:
+        """Return the shifts (N,) to the image, u + iv, px, of what lies at columns (N,) of the mosaic."""
+        return self.offsets[np.searchsorted(self.begins, columns, side="right") - 1]
 
 
 @dataclass(frozen=True)
@@ -100,15 +123,24 @@ class DarkRegions:
         return DarkRegions(np.asarray(cv2.erode(self.dark, square), dtype=np.uint8), self.mosaic)
 
 
-def dark_regions(image: Image) -> DarkRegions | None:
-    """Return the dark regions of an image; None if it has less than two lines or columns.
+def crowded_places(image: Image, known_px: Array | None = None) -> Mosaic | None:
+    """Return the places of an image where dark pixels crowd; None if there is none.
 
-    An odd last line or column of the image (height, width) is not looked at.
+    Args:
+        image: grey, (height, width), of which an odd last line or column is not looked at.
+        known_px: (K, 4, 2) corners of squares, px, along whose edges pixels do not count as crowded. What
+            crowds beside them does, and its place may reach over them.
     """
     height, width = (side - side % 2 for side in image.shape)
     if min(height, width) == 0:
         return None
-    mosaic = _mosaic(image[:height, :width])
+    image = image[:height, :width]
+    crowded = _crowded(image, np.zeros((0, 4, 2)) if known_px is None else known_px)
+    return _mosaic(image, crowded) if crowded.any() else None
+
+
+def dark_regions(mosaic: Mosaic) -> DarkRegions:
+    """Return the dark regions of the places of an image."""
     mask = cv2.resize(mosaic.mask, mosaic.image.shape[::-1], interpolation=cv2.INTER_NEAREST)
     return DarkRegions(np.asarray(cv2.bitwise_and(_dark(mosaic.image), mask), dtype=np.uint8), mosaic)
 
@@ -122,8 +154,8 @@ def dark_boundaries(regions: DarkRegions, min_points: int) -> Boundaries:
         return Boundaries(np.zeros(0, dtype=complex), np.zeros(0, dtype=np.int64))
     lengths = np.array([len(boundary) for boundary in boundaries])
     joined = np.concatenate(boundaries)[:, 0].astype(float)
-    place = np.searchsorted(mosaic.begins, joined[np.cumsum(lengths) - lengths, 0], side="right") - 1
-    return Boundaries(joined[:, 0] + 1j * joined[:, 1] + np.repeat(mosaic.offsets[place], lengths), lengths)
+    shifts = mosaic.shifts(joined[np.cumsum(lengths) - lengths, 0])
+    return Boundaries(joined[:, 0] + 1j * joined[:, 1] + np.repeat(shifts, lengths), lengths)
 
 
 def _dark(image: Image) -> Image:
@@ -135,9 +167,8 @@ def _dark(image: Image) -> Image:
     return np.asarray(dark, dtype=np.uint8)
 
 
-def _mosaic(image: Image) -> Mosaic:
+def _mosaic(image: Image, crowded_mask: Image) -> Mosaic:
     """The places of an image where dark pixels crowd, or all of it if they are many."""
-    crowded_mask = _crowded(image)
     contours, _ = cv2.findContours(crowded_mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
     boxes = np.array([cv2.boundingRect(contour) for contour in contours], dtype=np.int64).reshape(-1, 4)
     low = 2 * boxes[:, :2] - MARGIN_PX
@@ -155,8 +186,11 @@ def _mosaic(image: Image) -> Mosaic:
     return Mosaic(np.hstack(crops), mask, begins, low[:, 0] - begins + 1j * low[:, 1])
 
 
-def _crowded(image: Image) -> Image:
-    """255 around the pixels, of the image of half the size, where dark pixels crowd."""
+def _crowded(image: Image, known_px: Array) -> Image:
+    """255 around the pixels, of the image of half the size, where dark pixels crowd.
+
+    Those along the edges of squares that are known, (K, 4, 2), px of the image, are left out.
+    """
     half = np.asarray(
         cv2.resize(image, (image.shape[1] // 2, image.shape[0] // 2), interpolation=cv2.INTER_AREA),
         dtype=np.uint8,
@@ -164,9 +198,11 @@ def _crowded(image: Image) -> Image:
     darkness = np.asarray(cv2.subtract(_mean(half, COARSE_WINDOW), half), dtype=np.uint8)
     crowd = np.clip(CROWD_FACTOR * cv2.mean(darkness)[0], MIN_CROWD, MAX_CROWD)
     _, crowded = cv2.threshold(_mean(darkness, COARSE_WINDOW), crowd, 255, cv2.THRESH_BINARY)
-    return np.asarray(
-        cv2.dilate(crowded, np.ones((CROWD_REACH, CROWD_REACH), dtype=np.uint8)), dtype=np.uint8
-    )
+    for square in np.rint((known_px - 0.5) / 2).astype(np.int32):
+        cv2.fillConvexPoly(crowded, square, 0)
+        cv2.polylines(crowded, [square], True, 0, KNOWN_LINE_PX)
+    reach = np.ones((CROWD_REACH, CROWD_REACH), dtype=np.uint8)
+    return np.asarray(cv2.dilate(crowded, reach), dtype=np.uint8)
 
 
 def _crop(image: Image, u: int, v: int, width: int, height: int) -> Image:

@@ -9,7 +9,6 @@ from pathlib import Path
 
 DETECTORS = (
     "apriltag3",
-    "aruco",
     "locus-tag",
     "opencv",
     "opencv-apriltag",

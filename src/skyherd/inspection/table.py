@@ -40,7 +40,10 @@ DETECTION_COLUMNS = [*WHERE, "id", "u_px", "v_px", "heading_deg", "side_px", *ST
 MEASURED = ["cell_px", "contrast", "blur_px", "tilt_deg", "likeness", "nearest_id", "wrong_cells"]
 """Columns of what was measured of a rejected candidate (`Reading`)."""
 
-REJECTION_COLUMNS = [*WHERE, "reason", "u_px", "v_px", "side_px", *MEASURED, *CORNERS, "words"]
+TESTED = ["quantity", "value", "limit"]
+"""Columns of the quantity by which a candidate is rejected, and its limit; empty where it is none."""
+
+REJECTION_COLUMNS = [*WHERE, "reason", *TESTED, "u_px", "v_px", "side_px", *MEASURED, *CORNERS, "words"]
 """Columns of the table of rejections."""
 
 Row = dict[str, Any]
@@ -89,6 +92,7 @@ def rejection_rows(place: Place, rejections: Sequence[Rejection]) -> Iterator[Ro
         yield {
             **vars(place),
             "reason": rejection.reason.value,
+            **dict(zip(TESTED, _tested(rejection), strict=True)),
             "u_px": rejection.center_px[0],
             "v_px": rejection.center_px[1],
             "side_px": reading.side_px,
@@ -102,6 +106,12 @@ def rejection_rows(place: Place, rejections: Sequence[Rejection]) -> Iterator[Ro
             "corners_px": rejection.corners_px,
             "words": rejection.words,
         }
+
+
+def _tested(rejection: Rejection) -> tuple[str, float, float] | tuple[None, None, None]:
+    """Name, value and limit of the quantity by which a candidate is rejected."""
+    measured = rejection.measured
+    return (None, None, None) if measured is None else (measured.name, measured.value, measured.limit)
 
 
 class Table:

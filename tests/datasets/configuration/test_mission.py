@@ -33,8 +33,8 @@ BAD = {
     "wrong_type": ("height_m = 10", 'height_m = "high"', ["units.0.height_m", "'high'"]),
     "noise_that_nobody_measured": (
         "duration_s = 10.0",
-        'duration_s = 10.0\ndetector = "opencv"\nperception = "noisy"',
-        ["nobody measured the noise of 'opencv'", "aruco, photometric, tracking"],
+        'duration_s = 10.0\ndetector = "opencv-subpix"\nperception = "noisy"',
+        ["nobody measured the noise of 'opencv-subpix'", "photometric, tracking, opencv"],
     ),
     "negative_length": (
         "side_m = 0.4",
@@ -56,7 +56,16 @@ BAD = {
     "coincident_template": ("[[0, 0], [1, 0], [0, 1]]", "[[1, 1], [1, 1], [1, 1]]", ["template", "coincide"]),
     "two_shapes": ("[template]", '[template]\nshape = "star"', ["template", "exactly one"]),
     "unknown_dictionary": ("side_m = 0.4", 'side_m = 0.4\ndictionary = "9X9"', ["9X9", "4X4_50"]),
-    "unknown_detector": ("duration_s = 10.0", 'duration_s = 10.0\ndetector = "best"', ["best", "aruco"]),
+    "unknown_detector": (
+        "duration_s = 10.0",
+        'duration_s = 10.0\ndetector = "best"',
+        ["best", "photometric"],
+    ),
+    "detector_that_is_gone": (
+        "duration_s = 10.0",
+        'duration_s = 10.0\ndetector = "aruco"',
+        ["no detector 'aruco'; photometric, or opencv"],
+    ),
     "two_focal_lengths": ("half_angle_deg = 30", "half_angle_deg = 30, focal_px = 900", ["exactly one"]),
     "name_is_a_path": ('name = "mine"', 'name = "../mine"', ["name", "pattern"]),
     "huge_id": (

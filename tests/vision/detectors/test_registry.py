@@ -91,13 +91,14 @@ def test_a_detector_written_from_the_interface_alone_is_created_and_detects(own_
         ("own_detector:NOT_A_FACTORY", "'NOT_A_FACTORY' is not callable"),
         ("own_detector:broken", "ZeroDivisionError: no luck; factory\\('4X4_50'\\) that returns a detector"),
         ("own_detector:nothing", "the factory returned NoneType, which has no method detect"),
-        ("aruko", "no detector 'aruko'; one of apriltag3, aruco, .*, or module:factory"),
+        ("photometrik", "no detector 'photometrik'; one of apriltag3, locus-tag, .*, or module:factory"),
+        ("aruco", "^detector: no detector 'aruco'; photometric, or opencv for that of OpenCV alone$"),
     ],
 )
 def test_each_way_to_go_wrong_is_an_input_error_that_says_what(own_module, name, words):
     with pytest.raises(InputError, match=words) as caught:
         create_detector(name)
-    assert caught.value.where == ("detector" if name == "aruko" else f"detector {name}")
+    assert caught.value.where == ("detector" if ":" not in name else f"detector {name}")
 
 
 def test_an_input_error_of_a_factory_is_passed_on_as_it_is(own_module):

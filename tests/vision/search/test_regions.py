@@ -6,7 +6,7 @@ import pytest
 
 from skyherd.vision.search import regions
 from skyherd.vision.search.quads import MIN_POINTS
-from skyherd.vision.search.regions import dark_boundaries, dark_regions
+from skyherd.vision.search.regions import ENLARGEMENT, crowded_places, dark_boundaries, dark_regions
 
 SIZE_PX = (900, 700)
 
@@ -46,7 +46,7 @@ def bars(*, apart):
 
 def boundaries_of(image):
     """Each boundary as a sorted tuple of its points, in an order of their own."""
-    found = dark_boundaries(dark_regions(image), MIN_POINTS)
+    found = dark_boundaries(dark_regions(crowded_places(image)), MIN_POINTS)
     parts = np.split(found.points, np.cumsum(found.lengths)[:-1]) if found.lengths.size else []
     return sorted(tuple(sorted((z.real, z.imag) for z in part)) for part in parts)
 
@@ -74,8 +74,8 @@ def test_too_narrow_a_margin_shows(monkeypatch):
 
 def test_places_are_laid_out_where_they_are_few_and_the_image_is_taken_whole_where_not():
     few, many = drawn(squares(5, count=4)), drawn(squares(6, count=120))
-    assert regions._mosaic(few).image.size < few.size / 4
-    assert regions._mosaic(many).image is many
+    assert crowded_places(few).image.size < few.size / 4
+    assert crowded_places(many).image.shape == many.shape
 
 
 @pytest.mark.parametrize("noise", [2.0, 5.0, 10.0])
@@ -85,22 +85,53 @@ def test_noise_alone_is_not_looked_at(noise):
     for what neighbouring pixels have in common."""
     rng = np.random.default_rng(7)
     image = np.clip(np.rint(rng.normal(128, noise, (600, 800))), 0, 255).astype(np.uint8)
-    assert (regions._crowded(image) > 0).mean() < 0.025
+    assert (regions._crowded(image, np.zeros((0, 4, 2))) > 0).mean() < 0.025
 
 
 @pytest.mark.parametrize("size_px", [(1, 1), (1, 7), (7, 1), (2, 2), (3, 5), (33, 47)])
 def test_any_size_of_image_is_taken(size_px):
     """A pixel's boundary is too short; an odd last line or column is left out."""
-    regions = dark_regions(np.zeros(size_px[::-1], np.uint8))
-    assert regions is None or not dark_boundaries(regions, MIN_POINTS).lengths.size
+    places = crowded_places(np.zeros(size_px[::-1], np.uint8))
+    assert places is None or not dark_boundaries(dark_regions(places), MIN_POINTS).lengths.size
 
 
 def test_points_are_where_the_region_is_and_run_anticlockwise_as_seen():
     """An upright square of 20 px at (300, 200): outermost dark pixels within one of its edges."""
     square = np.array([[300, 200], [320, 200], [320, 220], [300, 220]], dtype=float)
-    found = dark_boundaries(dark_regions(drawn([square], noise=0.0, ground=230)), MIN_POINTS)
+    places = crowded_places(drawn([square], noise=0.0, ground=230))
+    found = dark_boundaries(dark_regions(places), MIN_POINTS)
     outer = found.points[: found.lengths[0]]
     assert found.lengths.size == 1
     assert abs(outer.real.min() - 300) <= 1 and abs(outer.real.max() - 320) <= 1
     assert abs(outer.imag.min() - 200) <= 1 and abs(outer.imag.max() - 220) <= 1
     assert (outer.conj() * np.roll(outer, -1)).imag.sum() < 0
+
+
+def middles_of(mosaic):
+    """Mean (B,) of each boundary of the dark regions of places."""
+    found = dark_boundaries(dark_regions(mosaic), MIN_POINTS)
+    return np.array([part.mean() for part in np.split(found.points, np.cumsum(found.lengths)[:-1])])
+
+
+def test_places_of_known_squares_are_left_out_and_those_beside_them_are_whole():
+    """Of nine squares, some 6 px apart, all but one are known: what is left has all of that one's edge."""
+    at = np.array([[u, v] for u in (200, 222, 300) for v in (200, 222, 300)], dtype=float)
+    shapes = at[:, None] + 8 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    image = drawn(shapes, noise=0.0, ground=230)
+    assert crowded_places(image, shapes) is None
+    for row, (u, v) in enumerate(at):
+        places = crowded_places(image, np.delete(shapes, row, axis=0))
+        assert np.abs(middles_of(places) - complex(u, v)).min() < 0.5
+        assert places.image.size < crowded_places(image).image.size
+
+
+def test_enlarged_places_show_the_same_squares_at_twice_the_size():
+    """Middles of the boundaries to half a pixel of the image, in either."""
+    shapes = squares(2)
+    places = crowded_places(drawn(shapes, noise=0.0))
+    in_image = (middles_of(places.enlarged()) + 0.5 + 0.5j) / ENLARGEMENT - 0.5 - 0.5j
+    own = middles_of(places)
+    for shape in shapes:
+        middle = complex(*shape.mean(axis=0))
+        if np.abs(own - middle).min() < 0.5:
+            assert np.abs(in_image - middle).min() < 0.5

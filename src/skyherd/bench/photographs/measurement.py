@@ -15,7 +15,7 @@ from skyherd.bench.photographs.sightings import Reader, make_readers
 from skyherd.bench.result import Row
 from skyherd.progress import NO_PROGRESS, Progress
 
-JUDGES = ("opencv", "apriltag3", "locus-tag", "aruco", "photometric")
+JUDGES = ("opencv", "apriltag3", "locus-tag", "photometric")
 """Names of the detectors by which markers are confirmed, whichever are reported: at least one of each family
 (`skyherd.bench.photographs.confirmation`), so that what counts does not depend on what is reported."""
 

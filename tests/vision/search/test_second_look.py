@@ -1,0 +1,78 @@
+"""The second look: what the first loses is found, and what is known is not looked at again."""
+
+import cv2
+import numpy as np
+import pytest
+
+from skyherd.bench.design import Cell
+from skyherd.bench.frames import rendered_frames
+from skyherd.markers.dictionary import marker_cells
+from skyherd.vision import PhotometricDetector, create_detector
+from skyherd.vision.photometric import detector as stages
+from skyherd.vision.search.second_look import find_overlooked_quads
+
+DICTIONARY = "APRILTAG_36h11"
+SIDE_PX, STEP_PX, ROWS = 11.5, 20.0, 5
+
+
+def sheet() -> tuple[np.ndarray, np.ndarray]:
+    """A sharp image of 25 markers with 8 cells of a pixel and a half, and their middles (25, 2), px."""
+    large = 40
+    middles = np.array([[u, v] for v in range(ROWS) for u in range(ROWS)]) * STEP_PX + STEP_PX + 4.3
+    size = round((ROWS + 1) * STEP_PX) * large
+    image = np.full((size, size), 140, np.uint8)
+    side = round(SIDE_PX * large)
+    for marker_id, (u, v) in enumerate(middles):
+        cells = np.where(marker_cells(DICTIONARY, marker_id), 140, 20).astype(np.uint8)
+        top, left = (round((at + 0.5) * large) - side // 2 for at in (v, u))
+        drawn = cv2.resize(cells, (side, side), interpolation=cv2.INTER_NEAREST)
+        image[top : top + side, left : left + side] = drawn
+    return cv2.resize(image, None, fx=1 / large, fy=1 / large, interpolation=cv2.INTER_AREA), middles
+
+
+def near(quads: np.ndarray, middles: np.ndarray) -> np.ndarray:
+    """Which of the middles (N, 2) have a quadrilateral within 1 px."""
+    off = np.linalg.norm(quads.mean(axis=1)[:, None] - middles, axis=2)
+    return (off < 1.0).any(axis=0) if len(quads) else np.zeros(len(middles), dtype=bool)
+
+
+def test_cells_of_a_pixel_and_a_half_come_apart_at_twice_the_size(monkeypatch):
+    image, middles = sheet()
+    assert near(find_overlooked_quads(image, np.zeros((0, 4, 2)), DICTIONARY), middles).all()
+    detector = PhotometricDetector(DICTIONARY, following=False)
+    seen = detector.detect(image)
+    assert seen.ids.tolist() == list(range(25))
+    np.testing.assert_allclose(seen.centers_px, middles, atol=0.1)
+    nothing = np.zeros((0, 4, 2))
+    monkeypatch.setattr(stages, "find_overlooked_quads", lambda *_: nothing)
+    assert len(detector.detect(image)) < 20, "without the second look"
+
+
+def test_what_is_known_is_not_looked_at_again():
+    image, middles = sheet()
+    half = SIDE_PX / 2
+    squares = middles[:, None] + half * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    assert not len(find_overlooked_quads(image, squares, DICTIONARY))
+    but_one = find_overlooked_quads(image, np.delete(squares, 12, axis=0), DICTIONARY)
+    assert near(but_one, middles)[12]
+
+
+@pytest.mark.parametrize(
+    "cell",
+    [
+        Cell(contrast=40.0, blur_px=1.33, cameras=1, frames=2),
+        Cell(side_px=40.0, tilt_deg=70.0, blur_px=0.9, cameras=2, frames=1),
+    ],
+    ids=["faint and blurred", "tilted by 70 degrees"],
+)
+def test_every_marker_that_opencv_finds_is_found(cell):
+    """Rendered images in which the first look alone is blinder than OpenCV's detector at its defaults."""
+    first_alone = 0
+    for frame in rendered_frames(cell, "4X4_50", 3):
+        theirs = create_detector("opencv").detect(frame.image)
+        seen = create_detector().detect(frame.image)
+        assert set(theirs.ids) <= set(seen.ids)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(stages, "find_overlooked_quads", lambda *_: np.zeros((0, 4, 2)))
+            first_alone += len(set(theirs.ids) - set(create_detector().detect(frame.image).ids))
+    assert first_alone > 0, "the cells are such that the second look has something to find"

@@ -210,7 +210,7 @@ def run_unit(station: Station, unit: int, *, address: str | None = None, dry_run
                         "number": frame.number,
                         "dropped": reader.dropped,
                     }
-                    _keep_image(diary, detections, news, view, stages)
+                    keep_image(diary, detections, news, view, stages)
                 album.show(frame.image, detections, None if news is None else news.decision, view)
                 state = _state(detections, view)
             told.say(f"{core.name}: {problem}" if (problem := trouble or core.trouble) else "")
@@ -231,7 +231,7 @@ def _state(detections: Detections, view: View | None) -> str:
     return f"{len(detections)} markers{known}"
 
 
-def _keep_image(
+def keep_image(
     diary: Diary, detections: Detections, news: UnitNews | None, view: View | None, stages: dict[str, Any]
 ) -> None:
     """Keep what came of an image, after it was sent, so that nobody waits for it."""

@@ -147,7 +147,7 @@ class LabLimits(Model):
         0.1, description="s; a clock that is known no better than this stops robots"
     )
     period_s: Annotated[FiniteFloat, Field(ge=0.005, le=0.5)] = Field(
-        0.05, description="s; time between two commands to the wheels"
+        0.05, description="s; longest time between two commands to the wheels"
     )
 
     @model_validator(mode="after")

@@ -16,16 +16,21 @@ from skyherd.live.diary import Diary
 from skyherd.live.drivers import Motion, RobotDriver, open_driver
 from skyherd.live.lab import Lab
 from skyherd.live.live_clock import LiveClock
-from skyherd.live.radio import Post, Radio
+from skyherd.live.radio import Arrival, Post, Radio
 from skyherd.live.robot_core import Order
 from skyherd.live.unit_core import UnitNews
 from skyherd.live.view import View, view_of
 from skyherd.live.wire import Wheels
-from skyherd.messages import Detections, FlightCommand, VelocityCommand
+from skyherd.messages import Detections, FlightCommand, MotionGoals, VelocityCommand
 from skyherd.vision import create_detector
 
 BEAT_S = 0.25
 """Time between two signs of life, s. Chosen: clocks are compared four times a second."""
+
+LEAST_SHARE = 0.2
+"""Share of a period that a robot lets pass between two decisions at least. Chosen: goals of several units
+come one after the other, and each is decided on at once or a few hundredths of a second later; a tenth would
+have a robot under many cameras do little else."""
 
 WORLD = "world"
 """Driver address of wheels and autopilots that `skyherd world` simulates."""
@@ -74,6 +79,34 @@ class Station:
 _NUMBERS = re.compile(r"[\d.]+")
 
 
+class Pace:
+    """When a robot decides: once a period, and as soon as there are news, but not much more often.
+
+    Attributes:
+        due_s: when it decides the next time.
+
+    Args:
+        period_s: longest time between two decisions.
+        now_s: now, by any clock that runs steadily.
+    """
+
+    def __init__(self, period_s: float, now_s: float) -> None:
+        self.due_s = self._decided_s = now_s
+        self._period_s = period_s
+
+    def hear(self, arrival: Arrival, robot_id: int, now_s: float) -> None:
+        """A message arrived: a goal for this robot is worth a decision of its own."""
+        message = arrival.envelope.message
+        if isinstance(message, MotionGoals) and robot_id in message.ids:
+            soonest_s = self._decided_s + LEAST_SHARE * self._period_s
+            self.due_s = min(self.due_s, max(now_s, soonest_s))
+
+    def decided(self, now_s: float) -> None:
+        """The robot has decided."""
+        self._decided_s = now_s
+        self.due_s = max(self.due_s + self._period_s, now_s)
+
+
 class Told:
     """Tells people a line when it changes, and keeps it."""
 
@@ -119,13 +152,14 @@ def run_robot(station: Station, robot_id: int, *, dry_run: bool = False) -> None
         driver = stack.enter_context(_driver(station, post, robot_id, dry_run=dry_run))
         told = Told(station, diary)
         beat_s = -BEAT_S
-        next_s = time.monotonic()
+        pace = Pace(lab.model.limits.period_s, time.monotonic())
         while not station.ended():
-            while (left_s := next_s - time.monotonic()) > 0:
+            while (left_s := pace.due_s - time.monotonic()) > 0:
                 for arrival in post.fetch(left_s):
                     diary.heard(arrival)
                     core.receive(arrival.envelope, arrival.received_s)
-            next_s = max(next_s + lab.model.limits.period_s, time.monotonic())
+                    pace.hear(arrival, robot_id, time.monotonic())
+            pace.decided(time.monotonic())
             now_s = clock()
             order = core.decide(now_s)
             driver.send(
@@ -210,7 +244,7 @@ def run_unit(station: Station, unit: int, *, address: str | None = None, dry_run
                         "number": frame.number,
                         "dropped": reader.dropped,
                     }
-                    _keep_image(diary, detections, news, view, stages)
+                    keep_image(diary, detections, news, view, stages)
                 album.show(frame.image, detections, None if news is None else news.decision, view)
                 state = _state(detections, view)
             told.say(f"{core.name}: {problem}" if (problem := trouble or core.trouble) else "")
@@ -231,7 +265,7 @@ def _state(detections: Detections, view: View | None) -> str:
     return f"{len(detections)} markers{known}"
 
 
-def _keep_image(
+def keep_image(
     diary: Diary, detections: Detections, news: UnitNews | None, view: View | None, stages: dict[str, Any]
 ) -> None:
     """Keep what came of an image, after it was sent, so that nobody waits for it."""

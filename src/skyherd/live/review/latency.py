@@ -64,7 +64,7 @@ def latency_stages(session: SessionLog) -> list[Stage]:
         Stage(
             "command",
             "received → command",
-            "Until the robot decides the next time, which it does once a period.",
+            "Until the robot decides, at once or a fifth of a period after the last time.",
             commanded_s - received_s,
         ),
         Stage("whole", "capture → command", "The whole way.", commanded_s - captured_s),

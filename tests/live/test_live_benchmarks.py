@@ -1,0 +1,48 @@
+"""What the benchmarks of live runs compute, on what is known."""
+
+import tomllib
+
+import numpy as np
+import pytest
+
+from skyherd.live.lab import lab_names, load_lab, make_lab
+
+
+@pytest.mark.parametrize("name", lab_names())
+def test_a_lab_written_as_toml_is_the_same_lab(load_benchmark, name) -> None:
+    latency = load_benchmark("live_latency")
+    tree = load_lab(name).model.model_dump(mode="json", exclude_none=True)
+    assert make_lab(tomllib.loads(latency.toml_text(tree))).model == load_lab(name).model
+
+
+def test_the_lab_of_a_scenario_has_one_camera_and_robots_without_wheels(load_benchmark) -> None:
+    lab = load_benchmark("live_latency").lab_of("star", detector="opencv")
+    assert [camera.detector for camera in lab.model.cameras] == ["opencv"]
+    assert {robot.driver for robot in lab.model.robots} == {"dry-run"}
+    assert lab.ids == load_lab("star").ids
+
+
+def test_memory_that_grows_is_told_from_memory_that_does_not(load_benchmark) -> None:
+    """Noise that stays for some readings, as memory's does, is no growth; a leak of 12 MiB an hour is."""
+    memory = load_benchmark("live_memory")
+    times_s = np.arange(0.0, 1200.0, 5.0)
+    rng = np.random.default_rng(6)
+    noise = np.repeat(rng.normal(size=24), 10)
+    start = 30 * np.exp(-times_s / 30)
+    watched = {
+        "times_s": times_s.tolist(),
+        "mib": {
+            "unit/0": (100 - start + 0.05 * noise).tolist(),
+            "robot/1": (80 - start + 0.05 * noise + times_s / 300).tolist(),
+        },
+    }
+    flat, leaks = memory.judge(watched)
+    assert abs(flat["grows_mib_per_hour"]) < 2 * flat["within_mib_per_hour"] < 2.0
+    assert leaks["grows_mib_per_hour"] == pytest.approx(12.0, abs=2 * leaks["within_mib_per_hour"])
+    assert leaks["grows_mib_per_hour"] > 5 * leaks["within_mib_per_hour"]
+    assert leaks["gained_mib"] == pytest.approx(0.9 * 900 / 300, abs=0.2)
+
+
+def test_a_process_that_is_gone_has_no_memory(load_benchmark) -> None:
+    memory = load_benchmark("live_memory")
+    assert np.isnan(memory.own_mib(2**30))

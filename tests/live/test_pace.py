@@ -1,0 +1,65 @@
+"""When a robot decides: at once on news, once a period without, and never much more often."""
+
+import numpy as np
+import pytest
+from live_sessions import Script
+
+from skyherd.live.processes import LEAST_SHARE, Pace
+from skyherd.live.radio import Arrival
+from skyherd.live.wire import Beat, Envelope, Sighting
+
+PERIOD_S = 0.1
+GOALS = Script().goals(0)
+
+
+def arrival(message):
+    return Arrival(Envelope("unit/0", 0.0, message), 0.0)
+
+
+def decisions(news_s, until_s=2.0, step_s=1e-3, message=GOALS, robot=1):
+    """Times of decisions of a loop that looks at its clock every millisecond."""
+    pace, made, news = Pace(PERIOD_S, 0.0), [], list(news_s)
+    for now_s in np.arange(0.0, until_s, step_s):
+        if now_s >= pace.due_s:
+            made.append(now_s)
+            pace.decided(now_s)
+        while news and news[0] <= now_s:
+            news.pop(0)
+            pace.hear(arrival(message), robot, now_s)
+    return np.array(made)
+
+
+def test_without_news_it_decides_once_a_period() -> None:
+    assert np.diff(decisions([])) == pytest.approx(PERIOD_S, abs=2e-3)
+
+
+def test_a_goal_is_decided_on_at_once() -> None:
+    made = decisions([0.155, 0.7])
+    for news_s in (0.155, 0.7):
+        after = made[made >= news_s]
+        assert 0 <= after[0] - news_s <= 3e-3
+        assert after[1] - after[0] == pytest.approx(PERIOD_S, abs=3e-3), "and a period later again"
+    assert np.diff(made).max() <= PERIOD_S + 2e-3
+
+
+def test_many_goals_are_decided_on_five_times_a_period_at_most() -> None:
+    made = decisions(np.arange(0.0, 2.0, 0.004))
+    assert np.diff(made).min() >= LEAST_SHARE * PERIOD_S - 1e-9
+    assert np.diff(made).max() <= LEAST_SHARE * PERIOD_S + 6e-3
+
+
+@pytest.mark.parametrize(
+    ("message", "robot"), [(GOALS, 9), (Beat({}), 1), (Sighting(0, 0.0, np.array([1]), np.array([], int)), 1)]
+)
+def test_what_is_no_goal_for_this_robot_changes_nothing(message, robot) -> None:
+    np.testing.assert_array_equal(
+        decisions(np.arange(0.0, 2.0, 0.01), message=message, robot=robot), decisions([])
+    )
+
+
+def test_a_loop_that_is_late_goes_on_from_there() -> None:
+    pace = Pace(PERIOD_S, 0.0)
+    pace.decided(5.0)
+    assert pace.due_s == 5.0
+    pace.decided(5.0)
+    assert pace.due_s == pytest.approx(5.1)

@@ -19,6 +19,7 @@ from skyherd.live.ground import positions_in_sides
 from skyherd.live.view import View
 from skyherd.messages import Detections, rows_of
 from skyherd.recording import foxglove
+from skyherd.recording.mcap_log import Schema
 
 JPEG_QUALITY = 70
 """Quality of the pictures, in per cent. Chosen: markers and their numbers are easily seen; half of it shows
@@ -33,7 +34,7 @@ GOAL_PX = 10.0
 Page = tuple[str, Any]
 """A topic, and a message for it."""
 
-TOPICS: dict[str, foxglove.Schema] = {
+TOPICS: dict[str, Schema] = {
     "/image": foxglove.IMAGE,
     "/overlay": foxglove.ANNOTATIONS,
     "/poses": foxglove.TRANSFORMS,

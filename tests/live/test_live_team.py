@@ -1,16 +1,22 @@
 """A whole live team in memory, in simulated time: it forms its shape, and faults stop it as they should."""
 
 import re
+import time
 
 import numpy as np
 import pytest
+from live_processes import PATIENCE_S
+from PIL import Image
 
 from skyherd.errors import InputError
 from skyherd.live.diary import Diary
 from skyherd.live.diary_file import read_diary
 from skyherd.live.lab import load_lab
-from skyherd.live.radio import Post
+from skyherd.live.live_clock import LiveClock
+from skyherd.live.processes import Station, run_unit
+from skyherd.live.radio import Air, Post
 from skyherd.live.replay import replay
+from skyherd.recording.mcap_log import McapLog
 
 
 @pytest.fixture(scope="module")
@@ -212,3 +218,30 @@ def test_arm_and_stop_insist_until_all_answer(faults) -> None:
     assert operator.arm(team.lab, watched, settle_s=60.0).missing == []
     assert operator.stop(team.lab, watched, "test", settle_s=60.0).missing == []
     assert not any(p.core.armed for name, p in team.processes.items() if name.startswith("robot"))
+
+
+def test_a_unit_whose_disk_is_full_says_so_and_goes_on(tmp_path, monkeypatch) -> None:
+    images, told = tmp_path / "images", []
+    images.mkdir()
+    for number in range(3):
+        Image.fromarray(np.full((120, 160), 90, np.uint8)).save(images / f"{number}.png")
+
+    def full(*arguments):
+        raise OSError(28, "No space left on device")
+
+    lab, air = load_lab("triangle"), Air()
+    latest_s = time.monotonic() + PATIENCE_S
+    station = Station(
+        lab,
+        air.radio("unit/0"),
+        LiveClock(),
+        tmp_path / "run",
+        told.append,
+        lambda: any("device" in line for line in told) or time.monotonic() > latest_s,
+    )
+    put = McapLog.put
+    monkeypatch.setattr(
+        McapLog, "put", lambda log, topic, *rest: put(log, topic, *rest) if topic == "/about" else full()
+    )
+    run_unit(station, 0, address=str(images), dry_run=True)
+    assert any("No space left on device; nothing is recorded from now on" in line for line in told)

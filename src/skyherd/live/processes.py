@@ -247,13 +247,14 @@ def run_unit(station: Station, unit: int, *, address: str | None = None, dry_run
                     keep_image(diary, detections, news, view, stages)
                 album.show(frame.image, detections, None if news is None else news.decision, view)
                 state = _state(detections, view)
-            told.say(f"{core.name}: {problem}" if (problem := trouble or core.trouble) else "")
+            problem = "; ".join(filter(None, (trouble or core.trouble, diary.trouble)))
+            told.say(f"{core.name}: {problem}" if problem else "")
             now_s = clock()
             for topic, record in album.done():
                 diary.keep(topic, now_s, record)
             if now_s - beat_s >= BEAT_S or now_s < beat_s:
                 beat_s = now_s
-                post.send(core.beat(now_s, problem or diary.trouble or state))
+                post.send(core.beat(now_s, problem or state))
                 diary.put("/beat", now_s, {"refused": post.refusals.counts, "dropped": post.dropped})
         diary.put("/end", clock(), {})
 

@@ -1,20 +1,17 @@
-"""How markers look at their size and blur: their patterns, and what of the ground around them is seen.
+"""How markers look at their size and blur: their cells, and what of the ground around them is seen.
 
-A card is narrow, and blur lets the ground beyond it into the marker's pixels. How much of it each pixel sees
-is computed here; its level is an unknown of the fit, and its texture counts as noise
+A card is narrow, and blur lets the ground beyond it into the marker's pixels. Whether any of it is seen is
+decided here; its level is an unknown of the fit, and its texture counts as noise
 (`skyherd.vision.photometric.design_matrix`).
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import ndtr
+import numpy.typing as npt
 
-from skyherd.geometry import Array, BoolArray, ComplexArray, IntArray
-from skyherd.markers.dictionary import card_side
-from skyherd.vision.photometric.pattern import Pattern, blur_buckets, make_anisotropy, make_pattern
-from skyherd.vision.photometric.pixel_support import Floats
+from skyherd.geometry import Array, BoolArray, IntArray
+from skyherd.markers.dictionary import card_side, cells_per_side, marker_cells
 from skyherd.vision.photometric.plane import Plane
 
 OUTSIDE_SIGMAS = 2.5
@@ -38,55 +35,41 @@ USUAL_BLACK_RATIO = 0.15
 """Assumed black level over contrast, before the first step. Chosen: that of a black of 30 beside a white of
 230; the first step replaces it."""
 
-EDGE_REACH = 4.0
-"""Half-width of the tabulated card edge, in standard deviations of the blur; beyond it the edge is 0 or 1.
-Chosen: the normal distribution is within 3e-5 of its limits there."""
-
-EDGE_SAMPLES_PER_SIGMA = 64
-"""Entries of the table of the card's edge to one standard deviation. Derived accuracy of the nearest entry:
-`φ(0) / (2 · 64)` = 0.003 of the step from card to ground."""
-
-_EDGE: Floats = ndtr(
-    np.arange(-EDGE_REACH, EDGE_REACH + 1 / EDGE_SAMPLES_PER_SIGMA, 1 / EDGE_SAMPLES_PER_SIGMA)
-).astype(np.float32)
-_EDGE[[0, -1]] = 0.0, 1.0
-
 
 @dataclass(frozen=True)
 class MarkerAppearances:
     """What N markers look like at their size and blur; lengths are in marker sides.
 
     Attributes:
-        patterns: N patterns, for the marker's bits under its blur.
-        anisotropies: N patterns of `make_anisotropy`, or none at all if no marker is squeezed.
+        cells: (N, n + 2, n + 2) 1 where a cell is black, 0 where it is white and on the ground around.
         sigmas: (N,) standard deviations of the blur.
         read_limits: (N,) marker coordinates up to which pixels are read.
         reaches_ground: (N,) whether the blur brings ground beyond the card into those pixels.
         black_ratios: (N,) black level over contrast, the r of the model.
         half_card: distance of the card's edge from the marker's centre.
         texture: standard deviation of the ground's texture over that of the noise.
+        round_in_image: whether the blur is drawn round in the image, and not in the marker's coordinates; the
+            two are the same on a plane that is seen from straight above.
     """
 
-    patterns: list[Pattern]
-    anisotropies: list[Pattern]
+    cells: npt.NDArray[np.float32]
     sigmas: Array
     read_limits: Array
     reaches_ground: BoolArray
     black_ratios: Array
     half_card: float
     texture: float
+    round_in_image: bool
 
     def take(self, rows: IntArray) -> "MarkerAppearances":
         """Return the appearances of the markers at indices `rows` (K,)."""
-        return MarkerAppearances(
-            patterns=[self.patterns[row] for row in rows],
-            anisotropies=[self.anisotropies[row] for row in rows] if self.anisotropies else [],
+        return replace(
+            self,
+            cells=self.cells[rows],
             sigmas=self.sigmas[rows],
             read_limits=self.read_limits[rows],
             reaches_ground=self.reaches_ground[rows],
             black_ratios=self.black_ratios[rows],
-            half_card=self.half_card,
-            texture=self.texture,
         )
 
 
@@ -96,57 +79,22 @@ def appearances_of(
     """Return how markers `ids` (N,) look under blurs (N,), standard deviations in marker sides.
 
     `noise`, the standard deviation of a pixel in grey levels, sets how strongly the ground's texture counts.
+
+    Raises:
+        InputError: there is no such dictionary, or no marker of such an id in it.
     """
-    quiet = (card_side(dictionary) - 1) / 2
+    quiet, n = (card_side(dictionary) - 1) / 2, cells_per_side(dictionary)
     beyond = np.clip(quiet - INSIDE_SIGMAS * relative_sigmas, 0, OUTSIDE_SIGMAS * relative_sigmas)
+    cells = np.zeros((ids.size, n + 2, n + 2), dtype=np.float32)
+    for own, marker in zip(cells, ids.tolist(), strict=True):
+        own[1:-1, 1:-1] = ~marker_cells(dictionary, marker)
     return MarkerAppearances(
-        patterns=_patterns(make_pattern, dictionary, ids, relative_sigmas),
-        anisotropies=anisotropies_of(dictionary, ids, relative_sigmas, plane),
+        cells=cells,
         sigmas=relative_sigmas,
         read_limits=0.5 + beyond,
         reaches_ground=quiet - beyond < GROUND_SIGMAS * relative_sigmas,
         black_ratios=np.full(ids.size, USUAL_BLACK_RATIO),
         half_card=0.5 + quiet,
         texture=TEXTURE / noise,
+        round_in_image=plane != Plane(),
     )
-
-
-def anisotropies_of(dictionary: str, ids: IntArray, relative_sigmas: Array, plane: Plane) -> list[Pattern]:
-    """Return what round blur does to squeezed markers `ids` (N,) under blurs (N,), in marker sides.
-
-    The list is empty on a plane that is seen from straight above, where nothing is squeezed.
-    """
-    if plane == Plane():
-        return []
-    return _patterns(make_anisotropy, dictionary, ids, relative_sigmas)
-
-
-def _patterns(
-    make: Callable[[str, int, int], Pattern], dictionary: str, ids: IntArray, relative_sigmas: Array
-) -> list[Pattern]:
-    buckets = blur_buckets(relative_sigmas).tolist()
-    return [make(dictionary, marker, bucket) for marker, bucket in zip(ids.tolist(), buckets, strict=True)]
-
-
-def ground_share(x: Floats, y: Floats, appearances: MarkerAppearances, squeezes: ComplexArray) -> Floats:
-    """Return the share (N, M) of ground beyond the card that is seen at marker coordinates x, y (N, M).
-
-    It is `1 - A(x) A(y)`. With the blur σ and the card's edge at h, `A(x) = Φ((h - |x|) / σ)`; the opposite
-    edge is too far away to count. The share is zero for a marker whose pixels reach no ground.
-
-    In the coordinates of a marker that is squeezed by e = `squeezes` (N,), `z + e z̄`, blur that is round in
-    the image has standard deviations `σ |1 ∓ e| / sqrt(1 + |e|²)` along x and y, where σ is that of their
-    mean variance (`LocalHomographies.blurs`).
-    """
-    middle = EDGE_REACH * EDGE_SAMPLES_PER_SIGMA + 0.5
-
-    def covered(along: Floats, stretch: Array) -> Floats:
-        per_side = EDGE_SAMPLES_PER_SIGMA / (appearances.sigmas * stretch)
-        edge = np.where(appearances.reaches_ground, appearances.half_card * per_side + middle, np.inf)
-        place = edge.astype(np.float32)[:, None] - per_side.astype(np.float32)[:, None] * np.abs(along)
-        return _EDGE.take(np.clip(place, 0, 2 * middle - 1, out=place).astype(np.intp), mode="wrap")
-
-    x_stretch, y_stretch = (
-        np.abs(1 + sign * squeezes) / np.sqrt(1 + np.abs(squeezes) ** 2) for sign in (-1, 1)
-    )
-    return np.asarray(1 - covered(x, x_stretch) * covered(y, y_stretch))

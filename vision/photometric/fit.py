@@ -17,7 +17,7 @@ from skyherd.geometry import Array, BoolArray, IntArray
 from skyherd.markers.dictionary import cells_per_side
 from skyherd.vision.grey import Image
 from skyherd.vision.photometric import design_matrix
-from skyherd.vision.photometric.appearance import MarkerAppearances, anisotropies_of, appearances_of
+from skyherd.vision.photometric.appearance import MarkerAppearances, appearances_of
 from skyherd.vision.photometric.common_unknowns import hold_common_unknowns
 from skyherd.vision.photometric.correlated_noise import BOX_PX, MOST_MARKERS, box_ratios
 from skyherd.vision.photometric.design_matrix import (
@@ -27,7 +27,6 @@ from skyherd.vision.photometric.design_matrix import (
     SQUEEZE,
     UNKNOWNS,
     DesignMatrices,
-    design_matrices_of,
 )
 from skyherd.vision.photometric.fit_result import FitResults, fit_results_of, pose_influences
 from skyherd.vision.photometric.least_squares import LeastSquaresSolution
@@ -102,13 +101,13 @@ class PixelSamples:
             inlier_limits: a solution (N, 15) and limits (N,), grey levels; only pixels whose residual from
                 that solution is below their marker's limit are used. All are if left out.
         """
-        for pixels in design_matrices_of(image, rows, start, appearances):
-            if inlier_limits is not None:
-                values, limits = (of_each[pixels.rows] for of_each in inlier_limits)
-                pixels.restrict(np.abs(pixels.residuals(values)) < limits[:, None])
-            self._grams[pixels.rows], self._counts[pixels.rows] = pixels.gram_matrices(), pixels.counts
-            self._part_of[pixels.rows] = len(self._parts)
-            self._parts.append(pixels)
+        pixels = DesignMatrices(image, rows, start.take(rows), appearances.take(rows))
+        if inlier_limits is not None:
+            values, limits = (of_each[rows] for of_each in inlier_limits)
+            pixels.restrict(np.abs(pixels.residuals(values)) < np.repeat(limits, pixels.counts))
+        self._grams[rows], self._counts[rows] = pixels.gram_matrices(), pixels.counts
+        self._part_of[rows] = len(self._parts)
+        self._parts.append(pixels)
 
     def solution(self) -> LeastSquaresSolution:
         """Return the least-squares solution for all N markers, with every unknown free."""
@@ -220,7 +219,7 @@ def fit_markers(
         appearances = replace(
             appearances,
             black_ratios=(solution.values[:, BLACK] + MIDDLE_GREY) / solution.contrasts(),
-            anisotropies=anisotropies_of(dictionary, ids, blurs, plane),
+            round_in_image=plane != Plane(),
         )
         homographies, moved_px = stepped(solution, start)
         if plane.shared:

@@ -1,8 +1,8 @@
 """Markers of any size, each fitted at a resolution that suits it: large ones in a shrunk image.
 
-A large marker has more pixels than are of use, and its pattern would have to be kept at as many. Shrunk by
-means over k x k pixels, an image has a blur of variance `σ'² = (σ² - 1/12) / k² + 1/12`, px²: the lens's part
-shrinks, that of the square pixel, 1/12, does not.
+A large marker has more pixels than are of use, and each costs time and memory. Shrunk by means over k x k
+pixels, an image has a blur of variance `σ'² = (σ² - 1/12) / k² + 1/12`, px²: the lens's part shrinks, that of
+the square pixel, 1/12, does not.
 """
 
 import math

@@ -1,9 +1,9 @@
 """Markers fitted whose blur is not known beforehand: each about the blur that its last fit found.
 
-A fit is linear in the logarithm of the blur, and so finds a blur within half or double of the one that its
-pattern was drawn with. Fits are repeated about what they found until that changes no more, each marker by
+A fit is linear in the logarithm of the blur, and so finds a blur within half or double of the one that it
+drew the marker with. Fits are repeated about what they found until that changes no more, each marker by
 itself: depth and focus may differ from one to the next. Where they hardly differ, all markers take the usual
-blur, so that they share their patterns.
+blur, which is known better than that of any one of them.
 """
 
 from functools import partial
@@ -29,8 +29,8 @@ less; a tenth of a side is 0.6 cells of a marker of 6 cells, beyond which bits c
 
 BLUR_ROUNDS, BLUR_SETTLED = 6, 0.06
 """The blur is found by so many more rounds of fitting at most, until its logarithm changes by less than the
-second number. Chosen: an error of 6 % is within one and a half steps between patterns, and the fit corrects
-it to second order; six rounds reach from half a pixel to ten."""
+second number. Chosen: the fit corrects an error of 6 % to second order; six rounds reach from half a pixel to
+ten."""
 
 STEPS_PER_ROUND = 3
 """Most steps of each of these fits, which begin where the last one ended. Chosen: half of `MAX_STEPS`."""

@@ -32,29 +32,31 @@ def box_sums_by_hand(values, u, v, box_px):
 
 
 def test_boxes_are_added_up_as_by_hand():
-    """Of two markers with 300 and 200 random pixels of 64 x 64; the rest of their rows is padding."""
+    """Of markers with 300 random pixels of 64 x 64, with 200, a third of them left out, and with none."""
     rng = np.random.default_rng(0)
     pixels = DesignMatrices.__new__(DesignMatrices)
-    pixels.rows, pixels._width = np.arange(2), 64
-    pixels.columns = rng.normal(size=(2, UNKNOWNS + 1, 300)).astype(np.float32)
-    pixels.columns[:, BLACK] = np.arange(300) < np.array([[300], [200]])
-    pixels.columns *= pixels.columns[:, BLACK : BLACK + 1]
+    pixels.rows, pixels.bounds = np.arange(3), np.array([0, 300, 500, 500])
+    pixels.columns = rng.normal(size=(500, UNKNOWNS + 1)).astype(np.float32)
+    pixels.columns[:, BLACK] = np.abs(pixels.columns[:, BLACK])
+    pixels.restrict((np.arange(500) < 300) | (rng.random(500) < 2 / 3))
+    places = np.concatenate([rng.permutation(64 * 64)[:count] for count in (300, 200)])
     # Boxes are counted from the first pixel that is used, so that large ones are aligned with it.
-    pixels._flat_indices = np.stack([rng.permutation(64 * 64)[:300] for _ in range(2)])
-    pixels._flat_indices[:, 0] = 0
-    solutions, influences = rng.normal(size=(2, UNKNOWNS)), rng.normal(size=(2, 3, UNKNOWNS))
-    small, large, boxes = pixels.squared_box_sums(solutions, influences, np.array([1, 0]), 2)
+    places[[0, 300]], pixels.columns[300, BLACK] = 0, 1.0
+    pixels.pixels = np.stack(np.divmod(places, 64), axis=1).astype(np.int32)
+    solutions, influences = rng.normal(size=(3, UNKNOWNS)), rng.normal(size=(3, 3, UNKNOWNS))
+    small, large, boxes = pixels.squared_box_sums(solutions, influences, np.array([1, 2, 0]), 2)
     residuals = pixels.residuals(solutions)
-    for place, marker in enumerate((1, 0)):
-        used = pixels.columns[marker, BLACK] > 0
-        v, u = np.divmod(pixels._flat_indices[marker][used], 64)
-        weighted = influences[marker] @ pixels.columns[marker, :UNKNOWNS] * residuals[marker]
+    assert not small[1].any() and not large[1].any() and not boxes[1]
+    for place, marker in ((0, 1), (2, 0)):
+        own = np.arange(pixels.bounds[marker], pixels.bounds[marker + 1])
+        own = own[pixels.columns[own, BLACK] > 0]
+        v, u = pixels.pixels[own].T
         for quantity in range(3):
-            values = weighted[quantity][used]
+            values = pixels.columns[own, :UNKNOWNS] @ influences[marker, quantity] * residuals[own]
             expected, _ = box_sums_by_hand(values, u, v, 2)
-            assert small[place, quantity] == pytest.approx(expected, rel=1e-4)
+            assert small[place, quantity] == pytest.approx(expected, rel=1e-5)
             expected, count = box_sums_by_hand(values, u, v, 4)
-            assert large[place, quantity] == pytest.approx(expected, rel=1e-4) and boxes[place] == count
+            assert large[place, quantity] == pytest.approx(expected, rel=1e-5) and boxes[place] == count
 
 
 def test_ratios_are_of_positions_and_of_headings():

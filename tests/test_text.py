@@ -59,10 +59,16 @@ def test_no_error_of_an_input_is_long(where, what, allowed):
     error = InputError(where, what, allowed)
     assert len(str(error)) <= MOST_CHARACTERS + 4
     if len(where) + len(what) + len(allowed) <= MOST_CHARACTERS:
-        assert str(error) == f"{where}: {what}; {allowed}"
+        one_line = what.replace("\n", " ")
+        assert str(error) == f"{where}: {one_line}; {allowed}"
 
 
 def test_the_longest_part_is_shortened_and_the_others_are_left():
     error = InputError("a.toml: key", "x" * 100_000, "1 or more")
     assert (error.where, error.allowed) == ("a.toml: key", "1 or more")
     assert len(str(error)) <= MOST_CHARACTERS + 4
+
+
+def test_an_error_of_a_value_whose_text_has_lines_is_of_one_line():
+    error = InputError("border bits", "array([[0.],\n       [0.]])", "a whole number")
+    assert "\n" not in str(error) and str(error).startswith("border bits: array([[0.], ")

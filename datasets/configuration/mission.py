@@ -30,6 +30,7 @@ from skyherd.files.images import Grey, read_grey
 from skyherd.files.reading import is_regular
 from skyherd.geometry import Array, IntArray, to_points
 from skyherd.markers.dictionary import dictionary_size
+from skyherd.messages.checks import check_texts
 from skyherd.random_streams import RunStream, generator
 from skyherd.vision import check_detector_name, load_accuracy
 
@@ -186,6 +187,7 @@ def make_mission(tree: dict[str, Any], *, where: str = "scenario", folder: Path 
 
 def _apply_setting(tree: dict[str, Any], setting: str) -> None:
     """Put one `a.b.0.c=value` over the tree; the value is TOML, or plain text where that fails."""
+    check_texts("settings", [setting])
     key, equals, text = setting.partition("=")
     if not equals or not key.strip():
         raise InputError(f"--set {setting}", "not of the form key=value", "such as --set control.k=0.2")

@@ -40,6 +40,7 @@ from skyherd.live.peers import ClockLimits
 from skyherd.live.robot_core import RobotCore, RobotLimits
 from skyherd.live.unit_core import UnitCore
 from skyherd.markers.dictionary import dictionary_names, dictionary_size
+from skyherd.messages.checks import check_texts
 from skyherd.sim.agents import REPORT_LIFETIME_S, REPORTS_MISSED, make_flight, make_selection
 from skyherd.vision import detector_names
 
@@ -406,6 +407,7 @@ def load_lab(name_or_file: str, settings: Iterable[str] = ()) -> Lab:
     where = str(path) if is_file else f"lab {name_or_file}"
     tree = parse_toml(text, where, "skyherd live show webcams")
     for setting in settings:
+        check_texts("settings", [setting])
         key, sign, value = setting.partition("=")
         if not sign:
             raise InputError(f"--set {setting}", "no value", "key=value")

@@ -80,6 +80,21 @@ def check_flags(where: str, **flags: object) -> None:
             raise InputError(f"{where}: {name}", shown(value), "True or False")
 
 
+def check_texts(where: str, values: Iterable[object]) -> None:
+    """Check values that are texts.
+
+    Args:
+        where: what they are given as.
+        values: to be checked.
+
+    Raises:
+        InputError: one is no text.
+    """
+    for value in values:
+        if not isinstance(value, str):
+            raise InputError(where, shown(value), "a text")
+
+
 def check_ids(ids: npt.ArrayLike, where: str) -> IntArray:
     """Ids as an array of integers, as they are given.
 

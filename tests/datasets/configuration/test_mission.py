@@ -242,3 +242,9 @@ def test_an_unreadable_ground_image_is_one_line(tmp_path):
     file.write_text(GOOD.replace("[[units]]", '[ground]\nkind = "image"\nimage = "ground.png"\n[[units]]'))
     with pytest.raises(InputError, match=r"ground\.png"):
         load_mission(str(file))
+
+
+@pytest.mark.parametrize("setting", [None, 3, b"seed=1"], ids=repr)
+def test_a_setting_that_is_no_text_is_refused(setting):
+    with pytest.raises(InputError, match="settings: .*; a text"):
+        load_mission("star", [setting])

@@ -7,6 +7,7 @@ import numpy as np
 from skyherd.datasets.shapes.words import PREFIX, word_points
 from skyherd.errors import InputError
 from skyherd.geometry import Array
+from skyherd.messages.checks import check_count
 
 STAR_INNER_RATIO = 0.515
 """Inner over outer radius of the star. *Derived* from the paper's second simulation: 4.12 / 8."""
@@ -77,8 +78,10 @@ def shape_points(name: str, count: int) -> Array:
     """Points (N, 2), x right and y up, of a named shape, or of a word such as `word:SKY`, for `count` robots.
 
     Raises:
-        InputError: there is no such shape, or not for so many robots; the error says what there is.
+        InputError: there is no such shape, or not for so many robots, or `count` is no whole number; the
+            error says what there is.
     """
+    check_count("template.shape: count", count)
     if name.startswith(PREFIX):
         return word_points(name.removeprefix(PREFIX), count)
     if name not in SHAPES:

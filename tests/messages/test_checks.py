@@ -21,6 +21,7 @@ from skyherd.control import (
     TreeRule,
     Wheels,
 )
+from skyherd.datasets import shape_points
 from skyherd.errors import SkyherdError
 from skyherd.messages import Detections, MotionGoals, Proximity, UnitReport
 from skyherd.vision import create_detector
@@ -220,3 +221,9 @@ def test_what_is_no_grey_image_is_refused(image):
 def test_points_of_a_template_that_are_no_numbers_are_refused(points):
     with pytest.raises(SkyherdError, match="template"):
         Template([0, 1], points)
+
+
+@pytest.mark.parametrize("count", [np.zeros(0), None, -1, 2.5, True], ids=repr)
+def test_a_shape_is_for_a_whole_number_of_robots(count):
+    with pytest.raises(SkyherdError, match=r"count: .*; a whole number of 0 or more"):
+        shape_points("star", count)

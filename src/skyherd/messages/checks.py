@@ -95,6 +95,20 @@ def check_texts(where: str, values: Iterable[object]) -> None:
             raise InputError(where, shown(value), "a text")
 
 
+def check_count(where: str, value: object) -> None:
+    """Check a number of things.
+
+    Args:
+        where: what it is given as.
+        value: to be checked.
+
+    Raises:
+        InputError: it is no whole number of 0 or more.
+    """
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 0:
+        raise InputError(where, shown(value), "a whole number of 0 or more")
+
+
 def check_ids(ids: npt.ArrayLike, where: str) -> IntArray:
     """Ids as an array of integers, as they are given.
 

@@ -246,5 +246,5 @@ def test_an_unreadable_ground_image_is_one_line(tmp_path):
 
 @pytest.mark.parametrize("setting", [None, 3, b"seed=1"], ids=repr)
 def test_a_setting_that_is_no_text_is_refused(setting):
-    with pytest.raises(InputError, match="settings: .*; a text"):
+    with pytest.raises(InputError, match=r"settings: .*; a text"):
         load_mission("star", [setting])

@@ -14,7 +14,7 @@ a goal from; the limit is `goal_timeout_s` and one period. `moved off` counts ru
 
 import argparse
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -369,32 +369,45 @@ def run(fault: str, seed: int, duration_s: float = DURATION_S) -> dict[str, Any]
 
 def table(rows: list[dict[str, Any]]) -> str:
     """Markdown: a line a fault."""
-    lines = [
-        "| fault | runs | longest blind, s | moved off | formed | messages refused |",
-        "|---|---|---|---|---|---|",
-    ]
-    for fault in FAULTS:
-        here = [row for row in rows if row["fault"] == fault]
-        if here:
-            lines.append(
-                f"| {fault} | {len(here)} | {max(row['blind_s'] for row in here):.2f} "
-                f"| {sum(row['exceeded'] for row in here)} | {sum(row['formed'] for row in here)} "
-                f"| {sum(row['refused'] for row in here)} |"
-            )
+    return fault_table(
+        rows,
+        {
+            "longest blind, s": lambda here: f"{max(row['blind_s'] for row in here):.2f}",
+            "moved off": lambda here: sum(row["exceeded"] for row in here),
+            "formed": lambda here: sum(row["formed"] for row in here),
+            "messages refused": lambda here: sum(row["refused"] for row in here),
+        },
+    )
+
+
+def fault_table(rows: list[dict[str, Any]], entries: dict[str, Callable[[list[dict[str, Any]]], Any]]) -> str:
+    """Markdown: a line a fault, with what is made of its rows under each heading."""
+    by_fault: dict[str, list[dict[str, Any]]] = {}
+    for row in rows:
+        by_fault.setdefault(row["fault"], []).append(row)
+    lines = ["| " + " | ".join(["fault", "runs", *entries]) + " |", "|---" * (2 + len(entries)) + "|"]
+    for fault, here in by_fault.items():
+        cells = [fault, len(here), *(entry(here) for entry in entries.values())]
+        lines.append("| " + " | ".join(str(cell) for cell in cells) + " |")
     return "\n".join(lines) + "\n"
 
 
-def main() -> None:
-    """All faults, ten times each."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+def measure(
+    description: str | None,
+    faults: Iterable[str],
+    run: Callable[[str, int], dict[str, Any]],
+    table: Callable[[list[dict[str, Any]]], str],
+) -> None:
+    """Run faults so many times, as the command line says, and write and print what came of it."""
+    parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--json", type=Path)
     parser.add_argument("--table", type=Path)
     parser.add_argument("--times", type=int, default=TIMES)
-    parser.add_argument("--fault", choices=[*FAULTS], help="this one alone")
+    parser.add_argument("--fault", choices=[*faults], help="this one alone")
     options = parser.parse_args()
     rows: list[dict[str, Any]] = []
     for seed in range(options.times):
-        for fault in [options.fault] if options.fault else FAULTS:
+        for fault in [options.fault] if options.fault else faults:
             rows.append(run(fault, seed))
             print(json.dumps(rows[-1]), flush=True)
             if options.json:
@@ -405,4 +418,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    measure(__doc__, FAULTS, run, table)

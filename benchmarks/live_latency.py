@@ -35,12 +35,12 @@ import numpy as np
 
 from skyherd.datasets import load_mission
 from skyherd.files.video_reader import open_clip, read_clip
-from skyherd.live.album import Album
-from skyherd.live.diary import Diary
+from skyherd.live.diaries.album import Album
+from skyherd.live.diaries.diary import Diary
+from skyherd.live.diaries.view import view_of
 from skyherd.live.lab import Lab, load_lab, make_lab
-from skyherd.live.processes import keep_image
 from skyherd.live.review import make_live_report
-from skyherd.live.view import view_of
+from skyherd.live.unit_process import keep_image
 from skyherd.live.wire import Envelope, encode
 from skyherd.loop import run_steps
 from skyherd.vision import create_detector

@@ -15,11 +15,8 @@ runs whose shape error was below 2 % at the end. `lost s`: the longest stretch a
 process's recording that is missing. `left`: processes that were still there after the end.
 """
 
-import argparse
-import json
 import os
 import resource
-import shutil
 import signal
 import socket
 import subprocess
@@ -35,16 +32,16 @@ from typing import Any
 
 import numpy as np
 import orjson
+from live_faults import fault_table, measure
 from mcap.reader import make_reader
 
 from skyherd.files.atomic import write_text
-from skyherd.live.diary_file import read_diary
+from skyherd.live.diaries.diary_file import read_diary
+from skyherd.live.diaries.replay import replay
 from skyherd.live.lab import LabRadio, lab_text, load_lab
-from skyherd.live.replay import replay
 from skyherd.live.wire import MOST_BYTES
 
 SKYHERD = [sys.executable, "-m", "skyherd"]
-TIMES = 10
 DRIVE_S, FAULT_S, AFTER_S = 60.0, 3.0, 20.0
 """Longest wait until all robots drive; from then on to the fault, and from the fault to the end, s."""
 
@@ -344,46 +341,24 @@ def _judge(team: Team) -> dict[str, Any]:
 
 def table(rows: list[dict[str, Any]]) -> str:
     """Markdown: a line a fault."""
-    lines = [
-        "| fault | runs | longest blind, s | moved off | formed | lost, s | replayed otherwise | left |",
-        "|---|---|---|---|---|---|---|---|",
-    ]
-    for fault in FAULTS:
-        here = [row for row in rows if row["fault"] == fault]
-        if here:
-            lines.append(
-                f"| {fault} | {len(here)} | {max(row['blind_s'] for row in here):.2f} "
-                f"| {sum(row['exceeded'] for row in here)} | {sum(row['formed'] for row in here)} "
-                f"| {max(row['lost_s'] for row in here):.2f} | {sum(row['different'] for row in here)} "
-                f"| {sum(len(row['left']) for row in here)} |"
-            )
-    return "\n".join(lines) + "\n"
+    return fault_table(
+        rows,
+        {
+            "longest blind, s": lambda here: f"{max(row['blind_s'] for row in here):.2f}",
+            "moved off": lambda here: sum(row["exceeded"] for row in here),
+            "formed": lambda here: sum(row["formed"] for row in here),
+            "lost, s": lambda here: f"{max(row['lost_s'] for row in here):.2f}",
+            "replayed otherwise": lambda here: sum(row["different"] for row in here),
+            "left": lambda here: sum(len(row["left"]) for row in here),
+        },
+    )
 
 
-def main() -> None:
-    """All faults, ten times each."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--json", type=Path)
-    parser.add_argument("--table", type=Path)
-    parser.add_argument("--times", type=int, default=TIMES)
-    parser.add_argument("--fault", choices=[*FAULTS], help="this one alone")
-    parser.add_argument("--keep", type=Path, help="folder to keep recordings in")
-    options = parser.parse_args()
-    rows: list[dict[str, Any]] = []
-    for seed in range(options.times):
-        for fault in [options.fault] if options.fault else FAULTS:
-            with tempfile.TemporaryDirectory() as folder:
-                rows.append(run(fault, seed, Path(folder)))
-                if options.keep:
-                    kept = options.keep / f"{fault.replace(' ', '-')}-{seed}"
-                    shutil.copytree(folder, kept, dirs_exist_ok=True)
-            print(json.dumps(rows[-1]), flush=True)
-            if options.json:
-                write_text(options.json, json.dumps(rows, indent=1) + "\n")
-    if options.table:
-        write_text(options.table, table(rows))
-    print(table(rows))
+def run_in_new_folder(fault: str, seed: int) -> dict[str, Any]:
+    """One run, whose recordings are read and then removed."""
+    with tempfile.TemporaryDirectory() as folder:
+        return run(fault, seed, Path(folder))
 
 
 if __name__ == "__main__":
-    main()
+    measure(__doc__, FAULTS, run_in_new_folder, table)

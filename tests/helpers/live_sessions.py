@@ -5,11 +5,11 @@ from pathlib import Path
 
 import numpy as np
 
-from skyherd.live.diary import Diary
+from skyherd.live.diaries.diary import Diary
+from skyherd.live.diaries.view import View
 from skyherd.live.lab import Lab, make_lab
 from skyherd.live.radio import Arrival
 from skyherd.live.robot_core import Order
-from skyherd.live.view import View
 from skyherd.live.wire import Beat, Envelope
 from skyherd.messages import Detections, MotionGoals
 

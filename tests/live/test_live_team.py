@@ -9,13 +9,14 @@ from live_processes import PATIENCE_S
 from PIL import Image
 
 from skyherd.errors import InputError
-from skyherd.live.diary import Diary
-from skyherd.live.diary_file import read_diary
+from skyherd.live.diaries.diary import Diary
+from skyherd.live.diaries.diary_file import read_diary
+from skyherd.live.diaries.replay import replay
 from skyherd.live.lab import load_lab
 from skyherd.live.live_clock import LiveClock
-from skyherd.live.processes import Station, run_unit
 from skyherd.live.radio import Air, Post
-from skyherd.live.replay import replay
+from skyherd.live.station import Station
+from skyherd.live.unit_process import run_unit
 from skyherd.recording.mcap_log import McapLog
 
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from live_sessions import Script
 
-from skyherd.live.processes import LEAST_SHARE, Pace
 from skyherd.live.radio import Arrival
+from skyherd.live.robot_process import LEAST_SHARE, Pace
 from skyherd.live.wire import Beat, Envelope, Sighting
 
 PERIOD_S = 0.1

@@ -16,8 +16,8 @@ from mcap.reader import make_reader
 
 from skyherd.errors import InputError
 from skyherd.live.cameras import open_camera
+from skyherd.live.diaries.replay import replay
 from skyherd.live.lab import LabRadio, lab_text
-from skyherd.live.replay import replay
 from skyherd.live.review import make_live_report
 from skyherd.live.supervisor import Child, Supervisor
 from skyherd.live.world_process import CameraStream

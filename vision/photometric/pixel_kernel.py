@@ -286,6 +286,55 @@ def _blurred(
     return f, f_x, f_y, f_xx, f_xy, f_yy
 
 
+@njit(**_INLINE)
+def _write_columns(
+    columns: Any,
+    row: Any,
+    x: Any,
+    y: Any,
+    white: Any,
+    slope_x: Any,
+    slope_y: Any,
+    log_blur: Any,
+    ground: Any,
+    weight: Any,
+    ratio: Any,
+) -> None:
+    """Write down what the model's columns are at one pixel.
+
+    Args:
+        columns: (P, 16) the result.
+        row: of the pixel.
+        x: marker coordinate of the pixel, towards the marker's right, in sides.
+        y: the same, down.
+        white: T.
+        slope_x: T_x times the weight.
+        slope_y: T_y times the weight.
+        log_blur: T_log σ.
+        ground: the share of ground beyond the card.
+        weight: of the pixel.
+        ratio: black level over contrast.
+    """
+    contrast = white * weight
+    grow = -(x * slope_x + y * slope_y)
+    light = ratio * weight + contrast
+    columns[row, BLACK] = weight
+    columns[row, CONTRAST] = contrast
+    columns[row, RIGHT] = -slope_x
+    columns[row, DOWN] = -slope_y
+    columns[row, TURN] = y * slope_x - x * slope_y
+    columns[row, GROW] = grow
+    columns[row, BLUR] = log_blur * weight
+    columns[row, GROUND] = ground * weight
+    columns[row, _SQUEEZE_X] = y * slope_y - x * slope_x
+    columns[row, _SQUEEZE_Y] = -(y * slope_x + x * slope_y)
+    columns[row, _LIGHT_X] = x * light
+    columns[row, _LIGHT_Y] = y * light
+    columns[row, _LEAN_X] = -grow * x
+    columns[row, _LEAN_Y] = -grow * y
+    columns[row, _TONE] = contrast * (_ONE - white)
+
+
 @njit(
     void(
         *(_IMAGE, _MARKERS, _readonly(float32, 3), float64),
@@ -369,24 +418,7 @@ def fill(
                     weight /= np.float32(math.sqrt(_ONE + texture_square * ground * ground))
 
                 slope_x, slope_y = -f_x * per_side * weight, -f_y * per_side * weight
-                contrast = white * weight
-                grow = -(x * slope_x + y * slope_y)
-                light = ratio * weight + contrast
-                columns[place, BLACK] = weight
-                columns[place, CONTRAST] = contrast
-                columns[place, RIGHT] = -slope_x
-                columns[place, DOWN] = -slope_y
-                columns[place, TURN] = y * slope_x - x * slope_y
-                columns[place, GROW] = grow
-                columns[place, BLUR] = log_blur * weight
-                columns[place, GROUND] = ground * weight
-                columns[place, _SQUEEZE_X] = y * slope_y - x * slope_x
-                columns[place, _SQUEEZE_Y] = -(y * slope_x + x * slope_y)
-                columns[place, _LIGHT_X] = x * light
-                columns[place, _LIGHT_Y] = y * light
-                columns[place, _LEAN_X] = -grow * x
-                columns[place, _LEAN_Y] = -grow * y
-                columns[place, _TONE] = contrast * (_ONE - white)
+                _write_columns(columns, place, x, y, white, slope_x, slope_y, log_blur, ground, weight, ratio)
                 columns[place, PIXEL_ROW] = (np.float32(image[v, u]) - _GREY) * weight
                 places[place, 0], places[place, 1] = x, y
                 pixels[place, 0], pixels[place, 1] = v, u

@@ -168,7 +168,7 @@ def replay(
 ) -> int:
     """Decide anew from what each process recorded, and compare bit for bit; exit code 1 if they differ."""
     from skyherd.errors import InputError
-    from skyherd.live.replay import replay as replay_file
+    from skyherd.live.diaries.replay import replay as replay_file
     from skyherd.live.review import recorded_files
 
     files = recorded_files(folder) if folder.is_dir() else [folder]

@@ -16,7 +16,7 @@ from skyherd.cli.console import say
 from skyherd.cli.live import Insecure, LabFile, Settings, joined_team
 
 if TYPE_CHECKING:
-    from skyherd.live.processes import Station
+    from skyherd.live.station import Station
 
 Out = Annotated[Path, typer.Option("--out", help="Folder to record in.")]
 Supervised = Annotated[bool, typer.Option("--supervised", help="End when standard input does.")]
@@ -66,7 +66,7 @@ def _station(
 ) -> "Iterator[Station]":
     """What a unit or a robot has, until a signal asks for the end."""
     from skyherd.live.live_clock import LiveClock
-    from skyherd.live.processes import Station
+    from skyherd.live.station import Station
 
     with joined_team(lab_file, settings, insecure) as (lab, radio), _asked_to_end(supervised) as ended:
         yield Station(lab, radio, LiveClock(clock_offset_s), folder, _tell, ended)
@@ -84,7 +84,7 @@ def unit(
     clock_offset_s: Offset = 0.0,
 ) -> int:
     """Be one aerial unit of a lab: its camera in, goals for its robots out, until Ctrl-C."""
-    from skyherd.live.processes import run_unit
+    from skyherd.live.unit_process import run_unit
 
     with _station(lab_file, out_dir, settings, insecure, supervised, clock_offset_s) as station:
         run_unit(station, number, address=camera, dry_run=dry_run)
@@ -102,7 +102,7 @@ def robot(
     clock_offset_s: Offset = 0.0,
 ) -> int:
     """Be one robot of a lab: goals in, wheel commands out, until Ctrl-C, disarmed until armed."""
-    from skyherd.live.processes import run_robot
+    from skyherd.live.robot_process import run_robot
 
     with _station(lab_file, out_dir, settings, insecure, supervised, clock_offset_s) as station:
         run_robot(station, marker, dry_run=dry_run)

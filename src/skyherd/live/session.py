@@ -64,13 +64,12 @@ def run_session(
     """
     if cameras and len(cameras) != len(lab.model.cameras):
         raise InputError("--cameras", f"{len(cameras)} addresses", f"{len(lab.model.cameras)}, as in the lab")
-    folder = folder or Path("runs") / f"{lab.model.team}-{time.strftime('%Y%m%d-%H%M%S')}"
     radio = ZenohRadio(lab.model.radio, lab.folder, insecure=insecure)
     try:
-        folder.mkdir(parents=True)
-    except OSError as error:
+        folder = _make_folder(folder, lab)
+    except InputError:
         radio.close()
-        raise InputError(str(folder), error.strerror or str(error), "a folder that is not there") from None
+        raise
     console = Console()
     lines: deque[str] = deque(maxlen=LINES)
     shows = console.is_terminal
@@ -104,6 +103,16 @@ def run_session(
         radio.close()
     say(f"recorded in {folder}; `skyherd report {folder}` makes a page of it")
     return 0
+
+
+def _make_folder(folder: Path | None, lab: Lab) -> Path:
+    """A new folder for a run: the one that was asked for, or one named after the team and the time."""
+    folder = folder or Path("runs") / f"{lab.model.team}-{time.strftime('%Y%m%d-%H%M%S')}"
+    try:
+        folder.mkdir(parents=True)
+    except OSError as error:
+        raise InputError(str(folder), error.strerror or str(error), "a folder that is not there") from None
+    return folder
 
 
 def _start_all(

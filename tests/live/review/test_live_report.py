@@ -10,7 +10,7 @@ from command_line import call
 from live_sessions import BEGUN_S, Script, small_lab
 
 from skyherd.errors import InputError
-from skyherd.live.diary import Diary
+from skyherd.live.diaries.diary import Diary
 from skyherd.live.review import figures, make_live_report
 from skyherd.live.review.latency import latency_stages, whole_way
 from skyherd.live.review.page import summarize_session

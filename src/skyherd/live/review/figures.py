@@ -295,7 +295,7 @@ PANELS: tuple[Panel[SessionLog], ...] = (
         "shape_error",
         "Shape error, as units know it",
         "RMS distance of the robots in an image to the best-fitting similarity of the shape, on the ground "
-        "as the unit has learned it, over their RMS radius. There is no truth in it.",
+        "as the unit has learned it, over their RMS radius. It is computed from detections alone.",
         draw_shape_error,
     ),
     Panel(

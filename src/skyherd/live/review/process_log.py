@@ -9,7 +9,7 @@ import numpy as np
 
 from skyherd.errors import InputError
 from skyherd.geometry import Array, IntArray
-from skyherd.live.diary_file import MALFORMED_RECORDS, DiaryFile
+from skyherd.live.diaries.diary_file import MALFORMED_RECORDS, DiaryFile
 from skyherd.live.lab import Lab, make_lab
 from skyherd.live.peers import PeerClocks
 from skyherd.live.wire import Envelope, is_stamp, plain_message
@@ -52,7 +52,7 @@ class Seen(NamedTuple):
 
 
 class Judged(NamedTuple):
-    """The shape in one image, as `skyherd.live.view.View` has it."""
+    """The shape in one image, as `skyherd.live.diaries.view.View` has it."""
 
     time_s: float
     shape_error: float

@@ -11,8 +11,8 @@ from live_sessions import small_lab
 from plain_messages import assert_valid, plain
 
 from skyherd.geometry import to_points
-from skyherd.live import album
-from skyherd.live.view import view_of
+from skyherd.live.diaries import album
+from skyherd.live.diaries.view import view_of
 from skyherd.messages import Detections
 
 PATIENCE_S = 30.0

@@ -25,7 +25,7 @@ class Entry(NamedTuple):
 
     Attributes:
         number: of the record in the file, from 0; what is missing between two was lost.
-        topic: as in `skyherd.live.diary`.
+        topic: as in `skyherd.live.diaries.diary`.
         content: dict, list, str, int, float, bool, None.
     """
 

@@ -1,6 +1,7 @@
 """What one process hears, reads from its clock and does, as it happens, in an MCAP file of its own.
 
-Every input is there in the order in which it came, so that `skyherd.live.replay` decides anew from it:
+Every input is there in the order in which it came, so that `skyherd.live.diaries.replay` decides anew from
+it:
 
     /about       first, and once more: who it is, the lab as it was checked, the versions, and the topics
     /heard       a message: its envelope, and when it arrived
@@ -12,7 +13,7 @@ Every input is there in the order in which it came, so that `skyherd.live.replay
     /stages      of a unit: when an image was taken, came in, was searched and was decided on
     /tell        a line for people
     /image, /overlay, /poses
-                 of a unit, now and then: see `skyherd.live.album`
+                 of a unit, now and then: see `skyherd.live.diaries.album`
     /end         the process ended as it should
 
 A process that is killed leaves all but the last half second.
@@ -23,10 +24,10 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from skyherd.live import album
+from skyherd.live.diaries import album
+from skyherd.live.diaries.view import View
 from skyherd.live.lab import Lab
 from skyherd.live.radio import Arrival
-from skyherd.live.view import View
 from skyherd.messages import Detections
 from skyherd.recording.mcap_log import CHUNK_BYTES, McapLog, Schema
 from skyherd.version import __version__

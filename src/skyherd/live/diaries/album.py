@@ -15,8 +15,8 @@ import numpy.typing as npt
 
 from skyherd.control import Decision
 from skyherd.drawing.palette import INK, PAPER, UNIT_COLORS
+from skyherd.live.diaries.view import View
 from skyherd.live.ground import positions_in_sides
-from skyherd.live.view import View
 from skyherd.messages import Detections, rows_of
 from skyherd.recording import foxglove
 from skyherd.recording.mcap_log import Schema

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from skyherd.errors import InputError
-from skyherd.live.diary_file import read_diary
+from skyherd.live.diaries.diary_file import read_diary
 from skyherd.live.lab import make_lab
 from skyherd.live.robot_core import RobotCore
 from skyherd.live.unit_core import UnitCore

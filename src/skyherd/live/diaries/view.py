@@ -1,6 +1,7 @@
 """What a unit knew as it decided on an image, for people: where its goals lie, and how far the shape is.
 
-Nothing decides by it. There is no truth and there are no metres: points are pixels of the camera's own image.
+Nothing decides by it. Where robots really are is not known, nor are metres: points are pixels of the camera's
+own image.
 """
 
 from dataclasses import dataclass

@@ -16,6 +16,10 @@ LEAST_STAR = 6
 """Robots of the smallest star. *Derived*: three tips and three notches; fewer make no star."""
 
 
+MOST_POINTS = 10_000
+"""Most points of a shape. *Chosen*: as many as a scenario may have robots."""
+
+
 def circle(count: int) -> Array:
     """`count` points, evenly spaced on a circle of radius 1, counter-clockwise from angle 0."""
     angle = 2 * np.pi * np.arange(count) / count
@@ -78,10 +82,10 @@ def shape_points(name: str, count: int) -> Array:
     """Points (N, 2), x right and y up, of a named shape, or of a word such as `word:SKY`, for `count` robots.
 
     Raises:
-        InputError: there is no such shape, or not for so many robots, or `count` is no whole number; the
-            error says what there is.
+        InputError: there is no such shape, or not for so many robots, or `count` is no whole number up to
+            MOST_POINTS; the error says what there is.
     """
-    check_count("template.shape: count", count)
+    check_count("template.shape: count", count, most=MOST_POINTS)
     if name.startswith(PREFIX):
         return word_points(name.removeprefix(PREFIX), count)
     if name not in SHAPES:

@@ -223,7 +223,9 @@ def test_points_of_a_template_that_are_no_numbers_are_refused(points):
         Template([0, 1], points)
 
 
-@pytest.mark.parametrize("count", [np.zeros(0), None, -1, 2.5, True], ids=repr)
-def test_a_shape_is_for_a_whole_number_of_robots(count):
-    with pytest.raises(SkyherdError, match=r"count: .*; a whole number of 0 or more"):
-        shape_points("star", count)
+@pytest.mark.parametrize("shape", ["star", "word:A"])
+@pytest.mark.parametrize("count", [np.zeros(0), None, -1, 2.5, True, 10_001, 2**63], ids=repr)
+def test_a_shape_is_for_a_whole_number_of_robots(shape, count):
+    """So many robots that a word would be written for ever are refused as well."""
+    with pytest.raises(SkyherdError, match=r"count: .*; a whole number from 0 to 10000"):
+        shape_points(shape, count)

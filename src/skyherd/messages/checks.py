@@ -95,18 +95,19 @@ def check_texts(where: str, values: Iterable[object]) -> None:
             raise InputError(where, shown(value), "a text")
 
 
-def check_count(where: str, value: object) -> None:
+def check_count(where: str, value: object, *, most: int) -> None:
     """Check a number of things.
 
     Args:
         where: what it is given as.
         value: to be checked.
+        most: as many as there may be.
 
     Raises:
-        InputError: it is no whole number of 0 or more.
+        InputError: it is no whole number from 0 to `most`.
     """
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 0:
-        raise InputError(where, shown(value), "a whole number of 0 or more")
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or not 0 <= value <= most:
+        raise InputError(where, shown(value), f"a whole number from 0 to {most}")
 
 
 def check_ids(ids: npt.ArrayLike, where: str) -> IntArray:

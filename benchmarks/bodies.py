@@ -29,12 +29,10 @@ from rows import Row, gather, read_rows
 
 from skyherd.analysis.shortest_paths import shortest_path
 from skyherd.datasets import (
-    BODY_SIDES,
     SHAPE_SPACING,
     Crowd,
     Mission,
     crowded_mission,
-    legible,
     make_mission,
     random_mission,
 )
@@ -62,15 +60,11 @@ def mission_tree(seed: int, options: argparse.Namespace) -> dict[str, Any]:
     rng = np.random.default_rng([seed, 80])
     if options.start == "kind":
         tree = random_mission(seed, Crowd(int(rng.integers(1, 5)), int(rng.integers(6, 8))))
-        tree["robots"]["body_radius_sides"] = BODY_SIDES
-        tree["avoidance"] = {"on": True}
     else:
         tree = crowded_mission(seed)
     for part in options.without:
         tree |= OFF[part]
     tree |= {"perception": options.perception, "duration_s": LIMIT_S}
-    if options.perception == "rendered":
-        tree = legible(tree)
     if options.drive:
         tree["robots"]["drive"] = dict(options.drive)
     if options.network == "lossy":

@@ -1,82 +1,111 @@
-"""Measure a detector's recall, biases and errors by marker size, on rendered images.
+"""Measure what a detector finds, and its errors, by size of code, noise, blur and size, on rendered images.
 
-    python benchmarks/detector_accuracy.py            # print the table
-    python benchmarks/detector_accuracy.py --write    # and store it where the package reads it
-    python benchmarks/detector_accuracy.py --detector opencv
+    python benchmarks/detector_accuracy.py --quick                    # one noise, one blur, one code
+    python benchmarks/detector_accuracy.py --write                    # all, stored where the package reads it
+    python benchmarks/detector_accuracy.py --detector opencv --write
 
-Markers of the dictionary 4X4_50 at random places and headings, on textured ground. The tables are those that
-noise is drawn from where perception is `noisy`.
+Markers at random places and headings, on textured ground, by cameras that are tilted by TILT_RAD. The tables
+are what noise, and which markers are missed, are drawn from where perception is `noisy`. Errors are of the
+markers that were found; where fewer than FEWEST were, those of the next larger size stand in the table.
 """
 
 import argparse
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass, fields
 from pathlib import Path
 
 import cv2
 import numpy as np
 
-from skyherd.markers.dictionary import card_side, pose_of_corners
-from skyherd.render import Camera, CameraPose, Ground, Renderer, Sensor, project_markers
+from skyherd.geometry import ComplexArray, to_complex
+from skyherd.markers.dictionary import cells_per_side
+from skyherd.render import Camera, CameraPose, Ground, Renderer, Sensor
 from skyherd.vision import DEFAULT_DETECTOR, Detector, create_detector
 
-DICTIONARY = "4X4_50"
-IMAGE_PX = 800
+DICTIONARIES = ("4X4_50", "5X5_100", "6X6_250")
+NOISES = (2.0, 5.0, 10.0)
+BLURS_PX = (0.5, 0.8, 1.2)
+CELL_PX = (1.2, 1.4, 1.6, 1.8, 2.0, 2.25, 2.5, 3.0, 4.0, 6.0, 10.0)
+TILT_RAD = float(np.radians(5.0))
+IMAGE_PX, FOCAL_PX = 800, 1000.0
 PER_FRAME = 16
-SIDES_PX = (10, 12, 13, 14, 15, 16, 18, 20, 22, 24, 27, 30, 35, 40, 45, 50, 60, 80)
+FEWEST = 20
 DETECTORS = (DEFAULT_DETECTOR, "opencv")
 TABLES = Path(__file__).parent.parent / "vision" / "detectors"
 
 
 @dataclass(frozen=True)
 class SizeResult:
-    """What was measured at one true side; errors over the markers found."""
+    """What was measured at one true side; errors over the markers found, of side and shape as shares."""
 
-    side_px: float
-    markers: int
     recall: float
-    false_detections: int
-    side_bias_px: float
-    side_std_px: float
-    position_bias_px: float
     position_std_px: float
     heading_std_deg: float
+    side_std: float
+    squeeze_std: float
+    false_detections: int = 0
+
+
+COLUMNS = tuple(field.name for field in fields(SizeResult))[:-1]
 
 
 def measure(
-    side_px: float, frames: int, renderer: Renderer, detector: Detector, rng: np.random.Generator
+    side_px: float,
+    frames: int,
+    *,
+    dictionary: str,
+    renderer: Renderer,
+    detector: Detector,
+    rng: np.random.Generator,
 ) -> SizeResult:
     """Render `frames` images of markers of `side_px` and compare what is found with the truth."""
-    found, errors = 0, []
-    false = 0
+    found, whole, false, errors = 0, 0, 0, []
     for _ in range(frames):
-        camera = Camera((IMAGE_PX, IMAGE_PX), focal_px=10.0 * side_px)
-        pose = CameraPose((rng.uniform(-20, 20), rng.uniform(-20, 20)), 10.0, rng.uniform(-np.pi, np.pi))
+        camera = Camera((IMAGE_PX, IMAGE_PX), focal_px=FOCAL_PX)
+        tilt = TILT_RAD * np.exp(2j * np.pi * rng.random())
+        place, yaw_rad = (rng.uniform(-20, 20), rng.uniform(-20, 20)), rng.uniform(-np.pi, np.pi)
+        pose = CameraPose(place, FOCAL_PX / side_px, yaw_rad, (tilt.real, tilt.imag))
         positions, headings = _spread(pose, side_px, rng), rng.uniform(-np.pi, np.pi, PER_FRAME)
         ids = np.sort(rng.permutation(50)[:PER_FRAME])
         seen = detector.detect(renderer.render(camera, pose, ids, positions, headings))
-        truth = project_markers(camera, pose, positions, headings, 1.0, card_side(DICTIONARY))
-        centers, true_headings, sides = pose_of_corners(truth.corners_px)
-        row = np.searchsorted(ids, seen.ids).clip(max=PER_FRAME - 1)
-        right = (ids[row] == seen.ids) & (
-            np.linalg.norm(centers[row] - seen.centers_px, axis=1) < side_px / 2
-        )
-        found, false = found + int(right.sum()), false + int((~right).sum())
-        turn = np.angle(np.exp(1j * (seen.headings_rad - true_headings[row])))
+        truth = renderer.truth(camera, pose, ids, positions, headings)
+        row = np.searchsorted(truth.ids, seen.ids).clip(max=truth.ids.size - 1)
+        away_px = np.linalg.norm(truth.centers_px[row] - seen.centers_px, axis=1)
+        right = (truth.ids[row] == seen.ids) & (away_px < side_px / 2)
+        false += int((~right).sum())
+        right &= truth.whole[row]
+        found, whole = found + int(right.sum()), whole + int(truth.whole.sum())
+        have, want = to_complex(seen.corners_px[right]), to_complex(truth.corners_px[row[right]])
+        turn, grown, squeeze = _shape_errors(have, want)
         errors.append(
-            np.column_stack([seen.centers_px - centers[row], turn, seen.sides_px - sides[row]])[right]
+            np.column_stack(
+                [(seen.centers_px - truth.centers_px[row])[right], turn, grown, squeeze.real, squeeze.imag]
+            )
         )
     error = np.concatenate(errors)
+    if len(error) < FEWEST:
+        nan = float("nan")
+        return SizeResult(found / whole, nan, nan, nan, nan, false)
+    rms = np.sqrt((error**2).mean(axis=0))
     return SizeResult(
-        side_px=side_px,
-        markers=frames * PER_FRAME,
-        recall=found / (frames * PER_FRAME),
+        recall=found / whole,
+        position_std_px=float(np.sqrt((rms[:2] ** 2).mean())),
+        heading_std_deg=float(np.degrees(rms[2])),
+        side_std=float(rms[3]),
+        squeeze_std=float(np.sqrt((rms[4:] ** 2).mean())),
         false_detections=false,
-        side_bias_px=float(error[:, 3].mean()),
-        side_std_px=float(error[:, 3].std()),
-        position_bias_px=float(np.abs(error[:, :2].mean(axis=0)).max()),
-        position_std_px=float(np.sqrt((error[:, :2] ** 2).mean())),
-        heading_std_deg=float(np.degrees(np.sqrt((error[:, 2] ** 2).mean()))),
     )
+
+
+def _shape_errors(measured: ComplexArray, true: ComplexArray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Turn (N,), rad, growth (N,) and squeeze `a + ib` (N,) that take true corners (N, 4) to measured ones.
+
+    With corners as complex numbers about their middle, `m = s t + q conj(t)` is fitted by least squares; the
+    turn is `arg s`, the growth `|s| - 1`, the squeeze `q`.
+    """
+    measured, true = (z - z.mean(axis=1, keepdims=True) for z in (measured, true))
+    parts = np.stack([true, true.conj()], axis=-1)
+    s, q = np.moveaxis(np.linalg.pinv(parts) @ measured[..., None], 0, -1)[:, 0]
+    return np.angle(s), np.abs(s) - 1, q
 
 
 def _spread(pose: CameraPose, side_px: float, rng: np.random.Generator) -> np.ndarray:
@@ -89,49 +118,74 @@ def _spread(pose: CameraPose, side_px: float, rng: np.random.Generator) -> np.nd
     return np.column_stack([at.real, at.imag])
 
 
-def as_toml(results: list[SizeResult], detector: str, noise: float, psf_px: float) -> str:
-    """The table as the detector reads it."""
-    head = (
-        f"# Errors of the detector `{detector}`, by `benchmarks/detector_accuracy.py --write`.\n"
-        f"# OpenCV {cv2.__version__}; RMS over markers found. Linear between sizes.\n"
-        f'dictionary = "{DICTIONARY}"\nnoise = {noise}\npsf_px = {psf_px}\n'
-    )
-    rows = [
-        f"[[size]]\nside_px = {r.side_px}\nrecall = {r.recall:.4f}\nside_bias_px = {r.side_bias_px:.4f}\n"
-        f"position_std_px = {r.position_std_px:.4f}\nheading_std_deg = {r.heading_std_deg:.4f}\n"
-        for r in results
+def as_toml(grid: np.ndarray, detector: str, frames: int) -> str:
+    """The table as the package reads it, of a grid (codes, noises, blurs, sizes, columns)."""
+    lines = [
+        f"# What the detector `{detector}` finds, and its errors (RMS over markers found), by",
+        f"# `benchmarks/detector_accuracy.py --write`: {frames * PER_FRAME} markers each.",
+        f"# OpenCV {cv2.__version__}, cameras tilted by {np.degrees(TILT_RAD):.0f} degrees.",
+        "# Of each code the values are by noise, blur and size of a cell; side and squeeze as shares.",
+        f"noise = {list(NOISES)}",
+        f"psf_px = {list(BLURS_PX)}",
+        f"cell_px = {list(CELL_PX)}",
     ]
-    return "\n".join([head, *rows])
+    for dictionary, values in zip(DICTIONARIES, grid, strict=True):
+        lines += ["", "[[codes]]", f'dictionary = "{dictionary}"', f"cells = {cells_per_side(dictionary)}"]
+        for column, name in enumerate(COLUMNS):
+            rows = ("  [" + ", ".join(_row(blur[:, column]) for blur in noise) + "]," for noise in values)
+            lines += [f"{name} = [", *rows, "]"]
+    return "\n".join(lines) + "\n"
+
+
+def _row(values: np.ndarray) -> str:
+    return "[" + ", ".join(f"{value:.3g}" for value in values) + "]"
+
+
+def fill(values: np.ndarray) -> np.ndarray:
+    """Values (sizes, columns) in which errors that are not known are those of the next larger size."""
+    values = values.copy()
+    for size in range(len(values) - 2, -1, -1):
+        values[size] = np.where(np.isnan(values[size]), values[size + 1], values[size])
+    return values
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--detector", choices=DETECTORS, default=DEFAULT_DETECTOR)
-    parser.add_argument("--frames", type=int, default=100, help=f"images a size, {PER_FRAME} markers each")
-    parser.add_argument("--noise", type=float, default=2.0, help="grey levels")
-    parser.add_argument("--psf", type=float, default=0.8, help="blur, px")
+    parser.add_argument("--frames", type=int, default=20, help=f"images a size, {PER_FRAME} markers each")
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--quick", action="store_true", help="the first code, noise 2 and blur 0.8 px alone")
     parser.add_argument("--write", action="store_true", help=f"store it in {TABLES}")
     options = parser.parse_args()
+    if options.quick and options.write:
+        parser.error("--write takes all codes, noises and blurs")
     cv2.setNumThreads(1)
-    rng = np.random.default_rng(options.seed)
-    ground = Ground(options.seed, sigma_px=float(np.hypot(options.psf, np.sqrt(1 / 12))))
-    renderer = Renderer(DICTIONARY, 1.0, ground, Sensor(options.noise, rng), psf_px=options.psf)
-    detector = create_detector(options.detector, dictionary=DICTIONARY)
-    print("side_px  recall  false  side bias ± std px   position bias / RMS px   heading RMS deg")
-    results = []
-    for side_px in SIDES_PX:
-        r = measure(float(side_px), options.frames, renderer, detector, rng)
-        results.append(r)
-        print(
-            f"{r.side_px:7.0f}  {r.recall:6.4f}  {r.false_detections:5d}  "
-            f"{r.side_bias_px:+9.3f} ± {r.side_std_px:.3f}"
-            f"   {r.position_bias_px:13.4f} / {r.position_std_px:.4f}   {r.heading_std_deg:12.3f}",
-            flush=True,
-        )
+    codes = DICTIONARIES[:1] if options.quick else DICTIONARIES
+    noises, blurs = ((2.0,), (0.8,)) if options.quick else (NOISES, BLURS_PX)
+    grid = np.full((len(codes), len(noises), len(blurs), len(CELL_PX), len(COLUMNS)), np.nan)
+    print("code      noise  blur px  side px  recall  false  position px  heading deg    side  squeeze")
+    for place in np.ndindex(grid.shape[:3]):
+        dictionary, noise, psf_px = codes[place[0]], noises[place[1]], blurs[place[2]]
+        rng = np.random.default_rng([options.seed, *place])
+        ground = Ground(options.seed, sigma_px=float(np.hypot(psf_px, np.sqrt(1 / 12))))
+        renderer = Renderer(dictionary, 1.0, ground, Sensor(noise, rng), psf_px=psf_px)
+        detector = create_detector(options.detector, dictionary=dictionary)
+        for size, cell_px in enumerate(CELL_PX):
+            side_px = cell_px * cells_per_side(dictionary)
+            r = measure(
+                side_px, options.frames, dictionary=dictionary, renderer=renderer, detector=detector, rng=rng
+            )
+            grid[place][size] = astuple(r)[:-1]
+            print(
+                f"{dictionary:8s} {noise:6.0f} {psf_px:8.1f} {side_px:8.1f}  {r.recall:6.4f} "
+                f"{r.false_detections:6d} {r.position_std_px:12.4f} {r.heading_std_deg:12.3f} "
+                f"{r.side_std:8.5f} {r.squeeze_std:8.5f}",
+                flush=True,
+            )
+        grid[place] = fill(grid[place])
     if options.write:
         table = TABLES / f"{options.detector}_accuracy.toml"
-        table.write_text(as_toml(results, options.detector, options.noise, options.psf), "utf-8")
+        table.write_text(as_toml(grid, options.detector, options.frames), "utf-8")
         print(f"written: {table}")
 
 

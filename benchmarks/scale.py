@@ -66,7 +66,7 @@ def swarm(units: int, seed: int = 0) -> dict[str, Any]:
         "marker": {"side_m": 0.2, "dictionary": "6X6_1000"},
         "control": {"k": 0.5, "k_omega": 2.0, "b_th": 0.0, "rectify": False},  # cameras look straight down
         "selection": {"kind": "tree"},
-        "network": {"range_m": 12.5},
+        "network": {"range_m": 12.5, "relay": False},
         "autopilot": {"min_height_m": 3.0, "max_height_m": 10.0, "max_speed_mps": 1.0, "max_climb_mps": 1.0},
         "units": [
             {

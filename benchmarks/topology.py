@@ -6,7 +6,15 @@
     python benchmarks/topology.py --network lossy --json lossy.jsonl         # 30 % lost, up to 0.5 s late
     python benchmarks/topology.py --kill --json killed.jsonl                 # one unit dies, for good
     python benchmarks/topology.py --start star --json star.jsonl             # star of 16 under three units
+    python benchmarks/topology.py --radio 1.3 --form chain --units 3 12      # radio to neighbours only
+    python benchmarks/topology.py --clocks 5 --json clocks.jsonl             # clocks 5 s off, drifting
+    python benchmarks/topology.py --survivor --json survivor.jsonl           # all units die but one
     python benchmarks/topology.py --compare tree.jsonl nearest.jsonl         # times of one over the other
+
+With `--radio M` units receive those within M times the least range at which all hang together at the start,
+and others by relay. `cut_s` is how long the radio did not hold all living units together, when no protocol
+can keep P, since nobody can tell a unit out of reach from a dead one. `least_gap_m` is the least distance
+between two bodies.
 
 One row a mission, as it ends, as a line of JSON; a file that is there is gone on with, so that an interrupted
 run resumes. Times count from when the tree is ready: robots hold still before. `predicted_s` is when
@@ -21,22 +29,27 @@ it takes GIVE_UP times as long as the same one there: those of slow pairs would 
 import argparse
 import json
 import os
+from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
 from time import perf_counter
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from rows import gather, read_rows
+from scipy.sparse.csgraph import minimum_spanning_tree
+from scipy.spatial.distance import pdist, squareform
 
 from skyherd.control import slowest_rate
-from skyherd.datasets import Mission, legible, make_mission, random_crowd, random_mission, star_mission
-from skyherd.loop import Step, run_steps
+from skyherd.datasets import Mission, make_mission, random_crowd, random_mission, star_mission
+from skyherd.loop import Step, dead_units, run_steps
 
 GOAL = 0.01
 GIVE_UP = 12.0
 LOSSY = {"message_loss": 0.3, "delay_s": 0.5, "repeats": 0.2}
 AFTER_DEATH_S = 300.0
+DRIFT_PPM = 100.0
 
 
 def mission_tree(seed: int, options: argparse.Namespace) -> dict[str, Any]:
@@ -44,19 +57,40 @@ def mission_tree(seed: int, options: argparse.Namespace) -> dict[str, Any]:
     rng = np.random.default_rng([seed, 72])
     if options.start == "star":
         tree = star_mission(seed)
+    elif options.kill or options.survivor or options.units or options.form != "random":
+        crowd = random_crowd(rng, tuple(options.units or (3, 8)))
+        tree = random_mission(seed, replace(crowd, form=options.form))
     else:
-        tree = random_mission(seed, random_crowd(rng, (3, 8)) if options.kill else None)
+        tree = random_mission(seed)
     tree["selection"]["share"] = options.share
     tree["perception"] = options.perception
-    if options.perception == "rendered":
-        tree = legible(tree)
     if options.network == "lossy":
         tree["network"] = LOSSY
         tree["robots"]["timeout_s"] = 2.0
+    if options.radio:
+        places_m = [unit["position_m"] for unit in tree["units"]]
+        tree["network"] = tree.get("network", {}) | {"range_m": options.radio * least_range_m(places_m)}
+    if options.clocks:
+        for unit in tree["units"]:
+            unit["clock_offset_s"] = float(options.clocks * rng.uniform(-1, 1))
+            unit["clock_drift_ppm"] = float(DRIFT_PPM * rng.uniform(-1, 1))
+        tree["robots"] |= {"clock_offset_s": options.clocks, "clock_drift_ppm": DRIFT_PPM}
+    if options.survivor:
+        left, at_s = int(rng.integers(len(tree["units"]))), float(rng.uniform(15, 60))
+        spread_s = float(rng.choice([0.0, 20.0]))
+        for number, unit in enumerate(tree["units"]):
+            if number != left:
+                unit["outages"] = [[at_s + spread_s * float(rng.random()), 1e6]]
     if options.kill:
         victim, at_s = int(rng.integers(len(tree["units"]))), float(rng.uniform(15, 60))
         tree["units"][victim]["outages"] = [[at_s, 1e6]]
     return tree
+
+
+def least_range_m(places_m: npt.ArrayLike) -> float:
+    """The least range, m, at which units at places (U, 2) all hang together."""
+    apart_m = squareform(pdist(np.asarray(places_m)))
+    return float(minimum_spanning_tree(apart_m).toarray().max())
 
 
 class Watch:
@@ -77,10 +111,13 @@ class Watch:
         self.log_need = self.log_have = 0.0
         self.predicted_s: float | None = None
         self.last_s = 0.0
+        self.cut_s, self.least_gap_m = 0.0, float("inf")
+        self._scenario = scenario
 
     def see(self, step: Step) -> None:
         """Take in one step."""
         passed_s, self.last_s = step.time_s - self.last_s, step.time_s
+        self._watch_radio_and_bodies(step, passed_s)
         words = [frame.decision.report.tree for frame in step.frames.values()]
         if self.ready_s is None:
             if any(word is not None and word.ready for word in words):
@@ -109,6 +146,16 @@ class Watch:
             self.reached_s = step.time_s - self.ready_s
             moved_m = np.linalg.norm(step.positions_m - self.starts_m, axis=1)
             self.driving_s = float(moved_m.max()) / self.limit_mps
+
+    def _watch_radio_and_bodies(self, step: Step, passed_s: float) -> None:
+        """For how long the radio did not hold the living together, and how near two bodies came."""
+        scenario = self._scenario
+        radius_m = scenario.robots.body_radius_sides * scenario.marker.side_m
+        self.least_gap_m = min(self.least_gap_m, float(pdist(step.positions_m).min()) - 2 * radius_m)
+        range_m, dead = scenario.network.range_m, dead_units(scenario, step.time_s)
+        living = np.setdiff1d(np.arange(len(scenario.units)), dead)
+        if range_m is not None and living.size > 1:
+            self.cut_s += passed_s * (least_range_m(step.fleet.positions_m[living]) > range_m)
 
     def _recover(self, step: Step, in_q: bool) -> None:
         """When TC1-TC2 hold after a death, and when each robot is seen by a unit that controls it."""
@@ -147,7 +194,7 @@ def run_mission(seed: int, options: argparse.Namespace) -> dict[str, Any]:
         mission = make_mission(tree)
     except RuntimeError as error:
         return {"seed": seed, "error": str(error)}
-    deaths = [unit.outages[0][0] for unit in mission.scenario.units if unit.outages]
+    deaths = sorted(unit.outages[0][0] for unit in mission.scenario.units if unit.outages)[-1:]
     give_up_s = GIVE_UP * rival_times(options.rival).get(seed, np.inf)
     watch = Watch(mission, min(deaths, default=None))
     step = None
@@ -176,6 +223,8 @@ def run_mission(seed: int, options: argparse.Namespace) -> dict[str, Any]:
         "tc2_violation_s": watch.violated_s["tc2"],
         "longest_violation_s": watch.longest_s,
         "switches": watch.switches,
+        "cut_s": watch.cut_s,
+        "least_gap_m": watch.least_gap_m,
         "shape_error": error,
         "simulated_s": step.time_s,
         "wall_s": perf_counter() - started,
@@ -198,6 +247,12 @@ def summarize(rows: list[dict[str, Any]]) -> dict[str, Any]:
         "converged": sum(row["converged"] for row in good),
         "inside_p_throughout": sum(row["p_violation_s"] == 0 for row in good),
         "longest_violation_s": max((row["longest_violation_s"] for row in good), default=0.0),
+        "longest_violation_of_those_never_cut_s": max(
+            (row["longest_violation_s"] for row in good if not row.get("cut_s")), default=0.0
+        ),
+        "missions_cut": sum(bool(row.get("cut_s")) for row in good),
+        "ready_max_s": max((row["ready_s"] or np.inf for row in good), default=0.0),
+        "least_gap_m": min((row.get("least_gap_m", np.inf) for row in good), default=np.inf),
         "switches_median": float(np.median([row["switches"] for row in good])),
     }
     if times.size:
@@ -260,6 +315,13 @@ def main() -> None:
     parser.add_argument("--network", choices=["perfect", "lossy"], default="perfect")
     parser.add_argument("--perception", choices=["noisy", "ideal", "rendered"], default="noisy")
     parser.add_argument("--start", choices=["random", "star"], default="random")
+    parser.add_argument("--form", choices=["random", "chain", "star"], default="random", help="of the units")
+    parser.add_argument("--units", nargs=2, type=int, metavar=("LEAST", "MOST"))
+    parser.add_argument("--radio", type=float, help="range, over the least that connects the start")
+    parser.add_argument("--clocks", type=float, help="s; greatest offset of a clock")
+    parser.add_argument(
+        "--survivor", action="store_true", help="all units die but one, at once or within 20 s"
+    )
     parser.add_argument("--kill", action="store_true", help="one unit dies at a random time")
     parser.add_argument("--compare", nargs=2, type=Path, metavar=("OURS", "THEIRS"))
     options = parser.parse_args()

@@ -31,7 +31,7 @@ from skyherd.control.policy import (
 )
 from skyherd.control.rectification.ground_map import GroundMap
 from skyherd.control.rectification.rectifier import Rectifier, rectified
-from skyherd.control.robot_team import GoalFollowers
+from skyherd.control.robot_team import GoalFollowers, RobotClocks
 from skyherd.control.robots.dead_reckoning import DeadReckoning
 from skyherd.control.robots.goal_fusion import GoalInboxes
 from skyherd.control.robots.unicycle import (
@@ -44,6 +44,7 @@ from skyherd.control.robots.unicycle import (
 )
 from skyherd.control.selection.hybrid_selection import HybridSelection
 from skyherd.control.selection.safety_radius import SafetyRadius
+from skyherd.control.team_clock import TeamClock
 from skyherd.control.topology.conditions import (
     Conditions,
     ControlSets,
@@ -81,6 +82,7 @@ __all__ = [
     "Perimeter",
     "PixelGains",
     "Rectifier",
+    "RobotClocks",
     "RobotLaw",
     "RobotTeam",
     "RoleRule",
@@ -90,6 +92,7 @@ __all__ = [
     "SelectionPolicy",
     "Similarity",
     "SizeRule",
+    "TeamClock",
     "TeamOrders",
     "Template",
     "TreeProtocol",

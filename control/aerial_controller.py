@@ -12,7 +12,9 @@ at which it stops counting:
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+
+import numpy as np
 
 from skyherd.control.avoidance.proximity import BodyRule, proximity
 from skyherd.control.formation.registration import register_views
@@ -24,6 +26,7 @@ from skyherd.control.goals import cost_share, motion_goals
 from skyherd.control.policy import FlightLaw, FlightTask, Selection, SelectionPolicy
 from skyherd.control.rectification.ground_map import GroundMap
 from skyherd.control.rectification.rectifier import Rectifier
+from skyherd.control.team_clock import TeamClock
 from skyherd.errors import DegenerateSetError
 from skyherd.messages import Detections, FlightCommand, MotionGoals, Proximity, UnitReport, shared_ids
 
@@ -68,6 +71,7 @@ class AerialController:
         roles: how robots exchange their places in the shape; None for places that are fixed.
         size: bounds on the shape's size; None for a size that is free, as in the paper.
         bodies: how large robots and obstacles are; None for points.
+        clock: how it learns the team's time from the stamps that it hears; None where its own clock shows it.
     """
 
     def __init__(
@@ -82,23 +86,26 @@ class AerialController:
         roles: RoleRule | None = None,
         size: SizeRule | None = None,
         bodies: BodyRule | None = None,
+        clock: TeamClock | None = None,
     ) -> None:
         self.schedule = Schedule(schedule) if isinstance(schedule, Template) else schedule
         self.template, self.selection, self.flight = self.schedule.first, selection, flight
         self.rectifier, self.nearest, self.report_lifetime_s = rectifier, nearest, report_lifetime_s
         self.roles, self.bodies = Roles(roles, self.template), bodies
         self.size, self.side_consensus = size or SizeRule(), SideConsensus()
+        self.clock = clock
         self._last_report: UnitReport | None = None
 
     def step(self, detections: Detections, reports: Sequence[UnitReport] = ()) -> Decision:
         """Decide on one image.
 
         Args:
-            detections: all markers found in it, of robots, obstacles and others. An id that occurs twice
-                counts as not seen: nobody can tell which of the two is the robot.
+            detections: all markers found in it, of robots, obstacles and others, at the time that the unit's
+                own clock shows. An id that occurs twice counts as not seen: nobody can tell which of the two
+                is the robot.
             reports: the last report received from each other unit, however old.
         """
-        detections = detections.unambiguous()
+        detections = self._in_team_time(detections.unambiguous(), reports)
         if self.rectifier is not None:
             detections = self.rectifier.rectify(detections)
         seen = detections.select(self.template.members)
@@ -128,6 +135,15 @@ class AerialController:
             proximity=proximity(detections, self.template.ids, self.bodies) if self.bodies else None,
             ground_map=GroundMap() if self.rectifier is None else self.rectifier.ground_map,
         )
+
+    def _in_team_time(self, detections: Detections, reports: Sequence[UnitReport]) -> Detections:
+        """The detections with the team's time in place of the unit's own."""
+        if self.clock is None:
+            return detections
+        own_s = np.array([detections.time_s])
+        for report in reports:
+            self.clock.hear(report.time_s, own_s)
+        return replace(detections, time_s=float(self.clock.time_s(own_s)[0]))
 
     def _choose_roles(self, seen: Detections, reports: Sequence[UnitReport]) -> None:
         """Take up the shape of this time and the newest roles; exchange roles in the unit's own slot."""

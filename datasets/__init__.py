@@ -49,7 +49,6 @@ if TYPE_CHECKING:
     from skyherd.datasets.generated.random_missions import (
         BODY_SIDES,
         Crowd,
-        legible,
         random_crowd,
         random_mission,
         star_mission,
@@ -66,7 +65,6 @@ else:
         "check_dataset": "labelled.check",
         "crowded_mission": "generated.crowded_missions",
         "draw_preview": "labelled.preview",
-        "legible": "generated.random_missions",
         "make_dataset": "labelled.make",
         "random_crowd": "generated.random_missions",
         "random_mission": "generated.random_missions",
@@ -115,7 +113,6 @@ __all__ = [
     "draw_preview",
     "first_error",
     "get_value",
-    "legible",
     "load_mission",
     "load_spec",
     "make_dataset",

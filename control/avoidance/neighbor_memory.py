@@ -40,7 +40,9 @@ class NeighborMemory:
         self._rotation_rad: Array = np.zeros(ids.size)
         self._rotations: deque[tuple[float, Array]] = deque()
 
-    def receive(self, message: Proximity, received: BoolArray | None = None) -> None:
+    def receive(
+        self, message: Proximity, received: BoolArray | None = None, lead_s: Array | None = None
+    ) -> None:
         """Take in the message of one unit, unless a newer image of the same pair is known.
 
         Pairs that the message leaves out, though it has both bodies, are far apart and are forgotten.
@@ -48,6 +50,8 @@ class NeighborMemory:
         Args:
             message: bodies near the robots of one image.
             received: (N,) mask of the message's `ids` that received it; all if None.
+            lead_s: (N,) by how much the clock that images are stamped by is ahead of the robots', as each of
+                them knows it; 0 if None.
         """
         arrived = np.ones(len(message), dtype=bool) if received is None else received
         rows = rows_of(self.ids, np.intersect1d(message.ids[arrived], self.ids))
@@ -64,12 +68,15 @@ class NeighborMemory:
         self.distances_sides[pair] = message.distances_sides[row]
         self.reaches_sides[pair] = message.reaches_sides[row]
         self.shares[pair] = message.shares[row]
-        self.directions_rad[pair] = message.bearings_rad[row] + self._rotation_at(message.time_s)[pair[0]]
+        self.directions_rad[pair] = message.bearings_rad[row] + self._rotation_at(
+            message.time_s - (np.zeros(self.ids.size) if lead_s is None else lead_s)[pair[0]], pair[0]
+        )
         self.imaged_s[pair] = message.time_s
 
-    def fresh(self, time_s: float) -> tuple[IntArray, IntArray]:
-        """Rows (P,) and columns (P,) of the pairs that are young enough to count at `time_s`."""
-        row, column = np.nonzero(self.imaged_s >= time_s - self.lifetime_s - TIME_TOLERANCE_S)
+    def fresh(self, time_s: Array | float) -> tuple[IntArray, IntArray]:
+        """Rows (P,) and columns (P,) of the pairs that are young enough at one time, or the robots' (N,)."""
+        oldest_s = np.broadcast_to(time_s, self.ids.shape)[:, None] - self.lifetime_s - TIME_TOLERANCE_S
+        row, column = np.nonzero(self.imaged_s >= oldest_s)
         return row.astype(np.int64), column.astype(np.int64)
 
     def bearings_rad(self, pair: tuple[IntArray, IntArray]) -> Array:
@@ -83,8 +90,8 @@ class NeighborMemory:
             self._rotations.popleft()
         self._rotation_rad = self._rotation_rad + omega_radps * step_s
 
-    def _rotation_at(self, time_s: float) -> Array:
-        """Angles (N,), rad, by which the robots had turned since the start, at a time in the past."""
-        times = [at for at, _ in self._rotations]
-        row = int(np.searchsorted(times, time_s - TIME_TOLERANCE_S))
-        return self._rotations[row][1] if row < len(times) else self._rotation_rad
+    def _rotation_at(self, times_s: Array, robots: IntArray) -> Array:
+        """Angles (P,), rad, by which robots (P,) had turned since the start, at times (P,) in the past."""
+        knots_s = [at for at, _ in self._rotations]
+        rotations = np.array([*(turned for _, turned in self._rotations), self._rotation_rad])
+        return np.asarray(rotations[np.searchsorted(knots_s, times_s - TIME_TOLERANCE_S), robots])

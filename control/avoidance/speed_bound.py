@@ -46,6 +46,7 @@ class AvoidanceRule:
         overshoot: share by which the wheels may be faster than commanded.
         creep_mps: speed by which they may be faster in addition.
         turn_error_radps: greatest error of its turn rate.
+        clock_margin_s: how much older a message may be than the robot's clock tells.
         lifetime_s: age at which messages are forgotten.
         detour: name of the rule by which it finds detours, or `none`.
     """
@@ -59,6 +60,7 @@ class AvoidanceRule:
     overshoot: float = 0.0
     creep_mps: float = 0.0
     turn_error_radps: float = 0.0
+    clock_margin_s: float = 0.0
     lifetime_s: float = 2.0
     detour: Detour = "around"
 
@@ -73,6 +75,7 @@ class AvoidanceRule:
                 "overshoot",
                 "creep_mps",
                 "turn_error_radps",
+                "clock_margin_s",
             ),
         )
 
@@ -120,8 +123,8 @@ class Bounds:
     unseen_mps: Array
 
 
-def closing_bounds(memory: NeighborMemory, rule: AvoidanceRule, time_s: float) -> Bounds:
-    """The bounds that hold at `time_s`.
+def closing_bounds(memory: NeighborMemory, rule: AvoidanceRule, time_s: Array | float) -> Bounds:
+    """The bounds that hold at `time_s`, one time or the robots' (N,).
 
     Two robots that received messages on the same image use the same line between them. One that
     missed an image uses an older line, which may have turned since by the angle that `2 v_max age` subtends
@@ -129,13 +132,14 @@ def closing_bounds(memory: NeighborMemory, rule: AvoidanceRule, time_s: float) -
     when the robot was last seen.
     """
     pair = memory.fresh(time_s)
-    age_s = np.maximum(time_s - memory.imaged_s[pair], 0.0)
+    time_s = np.broadcast_to(time_s, memory.ids.shape)
+    age_s = np.maximum(time_s[pair[0]] - memory.imaged_s[pair], 0.0) + rule.clock_margin_s
     distances_m = memory.distances_sides[pair] * rule.side_m
     gaps_m = distances_m - memory.reaches_sides[pair] * rule.side_m  # below 0 the limit is 0
     is_newest = age_s < rule.superseded_age_s - TIME_TOLERANCE_S
     strayed_m = np.where(is_newest, 0.0, 2 * rule.wheels.max_speed_mps * age_s)
     turned = np.arcsin(np.minimum(strayed_m / np.maximum(distances_m, LEAST_DISTANCE_M), 1.0))
-    unseen_s = np.maximum(time_s - memory.seen_s, 0.0)
+    unseen_s = np.maximum(time_s - memory.seen_s, 0.0) + rule.clock_margin_s
     return Bounds(
         rows=pair[0],
         bearings_rad=memory.bearings_rad(pair),
@@ -168,7 +172,7 @@ def slowed(v_mps: Array, omega_radps: Array, *, bounds: Bounds, rule: AvoidanceR
 
 
 def avoiding_law(
-    rho: ComplexArray, law: RobotLaw, *, memory: NeighborMemory, rule: AvoidanceRule, time_s: float
+    rho: ComplexArray, law: RobotLaw, *, memory: NeighborMemory, rule: AvoidanceRule, time_s: Array | float
 ) -> tuple[Array, Array]:
     """Speeds v (N,), m/s, and ω (N,), rad/s, that keep robots apart.
 
@@ -179,7 +183,7 @@ def avoiding_law(
         law: how fast a vector is followed.
         memory: bodies near the robots.
         rule: what the robots know of themselves.
-        time_s: now.
+        time_s: now, or the robots' times (N,) where each has its own.
     """
     bounds = closing_bounds(memory, rule, time_s)
     if rule.detour != "none":

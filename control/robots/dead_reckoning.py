@@ -66,7 +66,7 @@ class DeadReckoning:
         while len(self._knots) > 2 and self._knots[1][0] <= time_s - self.memory_s - self.delay_s:
             self._knots.popleft()
 
-    def up_to_date(self, inboxes: GoalInboxes, time_s: float) -> GoalInboxes:
+    def up_to_date(self, inboxes: GoalInboxes, time_s: float, lead_s: Array | float = 0.0) -> GoalInboxes:
         """The inboxes as if every image had been taken now, with goals in the robots' present frames.
 
         With d what the marker of robot i has moved since the image of unit j, and θ what it has turned, both
@@ -76,8 +76,10 @@ class DeadReckoning:
         Args:
             inboxes: what arrived; it is not changed.
             time_s: now.
+            lead_s: (N,) by how much the clock that images are stamped by is ahead of `time_s`, as each robot
+                knows it.
         """
-        moved_m, turned_rad = self._motion_since(inboxes.imaged_s - self.delay_s, time_s)
+        moved_m, turned_rad = self._motion_since(inboxes.imaged_s - lead_s - self.delay_s, time_s)
         current = copy(inboxes)
         current.rho_px = (inboxes.rho_px - moved_m * (inboxes.sides_px / self.side_m)) * np.exp(
             -1j * turned_rad

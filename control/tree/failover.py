@@ -5,8 +5,6 @@ Two adjoining units are made one, so that what was a tree with one pair an edge 
 
 from dataclasses import replace
 
-import numpy as np
-
 from skyherd.control.tree.edge import NO_ROBOTS, NO_TURN, Edge, Robots, first_turn
 from skyherd.control.tree.node_state import Changes, NodeState, Situation, resigned
 from skyherd.control.tree.peer_reports import PeerReport
@@ -16,6 +14,10 @@ GRACE = 2
 """Silences after which the other end of a new edge must know of it. Chosen: one in which the report of the
 edge arrives for certain, and one in which the answer does."""
 
+LIVELY = 0.5
+"""Share of the silence in which a unit must have been heard of to succeed another one. Chosen: half, which is
+seven images of a camera with five a second, so that hardly ever all of their reports are lost."""
+
 
 def fail_over(state: NodeState, now: Situation) -> Changes:
     """Go on without neighbours that fell silent or left the tree; start anew if they gave this unit up."""
@@ -23,7 +25,7 @@ def fail_over(state: NodeState, now: Situation) -> Changes:
         if state.edges.get(neighbor) is not edge:
             continue  # what was done about a neighbour before concerned this edge as well
         peer = now.peers.newest.get(neighbor)
-        last_s = max(edge.since_s, -np.inf if peer is None else peer.time_s)
+        last_s = max(edge.since_s, now.heard_s(neighbor))
         if now.time_s - last_s > now.rule.silence_s:
             state = _without(state, now, edge)
         elif peer is not None and _is_abandoned(now, edge, peer):
@@ -60,22 +62,34 @@ def _is_abandoned(now: Situation, edge: Edge, peer: PeerReport) -> bool:
 def _without(state: NodeState, now: Situation, edge: Edge) -> NodeState:
     """The state without the edge to a unit that is gone.
 
-    Its heir, or whoever does not know of a living heir, takes over what was its. Another neighbour keeps the
-    pair as its own if it has an edge to the heir, and else opens one with that pair and has the first turn on
-    it.
+    Its successor takes over what was its. Another neighbour keeps the pair as its own if it has an edge to
+    the successor, and else opens one with that pair and has the first turn on it.
     """
     edges = {neighbor: other for neighbor, other in state.edges.items() if neighbor != edge.neighbor_id}
     state = replace(state, edges=edges)
     gone = now.peers.last_as_member.get(edge.neighbor_id)
     if gone is None or not edge.pair:
         return state
-    heir = gone.tree.heir_id
-    if heir == now.unit_id or not now.is_alive(heir):
+    successor = successor_of(gone, now)
+    if successor == now.unit_id:
         return _inherit(replace(state, own=state.own | edge.pair), now, gone)
-    if heir in state.edges:
+    if successor in state.edges:
         return replace(state, own=state.own | edge.pair)
-    turn = first_turn(now.time_s, now.unit_id, heir)
-    return _with_new_edge(state, now, heir, turn, edge.pair)
+    turn = first_turn(now.time_s, now.unit_id, successor)
+    return _with_new_edge(state, now, successor, turn, edge.pair)
+
+
+def successor_of(gone: PeerReport, now: Situation) -> int:
+    """Who takes over what was a dead unit's: its heir, or if that is gone too its lowest living neighbour.
+
+    Units that fall silent at one time are not noticed at one time, so that only those count as living whose
+    last report is younger than a share of the silence.
+    """
+    young_s = now.time_s - LIVELY * now.rule.silence_s
+    if gone.tree.heir_id == now.unit_id or now.heard_s(gone.tree.heir_id) >= young_s:
+        return gone.tree.heir_id
+    paired = (unit for unit, row in gone.tree.rows.items() if NO_ID not in gone.tree.pairs[row])
+    return min({now.unit_id, *(unit for unit in paired if now.heard_s(unit) >= young_s)})
 
 
 def _inherit(state: NodeState, now: Situation, gone: PeerReport) -> NodeState:

@@ -84,7 +84,8 @@ class NodeState:
         ready: whether the tree is known to be complete, so that robots may move.
         searches: whether the unit is to look around for what the tree lacks.
         sought: robots to be got into view, besides those that it controls.
-        since_s: time of its first image.
+        imaged_s: time of its last image.
+        since_s: time of its first image, or of the first after a silence without any.
         slot: number of the slot that its last image fell in.
         seen_s: when it saw each robot last.
         missed_since_s: since when it knows that a robot which it never saw is missing.
@@ -106,6 +107,7 @@ class NodeState:
     ready: bool = False
     searches: bool = False
     sought: Robots = NO_ROBOTS
+    imaged_s: float = -np.inf
     since_s: float = np.inf
     slot: int = -1
     seen_s: Mapping[int, float] = field(default_factory=dict)
@@ -149,6 +151,7 @@ class Changes(TypedDict, total=False):
     ready: bool
     searches: bool
     sought: Robots
+    imaged_s: float
     since_s: float
     slot: int
     seen_s: Mapping[int, float]
@@ -220,10 +223,14 @@ class Situation:
         outside = (peer for peer in self.living if not peer.is_member)
         return frozenset(peer.unit_id for peer in outside if peer.tree.asks_id == self.unit_id)
 
+    def heard_s(self, unit: int) -> float:
+        """Time of the newest report of a unit; -inf if there is none."""
+        peer = self.peers.newest.get(unit)
+        return -np.inf if peer is None else peer.time_s
+
     def is_alive(self, unit: int) -> bool:
         """Whether a unit has been heard of within a silence."""
-        peer = self.peers.newest.get(unit)
-        return peer is not None and self.time_s - peer.time_s <= self.rule.silence_s
+        return self.time_s - self.heard_s(unit) <= self.rule.silence_s
 
     def seen_by(self, unit: int) -> AbstractSet[int]:
         """Robots that a unit last reported to see."""

@@ -4,10 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from skyherd.control.tree.edge import NO_ROBOTS, Edge, Robots
+from skyherd.control.tree.edge import NO_ROBOTS, NO_TURN, Edge, Robots, edge_status, first_turn
 from skyherd.control.tree.node_state import Changes, NodeState, Situation
 from skyherd.control.tree.offers import offerable
 from skyherd.control.tree.pair_selection import choose_pair
+from skyherd.control.tree.peer_reports import PeerReport
 from skyherd.messages import NO_ID
 
 
@@ -17,14 +18,27 @@ def receive_turns(state: NodeState, now: Situation) -> Changes:
     The neighbour may have exchanged the pair in its turn. A robot that left the pair is the unit's own again,
     and one that came into it, which the unit had offered, is its own no more; the unit's control set stays as
     it is.
+
+    Where both ends of an edge wait for the first turn of the other, because both took themselves for the
+    successor of a dead unit between them, the lower unit begins, with the pair that it knows.
     """
     own, edges = state.own, dict(state.edges)
     for peer in now.news:
         if peer.unit_id in edges:
             before = edges[peer.unit_id].pair
-            edges[peer.unit_id] = edges[peer.unit_id].received(peer.report)
+            edges[peer.unit_id] = _begun(edges[peer.unit_id].received(peer.report), peer, now)
             own = (own | (before - edges[peer.unit_id].pair)) - edges[peer.unit_id].pair
     return Changes(own=own, edges=edges)
+
+
+def _begun(edge: Edge, peer: PeerReport, now: Situation) -> Edge:
+    """The edge with the lower unit's first turn if both ends wait for the other's; else as it is."""
+    status = edge_status(peer.report, now.unit_id)
+    if status is None or not (edge.pair and status.pair) or now.unit_id > edge.neighbor_id:
+        return edge
+    if edge.turn != NO_TURN or status.turn != NO_TURN:
+        return edge
+    return replace(edge, turn=first_turn(now.time_s, now.unit_id, edge.neighbor_id))
 
 
 def use_turns(state: NodeState, now: Situation) -> Changes:

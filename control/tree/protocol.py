@@ -48,9 +48,14 @@ from skyherd.messages import NO_ID, Detections, TreeStatus, UnitReport
 
 
 def note_view(state: NodeState, now: Situation) -> Changes:
-    """Note the time, the slot, and which robots are in view."""
+    """Note the time, the slot, and which robots are in view.
+
+    Without an image for a silence, or after its clock was set, a unit begins anew to look around.
+    """
+    is_used = now.time_s - state.imaged_s <= now.rule.silence_s
     return Changes(
-        since_s=min(state.since_s, now.time_s),
+        imaged_s=now.time_s,
+        since_s=state.since_s if is_used else now.time_s,
         slot=now.slot,
         seen_s={**state.seen_s, **dict.fromkeys(now.distances, now.time_s)},
     )

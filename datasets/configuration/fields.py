@@ -70,3 +70,10 @@ class Model(BaseModel):
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=False)
+
+
+ClockOffset = Annotated[FiniteFloat, Field(ge=-86400, le=86400)]
+"""What a clock shows when it should show 0, s. *Chosen*: a day."""
+
+ClockDrift = Annotated[FiniteFloat, Field(ge=-1000, le=1000)]
+"""By how many millionths a clock is fast. *Chosen*: twenty times what quartz crystals are off."""

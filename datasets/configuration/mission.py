@@ -203,7 +203,7 @@ def _complete(scenario: Scenario, folder: Path) -> Mission:
     rng = generator(scenario.seed, RunStream.START_PLACES)
     check_detector_name(scenario.detector)
     if scenario.perception == "noisy":
-        load_accuracy(scenario.detector)
+        load_accuracy(scenario.detector, noise=scenario.sensor.noise, psf_px=scenario.sensor.psf_px)
     limit = dictionary_size(scenario.marker.dictionary)
     template = _template(scenario.template, scenario.robots, scenario.marker.dictionary, folder)
     ids = _robot_ids(scenario.robots, template)

@@ -148,6 +148,11 @@ class NetworkModel(Model):
         None,
         description="m; distance on the ground up to which units receive each other; no limit if left out",
     )
+    relay: bool = Field(
+        True,
+        description="whether units' radios pass reports on, to units out of the sender's range",
+    )
+    relay_s: NotNegative = Field(0.02, description="s; time that passing a report on takes")
     delay_s: NotNegative = Field(
         0.0,
         description="s; largest delay of a message, drawn for each receiver; later ones may overtake earlier",
@@ -168,6 +173,12 @@ class GoalModel(Model):
 
 class Scenario(Model):
     """A scenario file: all that a run follows from."""
+
+    @property
+    def clocks_differ(self) -> bool:
+        """Whether any unit or robot has a clock of its own."""
+        off = ((unit.clock_offset_s, unit.clock_drift_ppm) for unit in self.units)
+        return any(map(any, off)) or bool(self.robots.clock_offset_s or self.robots.clock_drift_ppm)
 
     name: str = Field(
         pattern=r"^\w[\w .-]{0,99}$", description="name of the scenario, and of its output folder"

@@ -7,6 +7,8 @@ from pydantic import Field, FiniteFloat
 from skyherd.datasets.configuration.fields import (
     MOST_ROBOTS,
     Angle,
+    ClockDrift,
+    ClockOffset,
     Fraction,
     Model,
     NotNegative,
@@ -87,6 +89,12 @@ class RobotsModel(Model):
         None, max_length=MOST_ROBOTS, description="marker of each robot; 0, 1, … if left out"
     )
     max_speed_mps: Positive = Field(1.0, description="m/s; limit on the speed |v|")
+    clock_offset_s: ClockOffset = Field(
+        0.0, description="s; robots' clocks are off by up to this either way, drawn once for each"
+    )
+    clock_drift_ppm: ClockDrift = Field(
+        0.0, description="millionths by which they are fast or slow at most, drawn once for each"
+    )
     max_turn_radps: Positive = Field(3.0, description="rad/s; limit on the turn rate |omega|")
     timeout_s: Positive = Field(
         0.5,

@@ -9,6 +9,8 @@ from skyherd.datasets.configuration.camera_models import CameraModel
 from skyherd.datasets.configuration.fields import (
     MOST_ROBOTS,
     Angle,
+    ClockDrift,
+    ClockOffset,
     FrameRate,
     Height,
     Model,
@@ -102,6 +104,11 @@ class UnitModel(Model):
     latency_s: NotNegative = Field(
         0.0,
         description="s; from an image to the arrival of its goals and report; flight commands take no time",
+    )
+
+    clock_offset_s: ClockOffset = Field(0.0, description="s; what its clock shows at the start of the run")
+    clock_drift_ppm: ClockDrift = Field(
+        0.0, description="millionths by which its clock is faster than the world's, or slower where negative"
     )
 
     @property

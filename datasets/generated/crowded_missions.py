@@ -67,10 +67,8 @@ def crowded_mission(seed: int, units: int | None = None) -> dict[str, Any]:
         template=shape,
     )
     tree["name"] = f"crowded-{seed}"
-    tree["robots"]["body_radius_sides"] = BODY_SIDES
     tree["roles"] = {"exchange": True}
     tree["size"] = {"least_spacing_sides": SHAPE_SPACING}
-    tree["avoidance"] = {"on": True}
     return tree
 
 

@@ -4,7 +4,7 @@ A mission is a scenario as a tree of plain values, for `make_mission`. It follow
 """
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -42,8 +42,8 @@ BODY_SIDES = 1.0
 """Radius of a robot's body, marker sides. *Chosen*: two sides across hold a marker with its quiet zone."""
 
 LEGIBLE_PX = 20.0
-"""Side of a marker in the images of `legible`, px, at least, at the start. *Chosen*: 3 px a cell; smaller
-markers are found less surely."""
+"""Side of a marker in the images, px, at least, at the start. *Chosen*: 3 px a cell; smaller markers are
+found less surely."""
 
 
 @dataclass(frozen=True)
@@ -53,12 +53,13 @@ class Crowd:
     Attributes:
         units: number of aerial units.
         robots_a_unit: robots for each unit, so that there are `units * robots_a_unit`.
-        is_chain: whether each unit's parent in the tree is the one before it, rather than any before it.
+        form: the tree of the units: each one's parent is the one before it (`chain`), the first one (`star`,
+            of seven units at most, for want of room), or any before it.
     """
 
     units: int
     robots_a_unit: int
-    is_chain: bool = False
+    form: Literal["chain", "star", "random"] = "random"
 
 
 def random_crowd(rng: np.random.Generator, units: tuple[int, int] = (2, 8)) -> Crowd:
@@ -147,6 +148,10 @@ def make_tree(
 ) -> dict[str, Any]:
     """Make a scenario, a tree of plain values, of what was drawn.
 
+    Images have so many pixels that markers are LEGIBLE_PX large at the start, and units keep them from
+    becoming too small to be read. Robots have bodies and avoid one another: one that drove over another would
+    hide it from all. So the same mission can be run with markers projected and drawn.
+
     Args:
         seed: of the mission.
         rng: draws the units' yaws and the robots' headings.
@@ -161,8 +166,8 @@ def make_tree(
             "position_m": to_points(center).tolist(),
             "height_m": float(height),
             "yaw_deg": float(rng.uniform(-180, 180)),
-            "camera": camera,
-            "flight": {"kind": "keep-in-view", "least_side_px": 0.0},  # the noise assumed holds at any size
+            "camera": _legible(camera, float(height)),
+            "flight": {"kind": "keep-in-view"},
             "frame_rate_hz": 5.0,
         }
         for center, height, camera in zip(centers, heights_m, cameras, strict=True)
@@ -180,7 +185,9 @@ def make_tree(
             "max_speed_mps": 0.5,
             "max_turn_radps": 2.0,
             "timeout_s": 0.7,
+            "body_radius_sides": BODY_SIDES,
         },
+        "avoidance": {"on": True},
         "marker": {"side_m": SIDE_M, "dictionary": "5X5_100"},
         "control": {"k": 0.5, "k_omega": 2.0, "b_th": 0.0, "rectify": False},  # cameras look straight down
         "selection": {"kind": "tree"},
@@ -189,34 +196,23 @@ def make_tree(
     }
 
 
-def legible(tree: dict[str, Any]) -> dict[str, Any]:
-    """Change a mission, given as a tree, for a detector that reads rendered pixels.
-
-    Images have so many pixels that markers are LEGIBLE_PX large at the start, and units keep them from
-    becoming too small. Robots have bodies and avoid one another: one that drove over another would hide it
-    from all.
-    """
-    units = []
-    for unit in tree["units"]:
-        camera = unit["camera"]
-        size, (u0, v0) = min(camera["size_px"]), camera["principal_point_px"]
-        focal_px = size / 2 / np.tan(np.radians(camera["half_angle_deg"]))
-        finer = int(np.ceil(LEGIBLE_PX * unit["height_m"] / (tree["marker"]["side_m"] * focal_px)))
-        sharper = {
-            "size_px": [finer * side for side in camera["size_px"]],
-            "principal_point_px": [finer * (place + 0.5) - 0.5 for place in (u0, v0)],
-        }
-        flight = {key: value for key, value in unit["flight"].items() if key != "least_side_px"}
-        units.append(unit | {"camera": camera | sharper, "flight": flight})
-    robots = tree["robots"] | {"body_radius_sides": BODY_SIDES}
-    return tree | {"perception": "rendered", "units": units, "robots": robots, "avoidance": {"on": True}}
+def _legible(camera: dict[str, Any], height_m: float) -> dict[str, Any]:
+    """A camera with so many pixels, a whole number of times as many, that markers are LEGIBLE_PX large."""
+    size, (u0, v0) = min(camera["size_px"]), camera["principal_point_px"]
+    focal_px = size / 2 / np.tan(np.radians(camera["half_angle_deg"]))
+    finer = int(np.ceil(LEGIBLE_PX * height_m / (SIDE_M * focal_px)))
+    return camera | {
+        "size_px": [finer * side for side in camera["size_px"]],
+        "principal_point_px": [finer * (place + 0.5) - 0.5 for place in (u0, v0)],
+    }
 
 
 def _tree(rng: np.random.Generator, crowd: Crowd) -> tuple[ComplexArray, list[int]]:
     """Places of the units, m, each about 7 m from its parent and no nearer to any other."""
     centers, parents = [0j], [-1]
     while len(centers) < crowd.units:
-        parent = len(centers) - 1 if crowd.is_chain else int(rng.integers(len(centers)))
+        before = {"chain": [len(centers) - 1], "star": [0]}.get(crowd.form, range(len(centers)))
+        parent = int(rng.choice(before))
         place = centers[parent] + rng.uniform(6.0, 8.0) * np.exp(2j * np.pi * rng.random())
         if min(abs(place - center) for center in centers) > 5.5:
             centers.append(place)

@@ -104,12 +104,12 @@ def run_steps(
             world.fly(FlightCommand.hold(unit))
         taken = _units_with_frame(scenario, tick, dead)
         kept = [unit for unit in taken if frame_rng.random() >= scenario.network.frame_loss]
-        receivers = world.in_range()
+        network.connect(world.in_range(), dead)
         for unit, sight in zip(kept, perception.look(world, kept, time_s), strict=True):
             decision = agents.decide(sight.detections, list(network.reports[unit].values()))
             arrival_s = time_s + scenario.units[unit].latency_s
             to_robots = decision.goals, decision.proximity
-            network.send(to_robots, decision.report, arrival_s, receivers[unit] if receivers else None)
+            network.send(to_robots, decision.report, arrival_s)
             world.fly(decision.flight)
             frames[unit] = UnitFrame(sight, decision)
         orders = team.decide(time_s, network.deliver(time_s))

@@ -25,6 +25,7 @@ class RunStream(IntEnum):
     WHEEL_GAINS = 4
     WHEEL_SLIP = 5
     SWAY = 6
+    ROBOT_CLOCKS = 7
     RANDOM_MISSION = 71
     STAR_MISSION = 73
     CROWDED_MISSION = 79

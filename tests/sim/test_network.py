@@ -75,6 +75,51 @@ def test_the_dead_forget(make_report) -> None:
     assert network.reports == [{}, {}]
 
 
+CHAIN = [[0, 1], [0, 1, 2], [1, 2, 3], [2, 3]]
+"""Four units in a row, each of which receives the next ones."""
+
+
+def test_reports_reach_units_out_of_range_by_relay_one_delay_later_for_each_hop(make_report) -> None:
+    network = Network(NetworkParameters(relay_s=0.25), np.random.default_rng(0), 4)
+    network.connect(CHAIN)
+    network.send([], make_report(0, [0], [0], [0]), 1.0)
+    for time_s, heard in ((0.9, []), (1.0, [1]), (1.2, [1]), (1.25, [1, 2]), (1.5, [1, 2, 3])):
+        network.deliver(time_s)
+        assert [unit for unit in range(4) if network.reports[unit]] == heard
+    network = Network(NetworkParameters(), np.random.default_rng(0), 4)
+    network.connect(CHAIN)
+    network.send([], make_report(0, [0], [0], [0]), 1.0)
+    network.deliver(9.0)
+    assert network.reports == [{}, network.reports[1], {}, {}], "without relays it ends at the neighbour"
+
+
+def test_the_dead_pass_nothing_on_and_a_ring_of_relays_falls_silent(make_report) -> None:
+    network = Network(NetworkParameters(relay_s=0.1), np.random.default_rng(0), 4)
+    network.connect(CHAIN, dead=[1])
+    network.send([], make_report(0, [0], [0], [0]), 0.0)
+    network.deliver(9.0)
+    assert not any(network.reports)
+    network.connect([[0, 1, 2, 3]] * 4)
+    network.send([], make_report(0, [0], [0], [0]), 10.0)
+    network.deliver(11.0)
+    assert [list(heard) for heard in network.reports] == [[], [0], [0], [0]]
+    assert not network._waiting, "what is no news to anybody is not passed on for ever"
+
+
+def test_a_report_that_was_lost_on_its_way_is_passed_on_with_the_next_one_of_the_relay(make_report) -> None:
+    """Half of all messages are lost: with 40 reports of unit 1, unit 2 has heard of the one of unit 0."""
+    heard = 0
+    for seed in range(50):
+        network = Network(NetworkParameters(message_loss=0.5, relay_s=0.01), np.random.default_rng(seed), 3)
+        network.connect([[0, 1], [0, 1, 2], [1, 2]])
+        network.reports[1][0] = make_report(0, [0], [0], [0])
+        for tick in range(40):
+            network.send([], replace(make_report(1, [0], [0], [0]), time_s=float(tick)), float(tick))
+            network.deliver(float(tick))
+        heard += 0 in network.reports[2]
+    assert heard == 50
+
+
 def test_units_out_of_range_do_not_hear_one_another() -> None:
     """Two units 6 to 8 m apart: with a range below that each founds a tree of its own, above it one joins."""
     trees = {}
@@ -87,8 +132,10 @@ def test_units_out_of_range_do_not_hear_one_another() -> None:
 
 
 def test_every_key_of_a_scenario_reaches_the_network(scenario_tree) -> None:
-    faults = {"message_loss": 0.1, "delay_s": 0.2, "repeats": 0.3}
+    faults = {"message_loss": 0.1, "delay_s": 0.2, "repeats": 0.3, "relay_s": 0.05}
     scenario = make_mission(scenario_tree("star") | {"network": faults}).scenario
     network = make_network(scenario, np.random.default_rng(0))
     assert network.parameters == NetworkParameters(**faults)
     assert network.units == len(network.reports) == len(scenario.units)
+    silent = make_mission(scenario_tree("star") | {"network": faults | {"relay": False}}).scenario
+    assert make_network(silent, np.random.default_rng(0)).parameters.relay_s is None

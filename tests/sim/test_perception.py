@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 
 from skyherd.datasets import load_mission, scenario_names
+from skyherd.errors import InputError
+from skyherd.geometry import to_complex
 from skyherd.loop import run_steps
 from skyherd.messages import Detections
-from skyherd.sim.perception import RenderedPerception
+from skyherd.sim.perception import RenderedPerception, make_perception
 from skyherd.sim.physics import make_world
+from skyherd.vision import load_accuracy
 
 
 class Wrong:
@@ -67,3 +70,92 @@ def test_every_scenario_runs_on_opencvs_detector_alone(name, kind):
 
 def _ids_of(sight):
     return sight.found_ids, sight.whole_ids
+
+
+def looks(settings, count):
+    """The first image of a scenario's units, seen so often by noisy perception."""
+    mission = load_mission("star", ["perception=noisy", *settings])
+    perception, world = make_perception(mission, np.random.default_rng(5)), make_world(mission)
+    units = range(len(mission.scenario.units))
+    return [sight for time_s in range(count) for sight in perception.look(world, units, float(time_s))]
+
+
+@pytest.mark.parametrize("height_m", [20.0, 50.0, 58.0])
+def test_noisy_perception_misses_markers_as_the_detector_does(height_m) -> None:
+    """The share that is found is the measured recall of that size, to 5 standard deviations of a binomial."""
+    sights = looks([f"units.*.height_m={height_m}", "sensor.noise=5"], 200)
+    exact = looks([f"units.*.height_m={height_m}", "perception=ideal"], 1)
+    sides = np.concatenate([sight.detections.sides_px for sight in exact])
+    found, whole = (sum(map(len, lists)) for lists in zip(*map(_ids_of, sights), strict=True))
+    accuracy = load_accuracy("photometric", noise=5.0)
+    recall = float(np.interp(sides, accuracy.sides_px, accuracy.recall, left=0.0).mean())
+    assert found / whole == pytest.approx(recall, abs=5 * np.sqrt(0.25 / whole))
+    assert (recall > 0.999) == (height_m == 20.0), "the sizes are on both sides of the detector's limit"
+
+
+def test_no_marker_below_the_measured_sizes_is_found() -> None:
+    """The table ends at 1.2 px a cell; nothing says that smaller ones could be read."""
+    accuracy = load_accuracy("photometric")
+    sides = np.array([0.5, 0.99]) * accuracy.sides_px[0]
+    assert not accuracy.found(np.repeat(sides, 1000), np.random.default_rng(0)).any()
+
+
+def test_noisy_markers_are_wrong_in_place_heading_side_and_shape_as_measured() -> None:
+    """Errors over 4000 markers, against the table; what a rectifier learns from is no longer exact."""
+    sights, (exact, *_) = looks(["sensor.noise=10"], 300), looks(["perception=ideal"], 1)
+    true = exact.detections
+    corners = to_complex(true.corners_px - true.centers_px[:, None])
+    errors = []
+    for sight in sights:
+        seen = sight.detections
+        if seen.unit_id != true.unit_id:
+            continue
+        rows = np.searchsorted(true.ids, seen.ids)
+        have, want = to_complex(seen.corners_px - seen.centers_px[:, None]), corners[rows]
+        parts = np.linalg.pinv(np.stack([want, want.conj()], axis=-1)) @ have[..., None]
+        s, q = parts[:, 0, 0], parts[:, 1, 0]
+        errors.append(
+            np.column_stack(
+                [
+                    seen.centers_px - true.centers_px[rows],
+                    seen.headings_rad - true.headings_rad[rows],
+                    np.angle(s),
+                    np.abs(s) - 1,
+                    q.real,
+                    q.imag,
+                ]
+            )
+        )
+    error = np.concatenate(errors)
+    table = load_accuracy("photometric", noise=10.0)
+    side = float(np.median(true.sides_px))
+
+    def expected(values):
+        return float(np.interp(side, table.sides_px, values))
+
+    place, heading = expected(table.position_std_px), expected(table.heading_std_rad)
+    grown, squeeze = expected(table.side_std), expected(table.squeeze_std)
+    wanted = [place, place, heading, heading, grown, squeeze, squeeze]
+    assert len(error) >= 1500
+    assert error.std(axis=0) == pytest.approx(wanted, rel=0.15)
+    second_order = 4 * heading * 4 * max(grown, squeeze)
+    assert np.abs(error[:, 2] - error[:, 3]).max() < second_order, "corners turn with the heading"
+
+
+def test_more_noise_blur_or_cells_make_markers_harder_to_read() -> None:
+    """Recall at each size falls along each axis of the table; in between errors are in between."""
+    plain = load_accuracy("photometric", noise=2.0, psf_px=0.8)
+    for worse in (
+        load_accuracy("photometric", noise=10.0, psf_px=0.8),
+        load_accuracy("photometric", noise=2.0, psf_px=1.2),
+        load_accuracy("photometric", dictionary="6X6_250"),
+    ):
+        recalls = [
+            np.interp(plain.sides_px, table.sides_px, table.recall, left=0) for table in (plain, worse)
+        ]
+        assert (recalls[1] <= recalls[0] + 0.02).all() and recalls[1].sum() < recalls[0].sum() - 0.3
+    between = load_accuracy("photometric", noise=3.5)
+    noisier = load_accuracy("photometric", noise=5.0)
+    assert np.allclose(between.position_std_px, (plain.position_std_px + noisier.position_std_px) / 2)
+    with pytest.raises(InputError, match=r"sensor.noise: .* 10 at most"):
+        load_accuracy("opencv", noise=11.0)

@@ -1,6 +1,7 @@
 """The controllers of a scenario's units, and its robots, as the scenario's file asks for them."""
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -23,12 +24,14 @@ from skyherd.control import (
     Perimeter,
     PixelGains,
     Rectifier,
+    RobotClocks,
     RobotLaw,
     RobotTeam,
     RoleRule,
     SafetyRadius,
     SelectionPolicy,
     SizeRule,
+    TeamClock,
     Template,
     TreeProtocol,
     TreeRule,
@@ -40,6 +43,7 @@ from skyherd.geometry import ComplexArray, IntArray
 from skyherd.messages import Detections, UnitReport
 from skyherd.sim.baseline_laws import Law, bearing_only_law, complex_laplacian_law
 from skyherd.sim.oracle_team import OracleTeam
+from skyherd.sim.physics import make_robot_clocks, read_unit_clock
 from skyherd.sim.world import World
 
 LAWS: Mapping[str, Callable[[ComplexArray, float], Law]] = {
@@ -128,7 +132,15 @@ def make_controller(mission: Mission, unit: int) -> AerialController:
         roles=make_roles(scenario),
         size=make_size(mission),
         bodies=make_bodies(mission),
+        clock=TeamClock(least_report_delay_s(scenario)) if scenario.clocks_differ else None,
     )
+
+
+def least_report_delay_s(scenario: Scenario) -> float:
+    """Least time, s, from an image to an image of another unit that takes in the report on it."""
+    rates_hz = {unit.frame_rate_hz for unit in scenario.units}
+    steps = np.floor(1 / (max(rates_hz) * scenario.step_s) + ROUNDING_STEPS) if len(rates_hz) == 1 else 1.0
+    return max(float(steps) * scenario.step_s, min(unit.latency_s for unit in scenario.units))
 
 
 ControllerFactory = Callable[[Mission, int], AerialController]
@@ -163,6 +175,9 @@ class UnitAgents:
     def decide(self, detections: Detections, reports: Sequence[UnitReport]) -> Decision:
         """What the unit that took the image does, given the last report received from each other unit."""
         self._unused.discard(detections.unit_id)
+        if self._mission.scenario.clocks_differ:
+            shown_s = read_unit_clock(self._mission.scenario, detections.unit_id, detections.time_s)
+            detections = replace(detections, time_s=shown_s)
         decision = self.controllers[detections.unit_id].step(detections, reports)
         self.sets[detections.unit_id] = decision.report.controlled_ids
         return decision
@@ -217,13 +232,35 @@ def make_team(mission: Mission, world: World) -> RobotTeam:
     units = np.arange(len(scenario.units))
     inboxes = GoalInboxes(mission.ids, units, scenario.robots.timeout_s, distances=gains.needs_distances)
     motion = make_dead_reckoning(scenario, mission.ids.size)
+    clocks = make_clocks(scenario, mission.ids.size)
     if not scenario.avoidance.on:
-        return GoalFollowers(inboxes, gains, wheels, motion=motion)
+        return GoalFollowers(inboxes, gains, wheels, motion=motion, clocks=clocks)
     bodies = np.union1d(mission.ids, mission.obstacle_ids)
     neighbors = NeighborMemory(mission.ids, bodies, scenario.avoidance.lifetime_s)
     return GoalFollowers(
-        inboxes, gains, wheels, neighbors=neighbors, avoidance=make_avoidance(scenario), motion=motion
+        inboxes,
+        gains,
+        wheels,
+        neighbors=neighbors,
+        avoidance=make_avoidance(scenario),
+        motion=motion,
+        clocks=clocks,
     )
+
+
+def make_clocks(scenario: Scenario, count: int) -> RobotClocks | None:
+    """How `count` robots tell the age of messages; None where all clocks agree."""
+    if not scenario.clocks_differ:
+        return None
+    least_delay_s = min(unit.latency_s for unit in scenario.units)
+    return RobotClocks(make_robot_clocks(scenario, count), TeamClock(least_delay_s, count, listens=True))
+
+
+def _late_s(scenario: Scenario) -> float:
+    """By how much, s, a message to a robot may take longer than the fastest ones, in whole steps."""
+    latencies_s = [unit.latency_s for unit in scenario.units]
+    late_s = max(latencies_s) + scenario.network.delay_s - min(latencies_s)
+    return _whole_steps(late_s, scenario.step_s) + (scenario.step_s if late_s else 0.0)
 
 
 def make_dead_reckoning(scenario: Scenario, count: int) -> DeadReckoning | None:
@@ -269,6 +306,7 @@ def make_avoidance(scenario: Scenario) -> AvoidanceRule:
         overshoot=drive.gain_error + SLIP_DEVIATIONS * drive.slip,
         creep_mps=drive.wheel_step_mps / 2,
         turn_error_radps=2 * wheel_mps / drive.track_m + SLIP_DEVIATIONS * drive.slip * robots.max_turn_radps,
+        clock_margin_s=_late_s(scenario) if scenario.clocks_differ else 0.0,
         lifetime_s=scenario.avoidance.lifetime_s,
         detour=scenario.avoidance.detour,
     )

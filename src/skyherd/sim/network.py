@@ -1,6 +1,12 @@
-"""The radio between units and robots: messages are delayed, lost, repeated, and arrive out of order."""
+"""The radio between units and robots: messages are delayed, lost, repeated, and arrive out of order.
 
-from collections.abc import Sequence
+Units that are out of each other's range hear of each other by relay: the radio of each unit passes a report
+on at once when it is the newest of its sender, and all that it has heard last with every report of its own,
+so that a loss costs one period of the images and nothing else.
+"""
+
+import heapq
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -21,11 +27,14 @@ class NetworkParameters:
         message_loss: share of messages lost, for each receiver independently.
         delay_s: greatest random delay, uniform from 0, in addition to the sender's latency.
         repeats: share of messages that arrive twice.
+        relay_s: time that a unit's radio takes to pass a report on to the units in its range; None if it
+            passes nothing on. It matters only where there is a range.
     """
 
     message_loss: float = 0.0
     delay_s: float = 0.0
     repeats: float = 0.0
+    relay_s: float | None = None
 
 
 @dataclass
@@ -37,7 +46,7 @@ class Network:
     random for each receiver, and arrives a second time at random.
 
     Attributes:
-        parameters: losses, delay and repeats.
+        parameters: losses, delay, repeats and relays.
         rng: draws what happens.
         units: number of units.
         reports: by receiving unit, the newest report that arrived from each other one.
@@ -47,36 +56,42 @@ class Network:
     rng: np.random.Generator
     units: int
     reports: list[dict[int, UnitReport]] = field(init=False)
-    _waiting: list[tuple[float, Sequence[int], ToRobots | UnitReport]] = field(
+    _in_range: list[list[int]] | None = field(default=None, init=False)
+    _waiting: list[tuple[float, int, Sequence[int], ToRobots | UnitReport]] = field(
         default_factory=list, init=False
     )
+    _posted: int = field(default=0, init=False)
 
     def __post_init__(self) -> None:
         self.reports = [{} for _ in range(self.units)]
 
-    def send(
-        self,
-        to_robots: Sequence[ToRobots | None],
-        report: UnitReport,
-        arrival_s: float,
-        receivers: Sequence[int] | None = None,
-    ) -> None:
+    def connect(self, in_range: Sequence[Sequence[int]] | None, dead: Collection[int] = ()) -> None:
+        """Say who receives whom from now on: once a step, since units fly, and fail.
+
+        Args:
+            in_range: by unit, the units that receive its radio; None if all receive all.
+            dead: units whose radio is off.
+        """
+        if in_range is None:
+            self._in_range = None
+            return
+        self._in_range = [
+            [] if unit in dead else [other for other in others if other not in dead]
+            for unit, others in enumerate(in_range)
+        ]
+
+    def send(self, to_robots: Sequence[ToRobots | None], report: UnitReport, arrival_s: float) -> None:
         """Send one unit's messages to robots, and its report to other units.
 
         Args:
             to_robots: messages to robots; None stands for no message.
             report: the report.
             arrival_s: time of arrival without random delay.
-            receivers: units within radio range; all if None.
         """
-        others = [
-            unit for unit in (range(self.units) if receivers is None else receivers) if unit != report.unit_id
-        ]
-        if self.parameters.delay_s or self.parameters.repeats:
-            for unit in others:
-                self._post(arrival_s, [unit], report)
-        else:
-            self._waiting.append((arrival_s, others, report))
+        self._spread(report, report.unit_id, arrival_s)
+        if self._relays:
+            for other in self.reports[report.unit_id].values():
+                self._spread(other, report.unit_id, arrival_s)
         for message in to_robots:
             if message is not None:
                 self._post(arrival_s, [], message)
@@ -86,27 +101,53 @@ class Network:
 
         A report changes nothing where a newer one of the same unit arrived before.
         """
-        arrived = [item for item in self._waiting if item[0] <= time_s + TIME_TOLERANCE_S]
-        self._waiting = [item for item in self._waiting if item[0] > time_s + TIME_TOLERANCE_S]
         delivered: list[Delivery] = []
-        for _, receivers, message in sorted(arrived, key=lambda item: item[0]):
+        while self._waiting and self._waiting[0][0] <= time_s + TIME_TOLERANCE_S:
+            arrival_s, _, receivers, message = heapq.heappop(self._waiting)
             if not isinstance(message, UnitReport):
                 delivered.append(Delivery(message, self._received(len(message))))
                 continue
             for unit, received in zip(receivers, self._received(len(receivers)).tolist(), strict=True):
-                last = self.reports[unit].get(message.unit_id)
-                if received and (last is None or message.time_s >= last.time_s):
-                    self.reports[unit][message.unit_id] = message
+                if received:
+                    self._take(unit, message, arrival_s)
         return delivered
+
+    def _take(self, unit: int, report: UnitReport, arrival_s: float) -> None:
+        """A report arrives at a unit, which passes it on if it is news to it."""
+        last = self.reports[unit].get(report.unit_id)
+        if last is not None and report.time_s < last.time_s:
+            return
+        self.reports[unit][report.unit_id] = report
+        relay_s = self.parameters.relay_s
+        if self._relays and relay_s is not None and (last is None or report.time_s > last.time_s):
+            self._spread(report, unit, arrival_s + relay_s)
+
+    @property
+    def _relays(self) -> bool:
+        return self._in_range is not None and self.parameters.relay_s is not None
+
+    def _spread(self, report: UnitReport, sender: int, arrival_s: float) -> None:
+        """Send a report to all units in range of one that has it, but for whoever made it."""
+        receivers = range(self.units) if self._in_range is None else self._in_range[sender]
+        others = [unit for unit in receivers if unit not in (report.unit_id, sender)]
+        if self.parameters.delay_s or self.parameters.repeats:
+            for unit in others:
+                self._post(arrival_s, [unit], report)
+        else:
+            self._put(arrival_s, others, report)
 
     def forget(self, unit: int) -> None:
         """Drop all reports that a unit has received, as when it fails."""
         self.reports[unit].clear()
 
     def _post(self, arrival_s: float, receivers: Sequence[int], message: ToRobots | UnitReport) -> None:
-        self._waiting.append((arrival_s + self._delay_s(), receivers, message))
+        self._put(arrival_s + self._delay_s(), receivers, message)
         if self.parameters.repeats and self.rng.random() < self.parameters.repeats:
-            self._waiting.append((arrival_s + self._delay_s(), receivers, message))
+            self._put(arrival_s + self._delay_s(), receivers, message)
+
+    def _put(self, arrival_s: float, receivers: Sequence[int], message: ToRobots | UnitReport) -> None:
+        heapq.heappush(self._waiting, (arrival_s, self._posted, receivers, message))
+        self._posted += 1
 
     def _delay_s(self) -> float:
         return self.parameters.delay_s and self.parameters.delay_s * float(self.rng.random())

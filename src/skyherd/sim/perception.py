@@ -74,7 +74,12 @@ def make_perception(mission: Mission, rng: np.random.Generator) -> Perception:
     if scenario.perception == "ideal":
         return ProjectedPerception(scenario.marker.side_m, scenario.marker.dictionary)
     if scenario.perception == "noisy":
-        accuracy = load_accuracy(scenario.detector)
+        accuracy = load_accuracy(
+            scenario.detector,
+            dictionary=scenario.marker.dictionary,
+            noise=scenario.sensor.noise,
+            psf_px=scenario.sensor.psf_px,
+        )
         return ProjectedPerception(
             scenario.marker.side_m, scenario.marker.dictionary, accuracy=accuracy, rng=rng
         )
@@ -147,13 +152,15 @@ def _right(detections: Detections, truth: FrameTruth) -> BoolArray:
 
 
 class ProjectedPerception(Perception):
-    """Exact projection of every marker whose card is whole in view, with measured noise if asked.
+    """Exact projection of every marker whose card is whole in view, or what a detector would make of it.
 
     Args:
         side_m: side of the markers.
         dictionary: of the markers.
-        accuracy: the detector whose covariance the noise is drawn from; none for exact points.
-        rng: what draws it.
+        accuracy: the detector by whose measured recall markers are missed, each for itself in each image, and
+            by whose measured errors places, headings, sides and shapes are wrong; none for exact points of
+            all markers.
+        rng: what draws both.
     """
 
     def __init__(
@@ -178,14 +185,19 @@ class ProjectedPerception(Perception):
         ]
 
     def _sight(self, world: World, unit: int, time_s: float, image: TeamImage, ids: IntArray) -> Sight:
-        centers, corners = image.centers_px, image.corners_px
+        """What a unit makes of the markers `ids` that are whole in its image."""
+        centers, corners, whole_ids = image.centers_px, image.corners_px, ids
         headings, sides = _headings_and_sides(centers, corners)
         covariances = np.zeros((ids.size, 3, 3))
-        if self.accuracy is not None and ids.size:
-            covariances = self.accuracy.covariances(sides)
+        if self.accuracy is not None:
+            found = self.accuracy.found(sides, self.rng)
+            ids, centers, corners = ids[found], centers[found], corners[found]
+            covariances = self.accuracy.covariances(sides[found])
             error = np.sqrt(np.einsum("nii->ni", covariances)) * self.rng.standard_normal((ids.size, 3))
+            shapes = self.accuracy.draw_shapes(sides[found], error[:, 2], self.rng)
+            corners = centers[:, None] + (corners - centers[:, None]) @ shapes.swapaxes(1, 2)
             centers, corners = centers + error[:, :2], corners + error[:, None, :2]
-            headings = headings + error[:, 2]
+            headings, sides = headings[found] + error[:, 2], _headings_and_sides(centers, corners)[1]
         detections = Detections(
             unit_id=unit,
             time_s=time_s,
@@ -197,7 +209,7 @@ class ProjectedPerception(Perception):
             corners_px=corners,
             covariances=covariances,
         )
-        return Sight(detections, ids, ids, 0, None)
+        return Sight(detections, whole_ids, ids, 0, None)
 
 
 def _headings_and_sides(centers_px: Array, corners_px: Array) -> tuple[Array, Array]:

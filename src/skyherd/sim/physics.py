@@ -4,14 +4,20 @@ The physics itself takes plain numbers and small parameter classes of its own; t
 scenario file is turned into them.
 """
 
+from collections.abc import Callable
+
 import numpy as np
 
 from skyherd.datasets import Mission, Scenario
+from skyherd.geometry import Array
 from skyherd.random_streams import RunStream, generator
 from skyherd.sim.drive import Drive, DriveParameters
 from skyherd.sim.network import Network, NetworkParameters
 from skyherd.sim.sway import Sway
 from skyherd.sim.world import AutopilotLimits, Markers, UnitParameters, World
+
+PPM = 1e-6
+"""A millionth. Derived: what the word says."""
 
 
 def make_world(mission: Mission) -> World:
@@ -31,6 +37,20 @@ def make_world(mission: Mission) -> World:
         ),
         radio_range_m=scenario.network.range_m,
     )
+
+
+def read_unit_clock(scenario: Scenario, unit: int, time_s: float) -> float:
+    """What the clock of an aerial unit shows, s, at a time of the world."""
+    model = scenario.units[unit]
+    return model.clock_offset_s + time_s * (1 + PPM * model.clock_drift_ppm)
+
+
+def make_robot_clocks(scenario: Scenario, count: int) -> Callable[[float], Array]:
+    """What the clocks of `count` robots show, s, by the time of the world."""
+    rng = generator(scenario.seed, RunStream.ROBOT_CLOCKS)
+    offsets_s = scenario.robots.clock_offset_s * rng.uniform(-1, 1, count)
+    rates = 1 + PPM * scenario.robots.clock_drift_ppm * rng.uniform(-1, 1, count)
+    return lambda time_s: np.asarray(offsets_s + rates * time_s)
 
 
 def make_drive(scenario: Scenario, count: int) -> Drive:
@@ -82,6 +102,9 @@ def make_network(scenario: Scenario, rng: np.random.Generator) -> Network:
     """The radio of a scenario, its losses and delays drawn from `rng`."""
     model = scenario.network
     parameters = NetworkParameters(
-        message_loss=model.message_loss, delay_s=model.delay_s, repeats=model.repeats
+        message_loss=model.message_loss,
+        delay_s=model.delay_s,
+        repeats=model.repeats,
+        relay_s=model.relay_s if model.relay else None,
     )
     return Network(parameters, rng, len(scenario.units))

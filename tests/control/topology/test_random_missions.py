@@ -6,19 +6,17 @@ import numpy as np
 import pytest
 from scipy.spatial.distance import pdist
 
-from skyherd.control import fit_similarity
+from skyherd.control import TeamClock, fit_similarity
 from skyherd.datasets import make_mission
 from skyherd.datasets.generated.random_missions import (
     IN_COMMON,
     LEGIBLE_PX,
     SIDE_M,
-    legible,
     random_mission,
     star_mission,
 )
 from skyherd.geometry import to_complex, to_points
 from skyherd.loop import run_steps
-from skyherd.render import project
 from skyherd.sim.physics import make_world
 
 
@@ -29,6 +27,11 @@ def options(**changed) -> argparse.Namespace:
         "perception": "noisy",
         "network": "perfect",
         "kill": False,
+        "survivor": False,
+        "radio": None,
+        "form": "random",
+        "units": None,
+        "clocks": None,
         "rival": None,
     }
     return argparse.Namespace(**(usual | changed))
@@ -50,24 +53,33 @@ def test_a_random_mission_keeps_its_promises(seed) -> None:
     assert not left, "neighbours that see enough in common connect all units"
 
 
-def test_a_legible_mission_is_the_same_with_finer_images() -> None:
-    """Every ground point lies a whole number of times as far along each axis of the image, edge to edge."""
-    tree = random_mission(1)
-    coarse, fine = (make_mission(either) for either in (tree, legible(tree)))
-    ground = np.array([[0.3, -1.2], [2.0, 0.4]])
-    for unit in range(len(tree["units"])):
-        pose = make_world(coarse).fleet.pose(unit)
-        cameras = [make_world(mission).cameras[unit] for mission in (coarse, fine)]
-        finer = cameras[1].size_px[0] // cameras[0].size_px[0]
-        points = [project(camera, pose, ground) + 0.5 for camera in cameras]
-        np.testing.assert_allclose(points[1], finer * points[0], rtol=1e-12)
-        side_px = cameras[1].focal_px * SIDE_M / pose.height_m
-        assert LEGIBLE_PX <= side_px < LEGIBLE_PX * finer / max(finer - 1, 0.5)
+def test_markers_are_legible_at_the_start() -> None:
+    """Each is LEGIBLE_PX large at least, by the focal length and the height, and none twice as large."""
+    world = make_world(make_mission(random_mission(1)))
+    for unit, camera in enumerate(world.cameras):
+        side_px = camera.focal_px * SIDE_M / world.fleet.pose(unit).height_m
+        assert LEGIBLE_PX <= side_px < 2 * LEGIBLE_PX
 
 
-def test_no_marker_of_a_legible_mission_covers_another() -> None:
+def test_the_same_mission_can_be_drawn_and_projected() -> None:
+    """Only the perception differs: rendered images show what the projected ones hold, and markers that the
+    border cuts."""
+    steps = [
+        next(iter(run_steps(make_mission(random_mission(0) | {"perception": perception}))))
+        for perception in ("noisy", "rendered")
+    ]
+    seen = [{u: frame.sight.detections for u, frame in step.frames.items()} for step in steps]
+    for unit, projected in seen[0].items():
+        drawn = seen[1][unit]
+        both = drawn.select(projected.ids)
+        assert len(both) == len(projected) >= 5
+        order = np.argsort(both.ids), np.argsort(projected.ids)
+        assert np.abs(both.centers_px[order[0]] - projected.centers_px[order[1]]).max() < 0.05
+
+
+def test_no_marker_of_a_mission_covers_another() -> None:
     """Bodies hold a card of a side and a sixth all around, whichever way it is turned, and stay apart."""
-    scenario = make_mission(legible(random_mission(1))).scenario
+    scenario = make_mission(random_mission(1)).scenario
     card = 1 + 2 / 6
     assert scenario.avoidance.on
     assert scenario.robots.body_radius_sides >= card / np.sqrt(2)
@@ -95,6 +107,40 @@ def test_a_unit_that_dies_is_succeeded(load_benchmark, seed) -> None:
     row = load_benchmark("topology").run_mission(seed, options(kill=True))
     assert row["converged"]
     assert 0 < row["tc12_back_s"] < 30 and row["covered_s"] < 30
+
+
+@pytest.mark.parametrize(
+    ("seed", "form", "relay"),
+    [(3, "chain", True), (3, "chain", False), pytest.param(0, "star", True, marks=pytest.mark.slow)],
+)
+def test_units_that_receive_their_neighbors_alone_stay_inside_p_by_relay(
+    load_benchmark, seed, form, relay
+) -> None:
+    """Five units whose radio reaches a tenth farther than it must; without relays P is left."""
+    module = load_benchmark("topology")
+    made = module.mission_tree
+
+    def tree(number, chosen):
+        changed = made(number, chosen)
+        return changed | {"network": changed["network"] | {"relay": relay}}
+
+    module.mission_tree = tree
+    row = module.run_mission(seed, options(radio=1.1, form=form, units=(5, 5)))
+    assert row["cut_s"] == 0 and row["converged"] and row["least_gap_m"] > 0
+    assert (row["p_violation_s"] == 0) == relay
+
+
+@pytest.mark.parametrize("learns", [True, False])
+def test_units_whose_clocks_differ_stay_inside_p_by_the_teams_time(load_benchmark, learns) -> None:
+    """Clocks up to 5 s off that drift. Negative control: units that take each other's stamps as they are."""
+    module = load_benchmark("topology")
+    with pytest.MonkeyPatch.context() as patch:
+        if not learns:
+            patch.setattr(TeamClock, "hear", lambda *_: None)
+            patch.setattr(module.Watch, "done", lambda watch, step: watch.violated_s["p"] > 1.0)
+        row = module.run_mission(3, options(clocks=5.0))
+    assert row["least_gap_m"] > 0
+    assert (row["p_violation_s"] == 0 and row["converged"]) == learns
 
 
 def test_the_benchmark_notices_a_topology_that_leaves_p(load_benchmark) -> None:

@@ -7,12 +7,12 @@ import pytest
 
 from skyherd.control import BodyRule, RoleRule, Template, TreeRule
 from skyherd.control.tree.edge import Edge
-from skyherd.control.tree.failover import fail_over, name_heir
+from skyherd.control.tree.failover import fail_over, name_heir, successor_of
 from skyherd.control.tree.joining import admit
 from skyherd.control.tree.node_state import NodeState, Situation
 from skyherd.control.tree.offers import offerable
 from skyherd.control.tree.orphans import adopt_orphans, disown_lost
-from skyherd.control.tree.pair_exchange import _to_release, use_turns
+from skyherd.control.tree.pair_exchange import _to_release, receive_turns, use_turns
 from skyherd.control.tree.partition import heal_partition, leave_for_lower_tree
 from skyherd.control.tree.peer_reports import PeerReports
 from skyherd.control.tree.view_targets import seek_robots
@@ -266,3 +266,44 @@ def test_to_bind_a_weak_edge_a_unit_seeks_robots_that_its_neighbour_shares_with_
 def test_an_edge_whose_other_end_was_never_heard_is_given_up_after_a_silence(since_s, stays):
     state = NodeState(edges={1: Edge(0, 1, since_s, turn=4, pair=robots(1, 2))}, tree_id=0)
     assert (1 in fail_over(state, situation(0, []))["edges"]) == stays
+
+
+def test_the_successor_of_a_unit_that_died_with_its_heir_is_its_lowest_living_neighbor() -> None:
+    """Units 2 and its heir 1 fell silent at one time; 2 had pairs with 1, 3 and 5. The living name unit 3."""
+    gone = report(
+        2, 6.9, controls=[0, 1, 2, 3, 4, 5], heir=1, edges=[(1, 4, (0, 1)), (3, 5, (2, 3)), (5, 5, (4, 5))]
+    )
+    heir = report(1, 7.1, controls=[0, 1], edges=[(2, 4, (0, 1))])
+    for unit, other in ((3, 5), (5, 3)):
+        now = situation(unit, [gone, heir, report(other, 9.8, controls=[6])])
+        assert successor_of(now.peers.newest[2], now) == 3
+    alive = situation(5, [gone, replace(heir, time_s=9.0), report(3, 9.8)])
+    assert successor_of(alive.peers.newest[2], alive) == 1, "the heir, if it lives"
+    alone = situation(5, [gone, heir, report(3, 7.0)])
+    assert successor_of(alone.peers.newest[2], alone) == 5, "whoever is left"
+
+
+def test_two_ends_that_both_wait_for_the_first_turn_begin_with_the_lower_one() -> None:
+    """Units 1 and 4 both took themselves for the successor of a unit between them, with other pairs."""
+    ends = {
+        unit: NodeState(
+            tree_id=0, own=frozenset(own), edges={other: Edge(unit, other, 9.0, pair=frozenset(pair))}
+        )
+        for unit, other, own, pair in ((1, 4, {0}, (2, 3)), (4, 1, {7}, (5, 6)))
+    }
+    news = {
+        unit: report(unit, 9.9, controls=sorted(ends[unit].controlled), edges=[(other, -1, pair)])
+        for unit, other, pair in ((1, 4, (2, 3)), (4, 1, (5, 6)))
+    }
+    lower = replace(ends[1], **receive_turns(ends[1], situation(1, [news[4]])))
+    higher = replace(ends[4], **receive_turns(ends[4], situation(4, [news[1]])))
+    assert lower.edges[4].is_my_turn and lower.edges[4].pair == {2, 3}
+    assert higher.edges[1].turn == -1, "the higher one waits"
+    told = report(1, 10.1, controls=[0, 2, 3], edges=[(4, lower.edges[4].turn + 1, (2, 3))])
+    higher = replace(higher, **receive_turns(higher, situation(4, [told], time_s=10.2)))
+    assert higher.edges[1].pair == {2, 3} and higher.own == {5, 6, 7}
+    assert higher.controlled & lower.controlled == {2, 3}
+    unheard = report(4, 9.9, controls=[5], edges=[(1, 8, (2, 3))])
+    assert receive_turns(ends[1], situation(1, [unheard]))["edges"][4].turn == 8, (
+        "a turn that is told is taken"
+    )

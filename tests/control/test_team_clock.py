@@ -1,0 +1,93 @@
+"""The team's time: bounded by the leading clock, never behind a message by more than its extra delay."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from skyherd.control import TeamClock
+from skyherd.messages.clock_offset import DRIFT
+
+LEAST_S = 0.1
+
+
+@dataclass
+class Member:
+    """A member of a team with a clock that is off and drifts."""
+
+    offset_s: float
+    rate: float
+    clock: TeamClock = field(default_factory=lambda: TeamClock(LEAST_S))
+
+    def shows(self, time_s: float) -> np.ndarray:
+        return np.array([self.offset_s + self.rate * time_s])
+
+    def team_s(self, time_s: float) -> float:
+        return float(self.clock.time_s(self.shows(time_s))[0])
+
+
+MEMBERS = st.lists(st.tuples(st.floats(-20, 20), st.floats(-1e-4, 1e-4)), min_size=2, max_size=5)
+"""Offsets, s, and drifts of clocks."""
+
+
+@given(clocks=MEMBERS, seed=st.integers(0, 1000))
+def test_no_member_runs_ahead_of_the_leading_clock_nor_lags_behind_a_message(clocks, seed) -> None:
+    """60 s of messages at random, a third of them lost, each up to 0.3 s later than the fastest."""
+    rng = np.random.default_rng(seed)
+    members = [Member(offset_s, 1 + drift) for offset_s, drift in clocks]
+    flying, last_s = [], [-np.inf] * len(members)
+    for time_s in np.arange(0, 60, 0.2):
+        for arrival_s, stamp_s, sent_s, to in [item for item in flying if item[0] <= time_s]:
+            members[to].clock.hear(stamp_s, members[to].shows(arrival_s))
+            late_s = arrival_s - sent_s - LEAST_S
+            age_s = members[to].team_s(arrival_s) - stamp_s
+            assert age_s >= arrival_s - sent_s - late_s - 1e-4
+        flying = [item for item in flying if item[0] > time_s]
+        leading_s = max(float(member.shows(time_s)[0]) for member in members)
+        for number, member in enumerate(members):
+            team_s = member.team_s(time_s)
+            assert team_s <= leading_s + 1e-4 * LEAST_S * 300 + 1e-9
+            assert team_s >= last_s[number] + 0.2 * (1 - 1e-4 - DRIFT) - 1e-9, "it never goes back"
+            last_s[number] = team_s
+            to = int(rng.integers(len(members)))
+            if to != number and rng.random() > 1 / 3:
+                flying.append((time_s + LEAST_S + 0.3 * rng.random(), team_s, time_s, to))
+
+
+def test_who_hears_the_fastest_message_shares_the_senders_time_exactly() -> None:
+    """Clocks 7 s apart: after one message that took the least delay both show one time, for good."""
+    ahead, behind = Member(5.0, 1.0), Member(-2.0, 1.0)
+    behind.clock.hear(ahead.team_s(3.0), behind.shows(3.0 + LEAST_S))
+    assert behind.team_s(3.1) == pytest.approx(ahead.team_s(3.1), abs=1e-12)
+    behind.clock.hear(ahead.team_s(4.0), behind.shows(4.9))
+    assert ahead.team_s(5.0) - 2 * DRIFT <= behind.team_s(5.0) <= ahead.team_s(5.0)
+    ahead.clock.hear(behind.team_s(5.0), ahead.shows(5.1))
+    assert ahead.team_s(6.0) == 11.0, "the clock that leads goes by itself"
+
+
+def test_members_that_only_listen_follow_the_team_also_where_their_own_clocks_lead() -> None:
+    """A robot's clock that is 5 s fast says nothing of the team's time, unless it has heard of no other."""
+    listening, sending = TeamClock(0.0, 2, listens=True), TeamClock(0.0, 2)
+    own_s = np.array([15.0, 5.0])
+    assert np.array_equal(listening.time_s(own_s), own_s)
+    for clock in (listening, sending):
+        clock.hear(10.0, own_s, np.array([0, 1]))
+    assert listening.time_s(own_s).tolist() == [10.0, 10.0]
+    assert sending.time_s(own_s).tolist() == [15.0, 10.0]
+
+
+def test_a_message_reaches_only_the_members_that_received_it() -> None:
+    clock = TeamClock(0.5, 3)
+    clock.hear(20.0, np.zeros(3), np.array([1]))
+    assert clock.time_s(np.zeros(3)).tolist() == [0.0, 20.5, 0.0]
+
+
+def test_a_bound_gives_way_so_that_a_fast_clock_does_not_run_away_from_its_team() -> None:
+    """A listener's clock is 100 parts in a million fast; each second a message tells the time."""
+    clock, rate = TeamClock(0.0, 1, listens=True), 1 + 1e-4
+    for time_s in range(1000):
+        clock.hear(float(time_s), np.array([rate * time_s]))
+        assert clock.time_s(np.array([rate * time_s]))[0] == pytest.approx(time_s, abs=1e-9)
+    assert abs(clock.time_s(np.array([rate * 1000.0]))[0] - 1000.0) <= 1e-4 + DRIFT

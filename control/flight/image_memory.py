@@ -17,9 +17,9 @@ class ImageMemory:
     """Last known image points of the team in one unit's image, updated as the unit moves.
 
     Two robots that two units see determine the similarity between their images, and so the places in this
-    unit's image of all robots that the other unit sees, outside the frame as well. The similarity between
-    this unit's last image and the present one, fitted to the robots in both, moves the points of robots that
-    nobody sees now.
+    unit's image of all robots that the other unit sees, outside the frame as well; two robots placed so do
+    the same for a unit that shares none with this one. The similarity between this unit's last image and the
+    present one, fitted to the robots in both, moves the points of robots that nobody sees now.
 
     Attributes:
         template: names the team.
@@ -51,11 +51,25 @@ class ImageMemory:
         in_view = np.zeros(self.known.size, dtype=bool)
         in_view[rows] = True
         self.centers_px.clear()
-        if reports:
-            self._place_reported(reports, in_view)
+        while reports:
+            placed, reports = self._place_reported(reports, in_view)
+            if not placed:
+                break
+            in_view[self.rows(np.concatenate([report.ids for report in placed]))] = True
 
-    def _place_reported(self, reports: Sequence[UnitReport], in_view: BoolArray) -> None:
-        """Place robots that only others see; of several reports of one robot the last counts."""
+    def _place_reported(
+        self, reports: Sequence[UnitReport], in_view: BoolArray
+    ) -> tuple[list[UnitReport], list[UnitReport]]:
+        """Place robots that only others see; of several reports of one robot the last counts.
+
+        Args:
+            reports: reports of other units.
+            in_view: (N,) robots whose places in this unit's present image are known.
+
+        Returns:
+            The reports whose robots were placed, and those that have fewer than two robots in common with
+            what was known.
+        """
         sender = np.repeat(np.arange(len(reports)), [report.ids.size for report in reports])
         rows = self.rows(np.concatenate([report.ids for report in reports]))
         points = to_complex(np.concatenate([report.points_px for report in reports]))
@@ -71,6 +85,10 @@ class ImageMemory:
         units = (reports[row].unit_id for row in fitted)
         self.centers_px.update(
             zip(units, images(middles, np.array(fitted, dtype=np.int64)).tolist(), strict=True)
+        )
+        return (
+            [report for report, exists in zip(reports, images.exist, strict=True) if exists],
+            [report for report, exists in zip(reports, images.exist, strict=True) if not exists],
         )
 
     def rows(self, ids: IntArray) -> IntArray:

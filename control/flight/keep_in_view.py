@@ -8,13 +8,21 @@ import numpy as np
 from skyherd.control.flight.image_memory import ImageMemory
 from skyherd.control.formation.template import Template
 from skyherd.control.policy import FlightLaw, FlightTask
-from skyherd.geometry import Array, to_points
-from skyherd.messages import Detections, FlightCommand, UnitReport, centred
+from skyherd.geometry import Array, IntArray, to_points
+from skyherd.messages import NO_ID, Detections, FlightCommand, UnitReport, centred
 from skyherd.messages.checks import check_numbers
 
 LEAST_DISTANCE = 1e-6
 """Distances between image centres, in half images, are held above this where they divide: two units may hang
 at one place, and are then not pushed in any direction."""
+
+ANCHORS = 3
+"""Robots that a unit on patrol must see, to know where the others are. Chosen: two give the similarity
+between two images, and one may be missed."""
+
+CEILING = 0.1
+"""A unit that could go higher by less than this share of its height is at its ceiling. Chosen: it gets there
+by ever smaller steps, and what it would still see by going on is a tenth more."""
 
 
 @dataclass
@@ -30,6 +38,9 @@ class KeepInView(FlightLaw):
       place yet, it climbs.
     - Robots that it seeks count as well. They draw it aside only while the set itself is within the radius,
       since below a ceiling it may be unable to have both.
+    - What it has to see may be more than it can, where markers would become too small. Then it patrols: it
+      flies to the robot that it has not seen for longest until it has seen it for `patrol_s`, and then to the
+      next, as long as it sees enough others to know where it is.
     - A unit without robots keeps in view all that it sees, and climbs to see more.
     - Units that come too near to one another, measured between image centres in marker sides, move apart.
     - Of several units with the same set, all but the first stay where they are.
@@ -45,6 +56,8 @@ class KeepInView(FlightLaw):
         separation_sides: least distance between the image centres of two units, in marker sides.
         least_side_px: the unit neither climbs nor zooms out beyond where the markers' median side is this,
             and sinks or zooms in where it is less, since a marker that is too small is not detected at all.
+        patrol_s: how long it looks at each robot on patrol. Chosen: two dwell times, in which a robot can be
+            adopted.
     """
 
     template: Template
@@ -55,8 +68,12 @@ class KeepInView(FlightLaw):
     dead_band: float = 0.02
     separation_sides: float = 6.0
     least_side_px: float = 12.0
+    patrol_s: float = 4.0
     memory: ImageMemory = field(init=False)
     _side_px: float = field(default=np.inf, init=False)
+    _target: int = field(default=NO_ID, init=False)
+    _target_seen_s: float = field(default=0.0, init=False)
+    _last_s: float = field(default=-np.inf, init=False)
 
     def __post_init__(self) -> None:
         gains = ("lateral_gain_mps", "climb_gain_mps", "zoom_gain_ps", "dead_band")
@@ -99,8 +116,11 @@ class KeepInView(FlightLaw):
         if not controlled.size or not self.memory.known[self.memory.rows(controlled)].all():
             excess = max(excess, self.desired_radius / 2)
         excess -= float(np.clip(excess, -self.dead_band, self.dead_band))
+        is_at_ceiling = excess > self._room and self._room < CEILING
+        wanted = self._patrol(seen, np.union1d(controlled, task.sought_ids)) if is_at_ceiling else None
         excess = min(excess, self._room)
-        lateral = self.lateral_gain_mps * _middle(points if is_kept else own) + self._away_from_others(seen)
+        middle = _middle(points if is_kept else own) if wanted is None else wanted
+        lateral = self.lateral_gain_mps * middle + self._away_from_others(seen)
         return FlightCommand(
             seen.unit_id,
             lateral,
@@ -108,6 +128,20 @@ class KeepInView(FlightLaw):
             yaw_rate_radps=0.0,
             zoom_rate_ps=-self.zoom_gain_ps * excess,
         )
+
+    def _patrol(self, seen: Detections, robots: IntArray) -> Array | None:
+        """The place (2,), in half images, to fly to while `robots` cannot all be seen at once, or None."""
+        known = robots[self.memory.known[self.memory.rows(robots)]]
+        if not known.size or len(seen) < ANCHORS:
+            self._target = NO_ID
+            return None
+        passed_s, self._last_s = seen.time_s - self._last_s, seen.time_s
+        in_view = self._target in seen.ids
+        self._target_seen_s += passed_s if in_view and np.isfinite(passed_s) else 0.0
+        if self._target not in known or self._target_seen_s >= self.patrol_s:
+            ages = self.memory.seen_s[self.memory.rows(known)]
+            self._target, self._target_seen_s = int(known[np.argmin(ages)]), 0.0
+        return self.memory.centred(np.array([self._target]), seen.image_size_px)[0]
 
     @property
     def _room(self) -> float:

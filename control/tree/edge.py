@@ -21,8 +21,9 @@ Robots = frozenset[int]
 NO_ROBOTS: Robots = frozenset()
 """An empty set of robots."""
 
-NO_TURN = -1
-"""Number of the turn at an end that has not received anything about the edge yet."""
+NO_TURN = -(2**53)
+"""Number of the turn at an end that has not received anything about the edge yet. *Derived*: below the
+milliseconds that any clock shows, also one that counts from a time to come, and exact in JSON."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +34,8 @@ class Edge:
         unit_id: the unit itself.
         neighbor_id: the unit at the other end.
         since_s: when this end came to be.
-        turn: number of the turn; the lower unit has the even ones. `NO_TURN` before the first report.
+        turn: number of the turn, which may be negative; the lower unit has the even ones. `NO_TURN` before
+            the first report.
         pair: the shared robots, none or two.
         offered: robots of the unit's own that the neighbour may take while it has the turn.
         reach: robots of the neighbour that the unit may take while it has the turn.

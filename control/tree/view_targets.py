@@ -20,13 +20,14 @@ def seek_robots(state: NodeState, now: Situation) -> Changes:
     """At a slot: choose robots to get into view: missing ones, and pairs that would bind weak edges firmly.
 
     A neighbour reports robots of its own that it has not seen for a silence; the unit looks for those that it
-    saw itself, or began to look for, within its patience. Both units of an edge know each other's control set
-    and the shape, and so which pair would bind them firmly, seen or not; while theirs is weak they fly to see
-    a better one.
+    saw itself, or began to look for, within its patience. Robots that no living member controls, as those of
+    units that died with all their neighbours, it looks for until somebody has them. Both units of an edge
+    know each other's control set and the shape, and so which pair would bind them firmly, seen or not; while
+    theirs is weak they fly to see a better one.
     """
     if not now.at_slot:
         return Changes()
-    robots: set[int] = set()
+    robots = set(now.shape.members - now.claimed - state.controlled) if state.ready else set[int]()
     missed_since_s = dict(state.missed_since_s)
     for edge in state.edges.values():
         neighbor = now.peers.newest[edge.neighbor_id]

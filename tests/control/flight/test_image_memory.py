@@ -115,3 +115,23 @@ def test_points_from_the_centre_are_in_half_images(make_detections) -> None:
     np.testing.assert_allclose(
         memory.centred(np.array([0, 1, 2]), seen.image_size_px), [[0, 0], [1.0, -0.5]], atol=1e-12
     )
+
+
+@pytest.mark.parametrize("first", [1, 2])
+def test_units_that_share_no_robot_with_this_one_are_placed_through_others(
+    make_detections, make_report, first
+) -> None:
+    """Unit 2 shares robots with unit 1 alone, in whatever order their reports come; unit 3 with nobody."""
+    _, ground, (ours, theirs), template = scene(3)
+    ids = template.ids
+    seen = {1: slice(2, 6), 2: slice(4, 8), 3: slice(8, 9)}
+    reports = {
+        unit: make_report(unit, ids[part], (unit + 1j) * theirs(ground[part]), NO_ID)
+        for unit, part in seen.items()
+    }
+    memory = ImageMemory(template)
+    ours_now = make_detections(ids[:4], ours(ground[:4]))
+    memory.update(ours_now, [reports[first], reports[3 - first], reports[3]])
+    np.testing.assert_allclose(known_points(memory, ids[:8]), ours(ground[:8]), rtol=0, atol=1e-8)
+    assert not memory.known[8]
+    assert set(memory.centers_px) == {1, 2}

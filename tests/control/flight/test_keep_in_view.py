@@ -189,3 +189,47 @@ def test_a_unit_that_sees_nothing_climbs(make_detections) -> None:
         seen, FlightTask(np.array([], dtype=np.int64)), []
     )
     assert command.climb_mps > 0 and not command.lateral_mps.any()
+
+
+def fly_below_a_ceiling(make_detections, seconds, **settings):
+    """A unit at its ceiling, over robots along a line of four views: who is seen in each image.
+
+    Robots stand still; what lies within one half image of the unit's place is in view.
+    """
+    ground = np.array([-2.4, -2.0, -1.2, -0.6, 0.0, 0.3, 1.1, 1.9])
+    flight = KeepInView(TEMPLATE, separation_sides=0.0, **settings)
+    place, views = 0.0, []
+    for tick in range(int(5 * seconds)):
+        away = ground - place
+        ids = np.flatnonzero(np.abs(away) < 1.0)
+        seen = view_of(
+            make_detections,
+            away[ids],
+            ids,
+            time_s=0.2 * tick,
+            sides=np.full(ids.size, flight.least_side_px),
+        )
+        command = flight.command(seen, FlightTask(np.arange(8)), [])
+        place += 0.2 * float(command.lateral_mps[0])
+        if tick == 0:
+            flight.memory.points_px[:] = CENTRE + HALF_PX * away
+            flight.memory.known[:] = True
+        views.append(ids)
+    return views
+
+
+def test_a_unit_at_its_ceiling_visits_robots_that_it_cannot_see_all_at_once(make_detections) -> None:
+    """Each of eight robots comes into view again and again, for as long as it takes to adopt one."""
+    views = fly_below_a_ceiling(make_detections, 120.0)
+    for robot in range(8):
+        seen = np.array([robot in ids for ids in views])
+        edges = np.flatnonzero(np.diff(seen.astype(int)) == 1)
+        assert edges.size >= 2 or seen[-1], robot
+        assert seen.sum() * 0.2 >= 4.0
+    assert min(ids.size for ids in views) >= 2, "it always knows where it is"
+
+
+def test_without_a_patrol_it_would_stay_over_the_middle(make_detections) -> None:
+    """Negative control: as soon as the first look lasts for ever, robots at the ends are never seen."""
+    views = fly_below_a_ceiling(make_detections, 120.0, patrol_s=1e9)
+    assert len({robot for ids in views[100:] for robot in ids.tolist()}) < 8

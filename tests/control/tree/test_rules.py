@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from skyherd.control import BodyRule, RoleRule, Template, TreeRule
-from skyherd.control.tree.edge import Edge
+from skyherd.control.tree.edge import NO_TURN, Edge
 from skyherd.control.tree.failover import fail_over, name_heir, successor_of
 from skyherd.control.tree.joining import admit
 from skyherd.control.tree.node_state import NodeState, Situation
@@ -292,13 +292,13 @@ def test_two_ends_that_both_wait_for_the_first_turn_begin_with_the_lower_one() -
         for unit, other, own, pair in ((1, 4, {0}, (2, 3)), (4, 1, {7}, (5, 6)))
     }
     news = {
-        unit: report(unit, 9.9, controls=sorted(ends[unit].controlled), edges=[(other, -1, pair)])
+        unit: report(unit, 9.9, controls=sorted(ends[unit].controlled), edges=[(other, NO_TURN, pair)])
         for unit, other, pair in ((1, 4, (2, 3)), (4, 1, (5, 6)))
     }
     lower = replace(ends[1], **receive_turns(ends[1], situation(1, [news[4]])))
     higher = replace(ends[4], **receive_turns(ends[4], situation(4, [news[1]])))
     assert lower.edges[4].is_my_turn and lower.edges[4].pair == {2, 3}
-    assert higher.edges[1].turn == -1, "the higher one waits"
+    assert higher.edges[1].turn == NO_TURN, "the higher one waits"
     told = report(1, 10.1, controls=[0, 2, 3], edges=[(4, lower.edges[4].turn + 1, (2, 3))])
     higher = replace(higher, **receive_turns(higher, situation(4, [told], time_s=10.2)))
     assert higher.edges[1].pair == {2, 3} and higher.own == {5, 6, 7}
@@ -307,3 +307,13 @@ def test_two_ends_that_both_wait_for_the_first_turn_begin_with_the_lower_one() -
     assert receive_turns(ends[1], situation(1, [unheard]))["edges"][4].turn == 8, (
         "a turn that is told is taken"
     )
+
+
+@pytest.mark.parametrize(
+    ("ready", "living", "sought"), [(True, 9.5, {7}), (True, 6.0, {6, 7}), (False, 9.5, set())]
+)
+def test_robots_that_no_living_member_controls_are_looked_for(ready, living, sought):
+    """Robots 0 to 5 are the unit's, 6 another's, who may have fallen silent, and 7 nobody's."""
+    state = NodeState(own=robots(0, 1, 2, 3, 4, 5), tree_id=0, ready=ready)
+    now = situation(0, [report(1, living, controls=[6])])
+    assert seek_robots(state, now)["sought"] == sought

@@ -141,7 +141,7 @@ class KeepInView(FlightLaw):
         if self._target not in known or self._target_seen_s >= self.patrol_s:
             ages = self.memory.seen_s[self.memory.rows(known)]
             self._target, self._target_seen_s = int(known[np.argmin(ages)]), 0.0
-        return self.memory.centred(np.array([self._target]), seen.image_size_px)[0]
+        return np.asarray(self.memory.centred(np.array([self._target]), seen.image_size_px)[0])
 
     @property
     def _room(self) -> float:

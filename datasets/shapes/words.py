@@ -141,6 +141,6 @@ def _spread(strokes: list[Stroke], joints: ComplexArray, count: int) -> ComplexA
         points += [joints[[last]]] if last not in written | {first} else []
         written |= {first, last}
     placed = np.concatenate(points)
-    nearest = cKDTree(to_points(placed)).query(to_points(placed), k=2)[0][:, 1]
+    nearest = np.asarray(cKDTree(to_points(placed)).query(to_points(placed), k=2)[0])[:, 1]
     is_clear = nearest.min() >= LEAST_SPACING * sum(lengths) / sum(parts)
     return placed if is_clear else None

@@ -5,10 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from skyherd.cli.run import _warn_of_the_radio
 from skyherd.datasets.configuration.mission import make_mission
 from skyherd.datasets.generated.random_missions import Crowd, random_mission
 from skyherd.loop import run_steps
-from skyherd.sim.network import Network, NetworkParameters
+from skyherd.sim.network import Network, NetworkParameters, connected_parts
 from skyherd.sim.physics import make_network
 
 
@@ -118,6 +119,34 @@ def test_a_report_that_was_lost_on_its_way_is_passed_on_with_the_next_one_of_the
             network.deliver(float(tick))
         heard += 0 in network.reports[2]
     assert heard == 50
+
+
+def test_parts_of_a_team_that_hear_of_each_other() -> None:
+    assert connected_parts(CHAIN) == [[0, 1, 2, 3]]
+    assert connected_parts([[0, 2], [1], [0, 2], [3, 4], [3, 4]]) == [[0, 2], [1], [3, 4]]
+
+
+@pytest.mark.parametrize(
+    ("network", "warning"),
+    [
+        ({"range_m": 3.0}, "units 0 | 1 cannot hear of each other at the start (network.range_m = 3)"),
+        ({"range_m": 30.0}, ""),
+        ({"range_m": 30.0, "relay": False}, ""),
+        ({}, ""),
+    ],
+)
+def test_a_mission_whose_radio_does_not_connect_its_units_says_so(capsys, network, warning) -> None:
+    tree = random_mission(3, Crowd(2, 5)) | {"network": network}
+    _warn_of_the_radio(make_mission(tree))
+    assert warning in capsys.readouterr().err.replace("\n", " ")
+    if not warning:
+        assert not capsys.readouterr().err
+
+
+def test_a_mission_without_relays_is_told_what_comes_of_it(capsys) -> None:
+    tree = random_mission(3, Crowd(5, 4, "chain")) | {"network": {"range_m": 9.0, "relay": False}}
+    _warn_of_the_radio(make_mission(tree))
+    assert "network.relay is false" in capsys.readouterr().err
 
 
 def test_units_out_of_range_do_not_hear_one_another() -> None:

@@ -50,6 +50,7 @@ def run(
     mission = load_mission(scenario, chosen, seed=seed)
     folder = out_dir or Path("runs") / mission.scenario.name
     _warn_of_slow_cameras(mission)
+    _warn_of_the_radio(mission)
     with (
         telling_of_interrupts(lambda: _what_is_left(folder)),
         ProgressReporter() as progress,
@@ -81,6 +82,28 @@ def _warn_of_slow_cameras(mission: "Mission") -> None:
     for unit, model in enumerate(mission.scenario.units):
         if mission.scenario.robots.timeout_s * model.frame_rate_hz < 1:
             warn(f"unit {unit} takes an image less often than robots.timeout_s: its robots stop and go")
+
+
+def _warn_of_the_radio(mission: "Mission") -> None:
+    """Warn of units that cannot hear of each other, though the tree of units rests on it."""
+    from skyherd.sim.network import connected_parts
+    from skyherd.sim.physics import make_world
+
+    scenario, in_range = mission.scenario, make_world(mission).in_range()
+    if in_range is None or scenario.selection.kind == "radius":
+        return
+    parts = connected_parts(in_range)
+    if len(parts) > 1:
+        units = " | ".join(", ".join(map(str, part)) for part in parts)
+        warn(
+            f"units {units} cannot hear of each other at the start (network.range_m = "
+            f"{scenario.network.range_m:g}): each part makes a tree of its own, until they come nearer"
+        )
+    elif not scenario.network.relay and any(len(others) < len(in_range) for others in in_range):
+        warn(
+            "not every unit hears every other one, and network.relay is false: a unit that is not heard of "
+            "counts as dead, so that TC1-TC5 are left"
+        )
 
 
 class _FirstImages:

@@ -157,3 +157,22 @@ class Network:
         if self.parameters.message_loss == 0:
             return np.ones(count, dtype=bool)
         return self.rng.random(count) >= self.parameters.message_loss
+
+
+def connected_parts(in_range: Sequence[Sequence[int]]) -> list[list[int]]:
+    """The parts of a team that hear of each other by relay, each ascending, by their first units.
+
+    Args:
+        in_range: by unit, the units that receive its radio.
+    """
+    parts: list[list[int]] = []
+    unvisited = set(range(len(in_range)))
+    while unvisited:
+        part, ahead = set[int](), [min(unvisited)]
+        while ahead:
+            unit = ahead.pop()
+            part.add(unit)
+            ahead += [other for other in in_range[unit] if other not in part]
+        parts.append(sorted(part))
+        unvisited -= part
+    return parts

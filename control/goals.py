@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from skyherd.control.formation.similarity import fit_similarity
+from skyherd.control.formation.similarity import fit_goals
 from skyherd.control.formation.template import Template
 from skyherd.geometry import Array, BoolArray, IntArray, to_complex, wrap_angle
 from skyherd.messages import Detections, MotionGoals, among
@@ -33,12 +33,12 @@ def motion_goals(
         scales: bounds of the similarity's scale, image pixels a template pixel (control/formation/size.py).
 
     Raises:
-        DegenerateSetError: the controlled robots seen define no similarity.
+        DegenerateSetError: fewer than two controlled robots are seen, or all at one place.
     """
     rows = np.flatnonzero(among(seen.ids, controlled_ids))
     ids, seen_px = seen.ids[rows], to_complex(seen.centers_px)
     points, current = template.points_of(ids), seen_px[rows]
-    rho = fit_similarity(points, current).resized(*scales)(points) - current
+    rho = fit_goals(points, current).resized(*scales)(points) - current
     distances = np.abs(current[:, None] - seen_px)
     is_sent = (_nearest_mask(distances, nearest) | among(seen.ids, shared_ids)) & (ids[:, None] != seen.ids)
     neighbor_ids, neighbor_distances = _as_rows(is_sent, seen.ids, distances)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skyherd.errors import DegenerateSetError
+from skyherd.errors import DegenerateSetError, SingularSetError
 from skyherd.geometry import Array, BoolArray, ComplexArray, IntArray
 
 COINCIDENT = 1e-12
@@ -22,6 +22,12 @@ VANISHING = 1e-9
 """A fit counts as having scale zero if it explains less than the square of this share of the points' squared
 spread. Chosen: above the rounding of a sum of some hundred products (1e-14), so that a square fitted to its
 mirror image, which is best fitted by scale zero, is told apart from a poor fit."""
+
+LEAST_SHARE = 0.01
+"""Least scale of the goals' similarity, as a share of the root mean square distance of the current points
+over that of the template. Chosen: the fit of a start that is below explains less than a ten-thousandth of its
+squared spread, as of one start in 2500 of six robots at random places (the share explained has the
+distribution Beta(1, 4)), so that the law is the paper's for all others."""
 
 
 @dataclass(frozen=True)
@@ -88,8 +94,33 @@ def fit_similarity(template: ComplexArray, current: ComplexArray) -> Similarity:
         raise DegenerateSetError("all current points coincide; at least two must differ")
     factor = complex(np.vdot(template_c, current_c) / spread)
     if abs(factor) ** 2 * spread <= VANISHING**2 * np.vdot(current_c, current_c).real:
-        raise DegenerateSetError("the best-fitting similarity has size zero, so no rotation fits best")
+        raise SingularSetError("the best-fitting similarity has size zero, so no rotation fits best")
     return Similarity(factor, complex(source), complex(target))
+
+
+def fit_goals(template: ComplexArray, current: ComplexArray) -> Similarity:
+    """The similarity (see `fit_similarity`), or near a singular arrangement one that leads out of it.
+
+    With `t` and `x` the centred template and current points, `x = a t + y` and y at right angles to t, the
+    law `x' = -k (x - H t)` with the best-fitting `H = a` lets y die out and leaves a as it is. Where a is 0
+    no rotation fits best (the paper's Remark 2). So the scale is at least `LEAST_SHARE |x| / |t|`, with the
+    rotation of the best fit, or the template's own in the image where there is none. y dies out as before,
+    and with it V, and a grows: from 0 to `LEAST_SHARE / e` of what x was at the start. A shape so small is
+    what bounds on its size are for (`skyherd.control.formation.size`).
+
+    Raises:
+        DegenerateSetError: as `fit_similarity`, but for the singular arrangements.
+    """
+    try:
+        best = fit_similarity(template, current)
+    except SingularSetError:
+        best = Similarity(0j, complex(template.mean()), complex(current.mean()))
+    spreads = (float(np.linalg.norm(points - points.mean())) for points in (current, template))
+    least = LEAST_SHARE * next(spreads) / next(spreads)
+    if best.scale >= least:
+        return best
+    direction = best.factor / best.scale if best.scale else 1.0
+    return Similarity(least * direction, best.source, best.target)
 
 
 @dataclass(frozen=True)

@@ -52,6 +52,10 @@ class DegenerateSetError(SkyherdError, ValueError):
     """A set of points defines no similarity: there are fewer than two, or all lie in one place."""
 
 
+class SingularSetError(DegenerateSetError):
+    """A set of points is fitted best by a similarity of scale zero, so that no rotation fits best."""
+
+
 class OutputError(SkyherdError, OSError):
     """A file could not be written, or not completely."""
 

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from skyherd.control import Template, motion_goals
-from skyherd.errors import DegenerateSetError, MessageError
+from skyherd.control.formation.similarity import fit_goals, fit_similarity
+from skyherd.errors import DegenerateSetError, MessageError, SingularSetError
 
 NO_ID = np.array([], dtype=np.int64)
 
@@ -120,3 +121,46 @@ def test_messages_refuse_repeated_ids_and_nonsense(make_detections, make_goals) 
         make_detections([4, 5], [1, 2], sides=[3, 0])
     with pytest.raises(MessageError, match="sides_px must be positive"):
         make_goals(0, [1], [1j], sides=[-1])
+
+
+TRIANGLE = np.exp(2j * np.pi * np.arange(3) / 3)
+
+
+def test_a_team_that_stands_as_the_mirror_image_of_its_shape_is_led_out_of_it(make_detections) -> None:
+    """Remark 2: no rotation of an equilateral triangle fits its mirror image. It would get no goal for ever.
+
+    Points without limits follow `x' = k ρ`: V falls from first to last. The scale a grows by
+    `a' = k (w e^{-kt} - a)` up to where the fit takes over, at `kt = 1`.
+    """
+    template = Template([0, 1, 2], TRIANGLE)
+    places = 400 + 400j + 100 * TRIANGLE.conj()
+    with pytest.raises(SingularSetError):
+        fit_similarity(TRIANGLE, places)
+    costs = []
+    for _ in range(400):
+        seen = make_detections([0, 1, 2], places)
+        goals = motion_goals(seen, seen.ids, template, shared_ids=np.zeros(0, int), nearest=2)
+        places = places + 0.05 * goals.rho_px * np.exp(-1j * goals.bearings_rad)
+        centred = places - places.mean()
+        along = np.vdot(TRIANGLE, centred) / 3
+        costs.append(np.linalg.norm(centred - along * TRIANGLE))
+    assert (np.diff(costs) < 0).all() and costs[-1] < 1e-6
+    assert abs(along) == pytest.approx(100 * 0.01 / np.e, rel=0.05)
+
+
+@pytest.mark.parametrize(("share", "as_it_is"), [(0.012, True), (0.008, False)])
+def test_only_starts_that_hardly_resemble_the_shape_are_led(share, as_it_is) -> None:
+    """`share` is the part of the spread that the best fit explains; the rotation is the fit's."""
+    mirrored = np.sqrt(1 - share**2) * TRIANGLE.conj()
+    places = 50 * (mirrored + share * np.exp(0.7j) * TRIANGLE)
+    fitted, led = fit_similarity(TRIANGLE, places), fit_goals(TRIANGLE, places)
+    assert (led == fitted) == as_it_is
+    assert led.scale == pytest.approx(50 * max(share, 0.01))
+    assert led.rotation_rad == pytest.approx(0.7)
+
+
+def test_where_it_is_led_to_depends_neither_on_pixels_nor_on_the_templates_size() -> None:
+    places = TRIANGLE.conj() + 0.001 * np.array([1, 1j, -1])
+    led = fit_goals(TRIANGLE, places)
+    larger = fit_goals(7 * TRIANGLE + 3, 20 * places - 5j)
+    assert larger.factor == pytest.approx(20 / 7 * led.factor)

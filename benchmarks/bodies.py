@@ -19,6 +19,7 @@ asked for.
 """
 
 import argparse
+import json
 from functools import partial
 from pathlib import Path
 from time import perf_counter
@@ -253,7 +254,8 @@ def main() -> None:
         print(compare(*(read_rows(path) for path in options.compare)))
         return
     seeds = range(options.seed, options.seed + options.missions)
-    print(summarize(gather(partial(run_mission, options=options), seeds, options.jobs, options.json)))
+    rows = gather(partial(run_mission, options=options), seeds, options.jobs, options.json)
+    print(json.dumps(summarize(rows), indent=1))
 
 
 if __name__ == "__main__":

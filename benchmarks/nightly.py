@@ -1,0 +1,196 @@
+"""What the gate has no time for: slow tests, missions at a tenth of their published size, random tests.
+
+    python benchmarks/nightly.py                          # all, with seeds of today; hours on two cores
+    python benchmarks/nightly.py --only trees crowds --share 0.02
+    python benchmarks/nightly.py --table docs/nightly.md  # the table put there
+
+`.ci/nightly` runs it in a fresh environment. Every step that is not what it should be is named at the end,
+and the exit code is 1 then. The seeds of missions and random tests follow from the day (`--day` for another
+one), so that every night sees others, and any night can be had again.
+"""
+
+import argparse
+import datetime
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+from skyherd.files.atomic import write_text
+
+ROOT = Path(__file__).parents[1]
+
+Summary = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Missions:
+    """A benchmark over random missions.
+
+    Attributes:
+        script: in this folder.
+        arguments: of its command line.
+        published: number of missions of the published figure, of which a share is run.
+        is_right: whether its summary is what is published.
+        told: of a summary, what the table shows.
+    """
+
+    script: str
+    arguments: tuple[str, ...]
+    published: int
+    is_right: Callable[[Summary], bool]
+    told: Callable[[Summary], str]
+
+
+def _all_formed(summary: Summary) -> bool:
+    return bool(summary["missions"]) and summary["converged"] == summary["missions"]
+
+
+def _inside_p(summary: Summary) -> bool:
+    return _all_formed(summary) and summary["longest_violation_of_those_never_cut_s"] == 0
+
+
+def _tell_trees(summary: Summary) -> str:
+    return (
+        f"{summary['converged']} of {summary['missions']} formed, {summary['inside_p_throughout']} inside P "
+        f"throughout, radio cut in {summary['missions_cut']}, least gap {summary['least_gap_m']:.3f} m"
+    )
+
+
+MISSIONS: Mapping[str, Missions] = {
+    "trees": Missions("topology.py", (), 1000, _inside_p, _tell_trees),
+    "rendered": Missions("topology.py", ("--perception", "rendered"), 100, _inside_p, _tell_trees),
+    "lossy": Missions("topology.py", ("--network", "lossy"), 200, _inside_p, _tell_trees),
+    "killed": Missions("topology.py", ("--kill",), 300, _all_formed, _tell_trees),
+    "survivors": Missions("topology.py", ("--survivor",), 100, _all_formed, _tell_trees),
+    "chains": Missions(
+        "topology.py",
+        ("--radio", "1.5", "--form", "chain", "--units", "3", "12"),
+        100,
+        _inside_p,
+        _tell_trees,
+    ),
+    "stars": Missions(
+        "topology.py", ("--radio", "1.5", "--form", "star", "--units", "4", "7"), 100, _inside_p, _tell_trees
+    ),
+    "radios": Missions("topology.py", ("--radio", "1.5", "--units", "3", "12"), 100, _inside_p, _tell_trees),
+    "clocks": Missions("topology.py", ("--clocks", "5"), 200, _inside_p, _tell_trees),
+    "crowds": Missions(
+        "bodies.py",
+        (),
+        1000,
+        lambda summary: _all_formed(summary) and summary["with_collisions"] == 0,
+        lambda summary: (
+            f"{summary['converged']} of {summary['missions']} formed, "
+            f"{summary['with_collisions']} with collisions"
+        ),
+    ),
+}
+"""Missions by name, each with what is published of it."""
+
+TESTS: Mapping[str, tuple[str, ...]] = {
+    "slow tests": ("-m", "slow and not random"),
+    "random tests": ("-m", "random"),
+}
+"""Arguments of pytest, by name."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of one step: its command, whether it is right, what to tell of it, and its time, s."""
+
+    name: str
+    command: str
+    is_right: bool
+    told: str
+    took_s: float
+
+
+def run_tests(name: str, jobs: int, day: int) -> Outcome:
+    """Run one group of tests."""
+    command = ["pytest", "-q", "-n", str(jobs), *TESTS[name]]
+    began_s = perf_counter()
+    ended = subprocess.run(
+        [sys.executable, "-m", *command],
+        cwd=ROOT,
+        env=os.environ | {"SKYHERD_RANDOM_TESTS_SEED": str(day)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    lines = ended.stdout.splitlines()
+    failed = [line for line in lines if line.startswith(("FAILED", "ERROR"))]
+    print("\n".join(failed), flush=True)
+    told = "; ".join([(lines or [ended.stderr])[-1].strip("= "), *failed[:5]])
+    return Outcome(name, " ".join(command), ended.returncode == 0, told, perf_counter() - began_s)
+
+
+def run_missions(name: str, share: float, jobs: int, seed: int) -> Outcome:
+    """Run a share of one group of missions."""
+    missions = MISSIONS[name]
+    count = max(1, round(share * missions.published))
+    command = [f"benchmarks/{missions.script}", *missions.arguments]
+    command += ["--missions", str(count), "--seed", str(seed), "--jobs", str(jobs)]
+    began_s = perf_counter()
+    ended = subprocess.run(
+        [sys.executable, *command], cwd=ROOT, stdout=subprocess.PIPE, text=True, check=False
+    )
+    try:
+        summary = json.loads(ended.stdout)
+    except json.JSONDecodeError:
+        return Outcome(name, " ".join(command), False, "no summary", perf_counter() - began_s)
+    is_right = ended.returncode == 0 and missions.is_right(summary)
+    return Outcome(name, " ".join(command), is_right, missions.told(summary), perf_counter() - began_s)
+
+
+def as_table(outcomes: list[Outcome], date: datetime.date) -> str:
+    """The page with all outcomes."""
+    lines = [
+        "# The last night",
+        "",
+        f"Run on {date.isoformat()} by `.ci/nightly`, with seeds of that day.",
+        "",
+        "| step | as it should be | what came of it | minutes | command |",
+        "|---|---|---|---|---|",
+    ]
+    for outcome in outcomes:
+        verdict = "yes" if outcome.is_right else "**no**"
+        told = outcome.told.replace("|", "\\|")
+        lines.append(
+            f"| {outcome.name} | {verdict} | {told} | {outcome.took_s / 60:.1f} | `{outcome.command}` |"
+        )
+    return "\n".join(lines) + "\n"
+
+
+def main() -> None:
+    """Run the steps, print and write the table; exit code 1 if one is not what it should be."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--only", nargs="+", choices=[*MISSIONS, *TESTS], metavar="STEP")
+    parser.add_argument("--share", type=float, default=0.1, help="of the published number of missions")
+    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("--day", type=datetime.date.fromisoformat, default=datetime.date.today())
+    parser.add_argument("--table", type=Path)
+    options = parser.parse_args()
+    chosen = options.only or [*MISSIONS, *TESTS]
+    seed = 1000 * options.day.toordinal()
+    outcomes = []
+    for name in chosen:
+        if name in TESTS:
+            outcomes.append(run_tests(name, options.jobs, options.day.toordinal()))
+        else:
+            outcomes.append(run_missions(name, options.share, options.jobs, seed))
+        print(as_table(outcomes[-1:], options.day).splitlines()[-1], flush=True)
+        if options.table:
+            write_text(options.table, as_table(outcomes, options.day))
+    wrong = [outcome.name for outcome in outcomes if not outcome.is_right]
+    print(f"not as it should be: {', '.join(wrong)}" if wrong else "all as it should be")
+    sys.exit(bool(wrong))
+
+
+if __name__ == "__main__":
+    main()

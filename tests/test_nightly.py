@@ -1,0 +1,74 @@
+"""The nightly run tells what is not as it should be, and never that all is well without having seen it."""
+
+import datetime
+import json
+import subprocess
+
+import pytest
+
+GOOD = {
+    "missions": 4,
+    "converged": 4,
+    "inside_p_throughout": 4,
+    "longest_violation_of_those_never_cut_s": 0.0,
+    "missions_cut": 1,
+    "least_gap_m": 0.1,
+    "with_collisions": 0,
+}
+
+
+@pytest.fixture
+def nightly(load_benchmark):
+    return load_benchmark("nightly")
+
+
+@pytest.mark.parametrize(
+    ("changed", "wrong"),
+    [
+        ({}, set()),
+        ({"converged": 3}, {"trees", "killed", "survivors", "crowds"}),
+        ({"longest_violation_of_those_never_cut_s": 0.2}, {"trees"}),
+        ({"with_collisions": 1}, {"crowds"}),
+        ({"missions": 0, "converged": 0}, {"trees", "killed", "survivors", "crowds"}),
+    ],
+)
+def test_each_group_of_missions_has_its_own_verdict(nightly, changed, wrong) -> None:
+    """Robots may be nobody's for a while after a death; without one P is never left."""
+    groups = {"trees", "killed", "survivors", "crowds"}
+    assert {name for name in groups if not nightly.MISSIONS[name].is_right(GOOD | changed)} == wrong
+
+
+@pytest.mark.parametrize(
+    ("printed", "code", "right"), [(json.dumps(GOOD), 0, True), (json.dumps(GOOD), 1, False), ("", 0, False)]
+)
+def test_a_benchmark_that_breaks_or_says_nothing_is_not_as_it_should_be(
+    nightly, monkeypatch, printed, code, right
+) -> None:
+    commands = []
+
+    def run(command, **_):
+        commands.append(command)
+        return subprocess.CompletedProcess(command, code, stdout=printed)
+
+    monkeypatch.setattr(nightly.subprocess, "run", run)
+    outcome = nightly.run_missions("clocks", 0.1, 2, 7000)
+    assert outcome.is_right == right
+    assert commands[0][-6:] == ["--missions", "20", "--seed", "7000", "--jobs", "2"]
+
+
+def test_the_table_has_a_row_for_each_step_and_shows_what_is_wrong(nightly) -> None:
+    outcomes = [
+        nightly.Outcome("trees", "a", True, "all", 60.0),
+        nightly.Outcome("slow tests", "b", False, "1 failed | x", 90.0),
+    ]
+    rows = nightly.as_table(outcomes, datetime.date(2026, 1, 2)).splitlines()
+    assert "2026-01-02" in rows[2]
+    assert rows[-2:] == [
+        "| trees | yes | all | 1.0 | `a` |",
+        "| slow tests | **no** | 1 failed \\| x | 1.5 | `b` |",
+    ]
+
+
+def test_missions_of_two_days_have_no_seed_in_common(nightly) -> None:
+    """The largest share is all of the published number, 1000 at most."""
+    assert max(missions.published for missions in nightly.MISSIONS.values()) <= 1000

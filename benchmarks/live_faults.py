@@ -404,10 +404,16 @@ def measure(
     parser.add_argument("--table", type=Path)
     parser.add_argument("--times", type=int, default=TIMES)
     parser.add_argument("--fault", choices=[*faults], help="this one alone")
+    parser.add_argument("--go-on", action="store_true", help="run what the JSON file does not have yet")
     options = parser.parse_args()
     rows: list[dict[str, Any]] = []
+    if options.go_on and options.json and options.json.exists():
+        rows = json.loads(options.json.read_text(encoding="utf-8"))
+    done = {(row["fault"], row["seed"]) for row in rows}
     for seed in range(options.times):
         for fault in [options.fault] if options.fault else faults:
+            if (fault, seed) in done:
+                continue
             rows.append(run(fault, seed))
             print(json.dumps(rows[-1]), flush=True)
             if options.json:

@@ -15,9 +15,11 @@ losses. The same video then is the camera of a lab with one unit and all of the 
   image's shortest time counts, which other work on the machine disturbs least; `own` is the processor's time
   of the unit's own thread, which that disturbs even less.
 
-*Ours* is what the unit computes, from the beginning of an image to the last message sent. `live` adds up
-medians and percentiles of these stages; the percentile of their sum is less. `with waiting` counts as ours,
-too, what passes until the unit begins and until the robot decides: all but the stream's way and the radio's.
+*Ours* is what the unit computes, from the beginning of an image to the last message sent; `after` is what it
+searches of the image after that, for which an image that comes before its end waits, and `all` is both.
+`live` adds up medians and percentiles of these stages; the percentile of their sum is less. `with waiting`
+counts as ours, too, what passes until the unit begins and until the robot decides: all but the stream's way
+and the radio's.
 """
 
 import argparse
@@ -43,7 +45,7 @@ from skyherd.live.review import make_live_report
 from skyherd.live.unit_process import keep_image
 from skyherd.live.wire import Envelope, encode
 from skyherd.loop import run_steps
-from skyherd.vision import create_detector
+from skyherd.vision import DeferringDetector, Detector, create_detector
 
 SCENARIOS = ("triangle", "star")
 RATE_HZ = 10
@@ -87,10 +89,10 @@ def run_alone(scenario: str, path: Path) -> dict[str, Any]:
     """Times of one image after the other in this process, s: medians, means and 99th percentiles."""
     lab = lab_of(scenario)
     dictionary = lab.model.markers.dictionary
-    ours = create_detector(lab.camera(0).detector, dictionary=dictionary)
+    ours = create_detector(lab.camera(0).detector, dictionary=dictionary, deferring=True)
     opencv = create_detector(OPENCV, dictionary=dictionary)
     core = lab.make_unit(0)
-    times: dict[str, list[float]] = {"opencv": [], "found": [], "decided": [], "encoded": []}
+    times: dict[str, list[float]] = {"opencv": [], "found": [], "decided": [], "encoded": [], "after": []}
     for number, image in enumerate(images_of(path)):
         time_s = number / RATE_HZ
         marks = [time.perf_counter()]
@@ -103,11 +105,14 @@ def run_alone(scenario: str, path: Path) -> dict[str, Any]:
         for message in () if news is None else news.messages:
             encode(Envelope("unit/0", time_s, message), lab.model.team)
         marks.append(time.perf_counter())
+        look_around(ours, image)
+        marks.append(time.perf_counter())
         if number >= UNMEASURED:
             for name, took_s in zip(times, np.diff(marks), strict=True):
                 times[name].append(float(took_s))
     both = {name: np.array(values) for name, values in times.items()}
     both["ours"] = both["found"] + both["decided"] + both["encoded"]
+    both["all"] = both["ours"] + both["after"]
     row: dict[str, Any] = {"scenario": scenario, "kind": "alone", "images": both["ours"].size}
     for name, values in both.items():
         row[name] = {
@@ -116,6 +121,12 @@ def run_alone(scenario: str, path: Path) -> dict[str, Any]:
             "p99": float(np.percentile(values, 99)),
         }
     return row | {"ratio": ratios(row["ours"], row["opencv"])}
+
+
+def look_around(detector: Detector, image: np.ndarray) -> None:
+    """What a unit searches when it has sent what it decided on an image."""
+    if isinstance(detector, DeferringDetector):
+        detector.look_around(image)
 
 
 def ratios(ours: dict[str, float], opencv: dict[str, float]) -> dict[str, float]:
@@ -194,7 +205,8 @@ def loop_times(
 
     There is no diary where no rate of pictures is given.
     """
-    detector = create_detector(lab.camera(0).detector, dictionary=lab.model.markers.dictionary)
+    dictionary = lab.model.markers.dictionary
+    detector = create_detector(lab.camera(0).detector, dictionary=dictionary, deferring=True)
     core, width_px = lab.make_unit(0), lab.model.recording.image_width_px
     times = []
     with Diary(path, "unit/0", lab, 0.0) as diary, Album(0, rate_hz or 0.0, width_px) as album:
@@ -212,6 +224,7 @@ def loop_times(
                 album.show(image, found, None if news is None else news.decision, view)
                 for topic, record in album.done():
                     diary.keep(topic, time_s, record)
+            look_around(detector, image)
             times.append((time.perf_counter() - begun_s, time.thread_time() - own_s))
     return times
 
@@ -229,6 +242,9 @@ def show(row: dict[str, Any]) -> None:
         for name in ("ours", "opencv"):
             text += f"  {name} {1e3 * row[name]['median']:6.2f}, {1e3 * row[name]['p99']:6.1f} ms"
         text += "  ratio" + "".join(f" {name} {ratio:.2f}" for name, ratio in row["ratio"].items())
+        if "all" in row:
+            ratio = ratios(row["all"], row["opencv"])
+            text += ", of all" + "".join(f" {name} {value:.2f}" for name, value in ratio.items())
         if "ratio_with_waiting" in row:
             text += f", with waiting {row['ratio_with_waiting']['median']:.2f}"
     print(text, "(median, 99th percentile)", flush=True)

@@ -16,9 +16,11 @@ from skyherd.vision.detectors.registry import (
     detector_names,
     explain_mirrored,
 )
+from skyherd.vision.detectors.warm_up import warm_up
 from skyherd.vision.diagnosis.explain import Rejection, explain
 from skyherd.vision.diagnosis.reasons import Reason
 from skyherd.vision.diagnosis.suggestions import find_dictionary, suggest
+from skyherd.vision.photometric.deferring import DeferringDetector
 from skyherd.vision.photometric.detector import PhotometricDetector
 
 __all__ = [
@@ -26,6 +28,7 @@ __all__ = [
     "DEFAULT_DETECTOR",
     "DEFAULT_DICTIONARY",
     "LOCUS_FAMILIES",
+    "DeferringDetector",
     "Detector",
     "DetectorAccuracy",
     "PeerDetector",
@@ -42,4 +45,5 @@ __all__ = [
     "load_accuracy",
     "peer_names",
     "suggest",
+    "warm_up",
 ]

@@ -1,13 +1,15 @@
 """Videos come in upright and with their streams' own times, whatever the camera wrote."""
 
+import gc
 from fractions import Fraction
+from pathlib import Path
 
 import av
 import numpy as np
 import pytest
 from video_tags import tag_display
 
-from skyherd.files.video_reader import open_clip, read_clip
+from skyherd.files.video_reader import TAG_PX, UprightGrey, open_clip, read_clip
 from skyherd.files.video_writer import VideoSink, read_frames
 
 UNEVEN_S = (0.0, 0.04, 0.2, 0.21, 0.9)
@@ -93,3 +95,63 @@ def test_what_is_written_with_times_is_read_with_them(tmp_path):
             sink.write(picture, time_s)
     assert [f.time_s for f in read_clip(open_clip(path))] == pytest.approx(np.arange(5) / 10)
     assert len(list(read_frames(path))) == 5
+
+
+FORMATS = [
+    *("yuv420p", "yuvj420p", "yuv422p", "yuvj422p", "yuv444p", "nv12", "yuyv422", "gray", "rgb24", "bgr24"),
+    *("gbrp", "yuv420p10le", "yuv422p10le", "p010le", "gray10le"),
+]
+"""Pixel formats of cameras and files: planes, packed, colours, and ten bits."""
+
+RANGES = {"not said": 0, "16 to 235": 1, "0 to 255": 2}
+"""Ranges of grey levels, by FFmpeg's numbers."""
+
+
+def coloured(form, levels, size_px=(802, 600)):
+    """A decoded frame of noise and of colours in a pixel format and a range of levels."""
+    width, height = size_px
+    picture = np.random.default_rng(7).integers(0, 256, (height, width, 3), dtype=np.uint8)
+    picture[: height // 2] = np.arange(width, dtype=np.uint32)[:, None] % 256
+    frame = av.VideoFrame.from_ndarray(picture, format="rgb24").reformat(format=form)
+    frame.color_range = levels
+    return frame
+
+
+@pytest.mark.parametrize("levels", RANGES.values(), ids=RANGES)
+def test_grey_levels_are_those_that_ffmpeg_converts_to(levels):
+    """To the bit, in each pixel format, though what converts is kept from one to the next."""
+    grey = UprightGrey()
+    for form in FORMATS:
+        frame = coloured(form, levels)
+        assert np.array_equal(grey.of(frame), frame.to_ndarray(format="gray")), form
+
+
+@pytest.mark.parametrize("size_px", [(2, 2), (TAG_PX, TAG_PX), (6, 4000), (4096, 2160)], ids=str)
+def test_pictures_of_any_size_are_converted(size_px):
+    frame = coloured("yuv420p", 2, size_px)
+    assert np.array_equal(UprightGrey().of(frame), frame.to_ndarray(format="gray"))
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="counts threads as Linux shows them")
+def test_a_conversion_starts_no_thread():
+    """Frames are kept, since the threads of a conversion would last as long as its frame."""
+    frames = [coloured(form, 1) for form in FORMATS]
+    threads = {path.name for path in Path("/proc/self/task").iterdir()}
+    grey = UprightGrey()
+    for frame in frames:
+        grey.of(frame)
+    assert {path.name for path in Path("/proc/self/task").iterdir()} <= threads
+
+
+@pytest.mark.parametrize("held", ["upright", "half turn"])
+def test_a_frame_is_given_back_as_soon_as_its_image_is(tmp_path, held):
+    """Nothing waits for Python to look for objects that hold each other, which it does now and then only."""
+    path = tag_display(write(tmp_path / "v.mp4", [LEVELS] * 12), MATRICES[held][0])
+    gc.collect()
+    gc.disable()
+    try:
+        assert sum(1 for _ in read_clip(open_clip(path))) == 12
+        kept = [thing for thing in gc.get_objects() if type(thing) is av.VideoFrame]
+        assert [frame for frame in kept if frame.width > TAG_PX] == []
+    finally:
+        gc.enable()

@@ -1,5 +1,6 @@
 """What the benchmarks of live runs compute, on what is known."""
 
+import json
 import tomllib
 
 import numpy as np
@@ -46,3 +47,24 @@ def test_memory_that_grows_is_told_from_memory_that_does_not(load_benchmark) -> 
 def test_a_process_that_is_gone_has_no_memory(load_benchmark) -> None:
     memory = load_benchmark("live_memory")
     assert np.isnan(memory.own_mib(2**30))
+
+
+def test_faults_that_were_interrupted_are_gone_on_with(load_benchmark, tmp_path, monkeypatch) -> None:
+    """What the file has is not run again, and what was run before it was interrupted is in the file."""
+    faults, path, ran = load_benchmark("live_faults"), tmp_path / "faults.json", []
+
+    def run(fault, seed):
+        ran.append((fault, seed))
+        if len(ran) == 4:
+            raise KeyboardInterrupt
+        return {"fault": fault, "seed": seed}
+
+    def start(*options):
+        monkeypatch.setattr("sys.argv", ["live_faults", "--times", "2", "--json", str(path), *options])
+        faults.measure("", ("one", "other"), run, lambda rows: str(len(rows)))
+
+    with pytest.raises(KeyboardInterrupt):
+        start()
+    start("--go-on")
+    assert ran == [("one", 0), ("other", 0), ("one", 1), ("other", 1), ("other", 1)]
+    assert len(json.loads(path.read_text())) == 4

@@ -9,6 +9,7 @@ from live_processes import PATIENCE_S
 from PIL import Image
 
 from skyherd.errors import InputError
+from skyherd.live import unit_process
 from skyherd.live.diaries.diary import Diary
 from skyherd.live.diaries.diary_file import read_diary
 from skyherd.live.diaries.replay import replay
@@ -18,6 +19,7 @@ from skyherd.live.radio import Air, Post
 from skyherd.live.station import Station
 from skyherd.live.unit_process import run_unit
 from skyherd.recording.mcap_log import McapLog
+from skyherd.vision import DeferringDetector
 
 
 @pytest.fixture(scope="module")
@@ -246,3 +248,22 @@ def test_a_unit_whose_disk_is_full_says_so_and_goes_on(tmp_path, monkeypatch) ->
     )
     run_unit(station, 0, address=str(images), dry_run=True)
     assert any("No space left on device; nothing is recorded from now on" in line for line in told)
+
+
+def test_a_unit_searches_for_what_can_wait_when_it_has_sent_what_it_decided(tmp_path, monkeypatch) -> None:
+    images, order = tmp_path / "images", []
+    images.mkdir()
+    for number in range(3):
+        Image.fromarray(np.full((120, 160), 90 + number, np.uint8)).save(images / f"{number}.png")
+    lab, air = load_lab("triangle"), Air()
+    station = Station(
+        lab, air.radio("unit/0"), LiveClock(), tmp_path / "run", lambda line: None, lambda: False
+    )
+    keep = unit_process.keep_image
+    monkeypatch.setattr(unit_process, "warm_up", lambda *given: order.append("warm"))
+    monkeypatch.setattr(unit_process, "keep_image", lambda *given: order.append("kept") or keep(*given))
+    monkeypatch.setattr(
+        DeferringDetector, "look_around", lambda own, image, *, unit_id: order.append(int(image[0, 0]))
+    )
+    run_unit(station, 0, address=str(images), dry_run=True)
+    assert order == ["warm", "kept", 90, "kept", 91, "kept", 92]

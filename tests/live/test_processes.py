@@ -72,6 +72,31 @@ def test_peers_hear_each_other_and_outlive_the_one_that_held_the_port(tmp_path) 
 
 
 @pytest.mark.slow
+def test_a_peer_that_found_nobody_is_joined_by_who_comes_later(tmp_path) -> None:
+    """The first has no one to connect to, and the second does not know where the first listens."""
+    pytest.importorskip("zenoh")
+    from skyherd.live.zenoh_radio import ZenohRadio
+
+    here, elsewhere = (f"tcp/127.0.0.1:{free_port()}" for _ in range(2))
+    heard: set[bytes] = set()
+    first = ZenohRadio(LabRadio(listen=[elsewhere], connect=[here]), tmp_path)
+    try:
+        first.subscribe("skyherd/**", heard.add)
+        second = ZenohRadio(LabRadio(listen=[here], connect=[here]), tmp_path)
+        try:
+
+            def is_heard():
+                second.publish("skyherd/t/beat/second", b"second")
+                return heard == {b"second"}
+
+            wait_for(is_heard, "the second")
+        finally:
+            second.close()
+    finally:
+        first.close()
+
+
+@pytest.mark.slow
 def test_a_stream_shows_the_newest_picture_to_whoever_connects_and_connects_again() -> None:
     rng = np.random.default_rng(0)
     picture = np.repeat(np.repeat(rng.integers(30, 230, (12, 16), dtype=np.uint8), 20, 0), 20, 1)

@@ -18,6 +18,7 @@ from skyherd.messages.checks import check_flags
 from skyherd.plugins import import_factory
 from skyherd.vision.detectors.peers import PeerDetector, peer_names
 from skyherd.vision.grey import Image, check_grey
+from skyherd.vision.photometric.deferring import DeferringDetector
 from skyherd.vision.photometric.detector import PhotometricDetector
 
 DEFAULT_DETECTOR = "photometric"
@@ -135,6 +136,7 @@ def create_detector(
     border_bits: int = 1,
     inverted: bool = False,
     repeats: bool = False,
+    deferring: bool = False,
 ) -> Detector:
     """Return a new detector, by name or as `module:factory`.
 
@@ -151,14 +153,20 @@ def create_detector(
         inverted: whether the markers are white on black.
         repeats: whether ids that are found at several places are reported at each of them, as only
             `photometric` can; `skyherd.messages.Detections.repeated` marks them. They are left out if not.
+        deferring: whether a detector that can leaves what can wait to `DeferringDetector.look_around`, as
+            `tracking` does; the others have no such method, and do everything at once.
 
     Raises:
         InputError: there is no detector of that name, it cannot do this, the dictionary is not known or not
             read by it, its library is not installed; or `module:factory` lacks a part, cannot be imported,
             has no such attribute, is not callable, fails, or returns something without a method `detect`.
     """
-    check_flags("create_detector", corrected=corrected, inverted=inverted, repeats=repeats)
+    check_flags(
+        "create_detector", corrected=corrected, inverted=inverted, repeats=repeats, deferring=deferring
+    )
     dictionary = with_border(dictionary, border_bits)
+    if deferring and name == "tracking" and not (inverted or repeats):
+        return DeferringDetector(dictionary)
     detector = _create_plain(name, dictionary, corrected=corrected, repeats=repeats)
     return InvertedDetector(detector) if inverted else detector
 

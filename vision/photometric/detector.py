@@ -130,12 +130,16 @@ class PhotometricDetector:
         known = self.estimates[unit_id]
         found, lost = self._follow(image, known, time_s)
         known.unsearched += 1
-        if lost or not len(found.ids) or known.unsearched >= SEARCH_INTERVAL:
+        if lost or not len(found.ids) or self._is_due(known):
             found = found.joined(self._search(image, known, found.homographies))
             found = found.take(np.argsort(found.ids, kind="stable")) if self.repeats else _unambiguous(found)
             known.unsearched = 0
         self._learn(known, found, time_s)
         return _detections(found, known.ratios.factors(), image, time_s, unit_id)
+
+    def _is_due(self, known: ImageEstimates) -> bool:
+        """Whether the whole image is to be searched though all markers that are known were found."""
+        return known.unsearched >= SEARCH_INTERVAL
 
     def _follow(self, image: Image, known: ImageEstimates, time_s: float) -> tuple[FitResults, bool]:
         """Markers found where they were predicted, and whether one is missing or has left the view."""

@@ -72,6 +72,25 @@ class Tracks:
         on_arc[now] = np.abs(velocities[now] - turned) <= np.abs(velocities[now] - straight)
         return Tracks(time_s, ids, homographies, velocities, rates, on_arc, sigmas_px)
 
+    def with_others(self, ids: IntArray, homographies: LocalHomographies, sigmas_px: Array) -> "Tracks":
+        """Return the tracks if the last image shows markers `ids` (N,) at `homographies`, too.
+
+        They are taken to stand still. What is at two places then is not followed any more. Ids ascend.
+        """
+        kept = np.flatnonzero(~np.isin(self.ids, ids))
+        once = np.flatnonzero(((ids[:, None] == ids).sum(axis=1) == 1) & ~np.isin(ids, self.ids))
+        order = np.argsort(np.concatenate([self.ids[kept], ids[once]]))
+        rest = np.zeros(once.size, dtype=complex)
+        return Tracks(
+            time_s=self.time_s,
+            ids=np.concatenate([self.ids[kept], ids[once]])[order],
+            homographies=self.homographies.take(kept).joined(homographies.take(once)).take(order),
+            velocities=np.concatenate([self.velocities[kept], rest])[order],
+            arm_log_rates=np.concatenate([self.arm_log_rates[kept], rest])[order],
+            on_arc=np.concatenate([self.on_arc[kept], np.ones(once.size, dtype=bool)])[order],
+            sigmas_px=np.concatenate([self.sigmas_px[kept], sigmas_px[once]])[order],
+        )
+
 
 def no_tracks() -> Tracks:
     """Return tracks of no marker, at time 0."""

@@ -32,6 +32,18 @@ def find_overlooked_quads(image: Image, known_px: Array, dictionary: str) -> Arr
     return np.concatenate([small_quads(places), _opencv_quads(places, max(image.shape), dictionary)])
 
 
+def find_small_quads(image: Image, known_px: Array) -> Array:
+    """Return those of `find_overlooked_quads` that are seen at twice the size."""
+    places = crowded_places(image, known_px)
+    return np.zeros((0, 4, 2)) if places is None else small_quads(places)
+
+
+def find_opencv_quads(image: Image, known_px: Array, dictionary: str) -> Array:
+    """Return those of `find_overlooked_quads` that OpenCV's detector finds."""
+    places = crowded_places(image, known_px)
+    return np.zeros((0, 4, 2)) if places is None else _opencv_quads(places, max(image.shape), dictionary)
+
+
 def _opencv_quads(places: Mosaic, image_side_px: int, dictionary: str) -> Array:
     """Corners (N, 4, 2) of the markers that OpenCV's detector finds in places of an image.
 

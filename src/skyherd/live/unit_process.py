@@ -18,7 +18,7 @@ from skyherd.live.radio import Post
 from skyherd.live.station import WORLD, Beats, Station, Told
 from skyherd.live.unit_core import UnitCore, UnitNews
 from skyherd.messages import Detections, FlightCommand
-from skyherd.vision import Detector, create_detector
+from skyherd.vision import DeferringDetector, Detector, create_detector, warm_up
 
 HEARS = ("report/**", "beat/**", "stop/**")
 """Topics that a unit listens to, after the team's name."""
@@ -39,7 +39,9 @@ def run_unit(station: Station, unit: int, *, address: str | None = None, dry_run
     lab = station.lab
     camera, core = lab.camera(unit), lab.make_unit(unit)
     post = station.post(core.name, HEARS)
-    detector = create_detector(camera.detector, dictionary=lab.model.markers.dictionary)
+    dictionary = lab.model.markers.dictionary
+    detector = create_detector(camera.detector, dictionary=dictionary, deferring=True)
+    warm_up(camera.detector, dictionary)
     with ExitStack() as stack:
         diary = stack.enter_context(station.diary(core.name))
         told = Told(station, diary)
@@ -58,12 +60,14 @@ def run_unit(station: Station, unit: int, *, address: str | None = None, dry_run
             if frame is not None:
                 trouble = at_work.look(frame, trouble)
             at_work.report(trouble)
+            if frame is not None:
+                at_work.look_around(frame)
         diary.put("/end", station.clock(), {})
 
 
 @dataclass
 class UnitAtWork:
-    """The steps of a unit's rounds: it listens, looks at its newest image, and reports.
+    """The steps of a unit's rounds: it listens, looks at its newest image, reports, and looks around.
 
     Attributes:
         station: what the process has.
@@ -117,6 +121,11 @@ class UnitAtWork:
         self.album.show(frame.image, detections, None if news is None else news.decision, view)
         self._state = _described(detections, view)
         return trouble
+
+    def look_around(self, frame: Frame) -> None:
+        """Search the image for what can wait until the decision on it was sent."""
+        if isinstance(self.detector, DeferringDetector):
+            self.detector.look_around(frame.image, unit_id=self.core.unit_id)
 
     def _decide(
         self, frame: Frame, detections: Detections, begun_s: float, found_s: float

@@ -18,7 +18,8 @@ file, and the others are told of each other by it."""
 
 
 RETRY_MS = 300
-"""Time between two tries to get the port of the file, ms. Chosen: a new process finds nobody for so long."""
+"""Time between two tries to get the port of the file, and to reach whoever has it, ms. Chosen: a new process
+finds nobody for so long."""
 
 CLOSE_S = 1.0
 """Longest time that leaving takes, s. Chosen: what was published is sent within milliseconds."""
@@ -29,7 +30,8 @@ class ZenohRadio(Radio):
 
     Multicast scouting is off. Peers tell each other of the peers that they know, so that it is enough for
     each to reach one. Where the port of the file is taken, a process tries on, and takes it over once it is
-    free: no process is the middle.
+    free: no process is the middle. It tries on to reach the others, too: of two that begin at the same moment
+    neither has the port yet when the other one looks for it.
 
     Args:
         places: where to listen and to connect to.
@@ -52,7 +54,8 @@ class ZenohRadio(Radio):
             "listen/retry": {"period_init_ms": RETRY_MS, "period_max_ms": RETRY_MS},
             "connect/endpoints": places.connect,
             "connect/exit_on_failure": False,
-            "connect/timeout_ms": 0,
+            "connect/timeout_ms": -1,
+            "connect/retry": {"period_init_ms": RETRY_MS, "period_max_ms": RETRY_MS},
             "scouting/multicast/enabled": False,
             "transport/shared_memory/enabled": False,
         }

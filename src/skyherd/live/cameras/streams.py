@@ -14,7 +14,7 @@ import av
 
 from skyherd.errors import InputError
 from skyherd.files.images import MAX_PIXELS
-from skyherd.files.video_reader import upright_grey
+from skyherd.files.video_reader import UprightGrey
 from skyherd.live.cameras.frame import Picture
 
 OPEN_S, READ_S = 8.0, 5.0
@@ -112,7 +112,7 @@ class Stream:
             ) from None
 
     def _pictures(self, container: Any, stream: Any) -> Iterator[Picture]:
-        clocked = container.format.name in CLOCKED
+        clocked, grey = container.format.name in CLOCKED, UprightGrey()
         with self._telling(f"no picture within {READ_S:g} s"):
             for picture in container.decode(stream):
                 if picture.width * picture.height > MAX_PIXELS:
@@ -121,7 +121,7 @@ class Stream:
                 age_s = None
                 if self.form == V4L2 and stream_s is not None:
                     age_s = age_on_this_machine(stream_s, time.monotonic())
-                yield Picture(upright_grey(picture), stream_s, age_s)
+                yield Picture(grey.of(picture), stream_s, age_s)
 
 
 def age_on_this_machine(stream_s: float, now_s: float) -> float | None:

@@ -1,0 +1,128 @@
+"""Searching later: nobody waits for it, and what it finds is what searching at once finds."""
+
+import numpy as np
+import pytest
+
+from skyherd.errors import InputError
+from skyherd.vision import DeferringDetector, PhotometricDetector, create_detector
+from skyherd.vision.photometric import deferring
+from skyherd.vision.photometric.detector import SEARCH_INTERVAL
+
+DICTIONARY, SIZE = "4X4_50", (400, 320)
+HOMES = np.array([80 + 80j, 200 + 80j, 320 + 80j, 80 + 230j, 200 + 230j, 320 + 230j])
+IDS = np.array([3, 8, 21, 30, 34, 45])
+COMES, LATEST = 2, 2 + SEARCH_INTERVAL
+"""Image from which on one more marker is in view, and the last one in which it may not be reported yet."""
+
+
+@pytest.fixture
+def draw(place_markers, draw_markers):
+    """Images by number: those of the markers at some of the `HOMES`, which drive to the right."""
+
+    def image(number, ids, homes, side_px=36.0, **how):
+        places = place_markers(homes + 1.5 * number, 0.3 * np.arange(ids.size), np.full(ids.size, side_px))
+        return draw_markers(places, ids, SIZE, np.random.default_rng([5, number]), **how)
+
+    return image
+
+
+def look(detector, image, number):
+    """What a live unit does with an image: what was detected in it, before the detector looks around."""
+    seen = detector.detect(image, time_s=0.1 * number)
+    if isinstance(detector, DeferringDetector):
+        detector.look_around(image)
+    return seen
+
+
+def test_without_news_all_is_as_if_searched_at_once(draw) -> None:
+    both = PhotometricDetector(DICTIONARY), DeferringDetector(DICTIONARY)
+    for number in range(2 * SEARCH_INTERVAL + 3):
+        image = draw(number, IDS, HOMES)
+        at_once, later = (look(detector, image, number) for detector in both)
+        assert later.ids.tolist() == IDS.tolist()
+        np.testing.assert_allclose(later.corners_px, at_once.corners_px, atol=1e-3)
+
+
+def test_an_image_whose_markers_are_all_there_is_not_searched_before_it_is_reported(
+    draw, monkeypatch
+) -> None:
+    detector, searched = DeferringDetector(DICTIONARY), []
+    search = detector._search
+    monkeypatch.setattr(detector, "_search", lambda *given: searched.append(1) or search(*given))
+    for number in range(2 * SEARCH_INTERVAL):
+        look(detector, draw(number, IDS, HOMES), number)
+    assert searched == [1], "the first image alone"
+
+
+def test_a_marker_that_comes_is_found_as_soon_as_by_who_searches_at_once(draw) -> None:
+    first: dict[type, int] = {}
+    for detector in (PhotometricDetector(DICTIONARY), DeferringDetector(DICTIONARY)):
+        for number in range(LATEST + 3):
+            here = slice(None) if number >= COMES else slice(0, 5)
+            seen = look(detector, draw(number, IDS[here], HOMES[here]), number)
+            assert seen.ids.tolist() == sorted(seen.ids.tolist())
+            if IDS[5] in seen.ids:
+                first.setdefault(type(detector), number)
+                assert seen.ids.tolist() == IDS.tolist()
+    assert first[DeferringDetector] <= first[PhotometricDetector] + 1 <= LATEST
+
+
+def test_each_part_is_searched_once_in_ten_images_and_no_two_in_one(draw, monkeypatch) -> None:
+    """The first image is searched before it is reported; the last of the parts is ten images later."""
+    detector, done = DeferringDetector(DICTIONARY), []
+    quads = detector._quads
+    monkeypatch.setattr(
+        detector, "_quads", lambda part, *given: done.append((number, part)) or quads(part, *given)
+    )
+    for number in range(3 * SEARCH_INTERVAL + 1):
+        look(detector, draw(number, IDS, HOMES), number)
+    assert done == [(tens + 8 + part, part) for tens in (0, 10, 20) for part in range(3)]
+
+
+@pytest.mark.parametrize("part", range(deferring.PARTS))
+def test_each_part_of_the_search_finds_a_marker_by_itself(draw, monkeypatch, part) -> None:
+    """A marker that is easily seen, with the quadrilaterals of the other parts taken away."""
+    nothing = np.zeros((0, 4, 2))
+    for other, name in enumerate(("find_quads", "find_small_quads", "find_opencv_quads")):
+        if other != part:
+            monkeypatch.setattr(deferring, name, lambda *given: nothing)
+    detector = DeferringDetector(DICTIONARY)
+    for number in range(LATEST + 2):
+        here = slice(None) if number >= COMES else slice(0, 5)
+        seen = look(detector, draw(number, IDS[here], HOMES[here]), number)
+    assert seen.ids.tolist() == IDS.tolist()
+
+
+def test_a_marker_that_jumps_is_searched_for_at_once(draw) -> None:
+    detector = DeferringDetector(DICTIONARY)
+    for number, homes in enumerate([HOMES[:5], HOMES[:5], HOMES[[0, 1, 2, 3, 5]]]):
+        assert look(detector, draw(number, IDS[:5], homes), number).ids.tolist() == IDS[:5].tolist()
+
+
+def test_an_id_that_is_seen_at_a_second_place_is_not_reported_any_more(draw) -> None:
+    detector, twice = DeferringDetector(DICTIONARY), np.append(IDS[:5], IDS[2])
+    for number in range(LATEST + 2):
+        here = number >= COMES
+        ids, homes = (twice, HOMES) if here else (IDS[:5], HOMES[:5])
+        seen = look(detector, draw(number, ids, homes), number)
+    assert seen.ids.tolist() == np.delete(IDS[:5], 2).tolist()
+
+
+def test_units_are_kept_apart_and_nothing_is_searched_of_a_unit_that_was_not_seen(draw) -> None:
+    detector = DeferringDetector(DICTIONARY)
+    for number in range(SEARCH_INTERVAL - 1):
+        detector.detect(draw(number, IDS, HOMES), time_s=0.1 * number, unit_id=0)
+    before = detector.estimates[0].unsearched
+    detector.look_around(draw(number, IDS, HOMES), unit_id=1)
+    assert detector.estimates[0].unsearched == before and 1 not in detector.estimates
+
+
+def test_an_image_that_is_none_is_refused() -> None:
+    with pytest.raises(InputError, match="grey"):
+        DeferringDetector(DICTIONARY).look_around(np.zeros((8, 8, 3), np.uint8))
+
+
+def test_only_the_detector_that_follows_can_search_later() -> None:
+    made = {name: create_detector(name, deferring=True) for name in ("tracking", "photometric", "opencv")}
+    assert [name for name, each in made.items() if isinstance(each, DeferringDetector)] == ["tracking"]
+    assert not isinstance(create_detector("tracking"), DeferringDetector)

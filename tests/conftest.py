@@ -15,6 +15,7 @@ import re
 import secrets
 import shutil
 import tomllib
+from collections import OrderedDict
 from collections.abc import Callable, Iterator
 from functools import lru_cache
 from pathlib import Path
@@ -30,6 +31,7 @@ import cv2
 import hypothesis
 import numpy as np
 import pytest
+import typer.main
 from hypothesis.internal.conjecture import providers
 
 from skyherd.datasets import Mission, load_mission, scenario_text
@@ -128,12 +130,58 @@ def ideal_failure() -> tuple[Mission, list[Step]]:
     return mission, list(run_steps(mission))
 
 
+GROUNDS_KEPT = 12
+"""Number of grounds at one resolution that are kept. Chosen: some ten megabytes each at most."""
+
+
 @pytest.fixture(scope="session", autouse=True)
 def grounds_made_once() -> Iterator[None]:
-    """More grounds than usual are kept in memory: making one takes half a second."""
-    kept = lru_cache(8)(ground._concrete_spectrum.__wrapped__)
+    """More grounds than usual are kept in memory, and at the resolutions in use: making one takes long."""
+    spectrum_of = lru_cache(8)(ground._concrete_spectrum.__wrapped__)
+    make, kept = ground._band_limited, OrderedDict[tuple[int, int, float], tuple[np.ndarray, np.ndarray]]()
+
+    def band_limited(spectrum: np.ndarray, samples: int, sigma: float) -> np.ndarray:
+        key = id(spectrum), samples, sigma
+        if key not in kept:
+            kept[key] = spectrum, make(spectrum, samples, sigma)  # no other gets its id while it is kept
+        kept.move_to_end(key)
+        if len(kept) > GROUNDS_KEPT:
+            kept.popitem(last=False)
+        return kept[key][1]
+
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(ground, "_concrete_spectrum", kept)
+        patch.setattr(ground, "_concrete_spectrum", spectrum_of)
+        patch.setattr(ground, "_band_limited", band_limited)
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def commands_made_once() -> Iterator[None]:
+    """The command line is made of its functions once, and not at each of hundreds of calls."""
+    make = typer.main.get_command
+
+    @lru_cache(8)
+    def made(app: typer.Typer, _environment: str | None) -> Any:
+        return make(app)
+
+    def get_command(app: typer.Typer) -> Any:
+        return made(app, os.environ.get("_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION"))
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(typer.main, "get_command", get_command)
+        yield
+
+
+COARSE_DPI = 65
+"""Resolution of figures in tests, pixels an inch. Chosen: half of the true one; text is laid out as well."""
+
+
+@pytest.fixture(scope="session", autouse=True)
+def coarse_figures() -> Iterator[None]:
+    """Figures have few pixels: how many matters to the tests of figures alone."""
+    with pytest.MonkeyPatch.context() as patch:
+        for module in ("skyherd.plots.style", "skyherd.plots.panels", "skyherd.study.figures"):
+            patch.setattr(f"{module}.DPI", COARSE_DPI)
         yield
 
 

@@ -193,11 +193,15 @@ def _hull(points: Array) -> Array | None:
     Andrew's chains, one along either side: of so few points they take a third of the time of SciPy's hull.
     """
     ascending = sorted(points.tolist())
-    corners = np.array([*_right_chain(ascending), *_right_chain(ascending[::-1])]).reshape(-1, 2)
-    u, v = corners.T
-    area = abs(float(u @ np.roll(v, -1) - v @ np.roll(u, -1))) / 2
-    extent = float(np.ptp(points, axis=0).max()) if len(points) else 0.0
-    return corners if area > FLAT * extent**2 else None
+    corners = _right_chain(ascending) + _right_chain(ascending[::-1])
+    after = corners[1:] + corners[:1]
+    area = sum((u * y - v * x) / 2 for (u, v), (x, y) in zip(corners, after, strict=True))
+    extent = max((high - low for low, high in map(_ends, zip(*ascending, strict=True))), default=0.0)
+    return np.array(corners) if area > FLAT * extent * extent else None
+
+
+def _ends(values: Sequence[float]) -> tuple[float, float]:
+    return min(values), max(values)
 
 
 def _right_chain(points: list[list[float]]) -> list[list[float]]:

@@ -210,9 +210,10 @@ def explain_mirrored(image: Image, dictionary: str) -> str | None:
     Raises:
         InputError: the image is not a grey one of 8 bits, or there is no such dictionary.
     """
-    detector = PhotometricDetector(dictionary, following=False, repeats=True)
-    found, flipped = (len(detector.detect(view)) for view in (image, np.ascontiguousarray(image[:, ::-1])))
-    if flipped <= found:
+    image, detector = check_grey(image), PhotometricDetector(dictionary, following=False, repeats=True)
+    flipped = len(detector.detect(np.ascontiguousarray(image[:, ::-1])))
+    # Of most images the mirror image shows nothing, and what they show themselves does not matter.
+    if not flipped or flipped <= (found := len(detector.detect(image))):
         return None
     decoded = "no marker decodes" if found == 0 else f"only {found} symmetric marker(s) decode"
     return (

@@ -1,5 +1,7 @@
 """What an image with few detections most likely needs: another dictionary, or to be flipped."""
 
+from functools import cache
+
 import numpy as np
 
 from skyherd.markers.dictionary import dictionary_names, dictionary_size, load_dictionary, marker_cells
@@ -71,8 +73,9 @@ def _distinct_names() -> list[str]:
     return list({name.lower(): name for name in dictionary_names()}.values())
 
 
-def _largest_of_series() -> list[str]:
-    return sorted({_series(name)[-1] for name in _distinct_names()})
+@cache
+def _largest_of_series() -> tuple[str, ...]:
+    return tuple(sorted({_series(name)[-1] for name in _distinct_names()}))
 
 
 def _smallest_with(name: str, marker_id: int) -> str:

@@ -114,7 +114,8 @@ class TreeProtocol(SelectionPolicy):
         """Apply all rules to one image and to the reports received."""
         now = self._situation(seen, reports, shape)
         for transition, _ in self.rules:
-            self.state = replace(self.state, **transition(self.state, now))
+            if changes := transition(self.state, now):  # most change nothing
+                self.state = replace(self.state, **changes)
         state = self.state
         return Selection(
             controlled_ids=_ascending(state.controlled),

@@ -1,7 +1,8 @@
 """The report's page, as text and as a browser shows it."""
 
+import dataclasses
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from html.parser import HTMLParser
 from pathlib import Path
 from types import MappingProxyType
@@ -176,23 +177,44 @@ def test_a_page_that_cannot_be_written_is_named(history: History, tmp_path: Path
     assert [path.name for path in tmp_path.iterdir()] == ["report.html"]
 
 
-@pytest.fixture(params=[(w, scheme) for w in WIDTHS for scheme in ("light", "dark")], ids="-".join)
-def shown(browser: Any, page: Path, request: pytest.FixtureRequest) -> Iterator[Any]:
-    """The page in a window; checks at the end that it asked for nothing and complained of nothing."""
+@dataclass
+class Window:
+    """The page in a window, and what it has asked for and complained of so far."""
+
+    page: Any
+    requests: list[str] = dataclasses.field(default_factory=list)
+    complaints: list[str] = dataclasses.field(default_factory=list)
+
+
+@pytest.fixture(
+    scope="module", params=[(w, scheme) for w in WIDTHS for scheme in ("light", "dark")], ids="-".join
+)
+def window(browser: Any, page: Path, request: pytest.FixtureRequest) -> Iterator[Window]:
+    """The page as loaded, once for all tests: loading takes most of their time."""
     width, scheme = request.param
     size = dict(zip(("width", "height"), WIDTHS[width], strict=True))
-    window = browser.new_page(viewport=size, color_scheme=scheme)
-    complaints: list[str] = []
-    requests: list[str] = []
-    window.on("console", lambda message: complaints.append(f"{message.type}: {message.text}"))
-    window.on("pageerror", lambda error: complaints.append(str(error)))
-    window.on("request", lambda asked: requests.append(asked.url))
-    window.goto(page.as_uri(), wait_until="load")
-    yield window
-    window.close()
-    assert not complaints
-    assert page.as_uri() in requests
-    assert [url[:80] for url in requests if not url.startswith(("file:", "data:"))] == []
+    opened = Window(browser.new_page(viewport=size, color_scheme=scheme))
+    opened.page.on("console", lambda message: opened.complaints.append(f"{message.type}: {message.text}"))
+    opened.page.on("pageerror", lambda error: opened.complaints.append(str(error)))
+    opened.page.on("request", lambda asked: opened.requests.append(asked.url))
+    opened.page.goto(page.as_uri(), wait_until="load")
+    yield opened
+    opened.page.close()
+
+
+OPENED = "[...document.querySelectorAll('details')].map(e => e.open)"
+CLOSE = "open => document.querySelectorAll('details').forEach((e, k) => { e.open = open[k] })"
+
+
+@pytest.fixture
+def shown(window: Window, page: Path) -> Iterator[Any]:
+    """The page in a window, left as it was found; it asks for nothing and complains of nothing meanwhile."""
+    before = window.page.evaluate(OPENED)
+    yield window.page
+    window.page.evaluate(CLOSE, before)
+    assert not window.complaints
+    assert page.as_uri() in window.requests
+    assert [url[:80] for url in window.requests if not url.startswith(("file:", "data:"))] == []
 
 
 COLORS = """place => {

@@ -30,6 +30,7 @@ import cv2
 import hypothesis
 import numpy as np
 import pytest
+import typer.main
 from hypothesis.internal.conjecture import providers
 
 from skyherd.datasets import Mission, load_mission, scenario_text
@@ -134,6 +135,36 @@ def grounds_made_once() -> Iterator[None]:
     kept = lru_cache(8)(ground._concrete_spectrum.__wrapped__)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(ground, "_concrete_spectrum", kept)
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def commands_made_once() -> Iterator[None]:
+    """The command line is made of its functions once, and not at each of hundreds of calls."""
+    make = typer.main.get_command
+
+    @lru_cache(8)
+    def made(app: typer.Typer, _environment: str | None) -> Any:
+        return make(app)
+
+    def get_command(app: typer.Typer) -> Any:
+        return made(app, os.environ.get("_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION"))
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(typer.main, "get_command", get_command)
+        yield
+
+
+COARSE_DPI = 65
+"""Resolution of figures in tests, pixels an inch. Chosen: half of the true one; text is laid out as well."""
+
+
+@pytest.fixture(scope="session", autouse=True)
+def coarse_figures() -> Iterator[None]:
+    """Figures have few pixels: how many matters to the tests of figures alone."""
+    with pytest.MonkeyPatch.context() as patch:
+        for module in ("skyherd.plots.style", "skyherd.plots.panels", "skyherd.study.figures"):
+            patch.setattr(f"{module}.DPI", COARSE_DPI)
         yield
 
 

@@ -1,6 +1,6 @@
 """Figures: every panel is there, shows the history and nothing else, and comes out the same each time."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,13 +20,21 @@ from skyherd.geometry import to_complex
 from skyherd.loop import run_steps
 from skyherd.plots import curves, maps, panels
 from skyherd.plots.panels import PANELS, FigureFile, Panel, write_figures
-from skyherd.plots.style import drawing_style
+from skyherd.plots.style import DPI, drawing_style
 from skyherd.plots.topology import BAR, draw_topology, runs
 
 
 def short_run(name: str, duration_s: float, *settings: str) -> History:
     mission = load_mission(name, [f"duration_s={duration_s}", "perception='ideal'", *settings])
     return make_history(mission, run_steps(mission))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def fine_figures() -> Iterator[None]:
+    """Figures have the resolution that users get."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(panels, "DPI", DPI)
+        yield
 
 
 @pytest.fixture(scope="module")

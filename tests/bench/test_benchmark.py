@@ -3,6 +3,7 @@
 import json
 import sys
 from dataclasses import replace
+from functools import cache
 from importlib.util import module_from_spec, spec_from_file_location
 from itertools import pairwise
 from pathlib import Path
@@ -52,8 +53,12 @@ class Broken(Shy):
 '''
 
 
-def frames(cell, seed=3, dictionary="4X4_50"):
+def make_frames(cell, seed=3, dictionary="4X4_50"):
     return list(rendered_frames(replace(cell, cameras=2, frames=2), dictionary, seed))
+
+
+frames = cache(make_frames)
+"""The same, made once for all tests that look at them."""
 
 
 def test_the_design_covers_every_factor_and_fixes_all_others():
@@ -86,7 +91,7 @@ def test_blur_is_each_cameras_own_and_covers_its_range():
 
 
 def test_the_same_seed_gives_the_same_frames_and_another_does_not():
-    one, same, other = frames(Cell()), frames(Cell()), frames(Cell(), seed=4)
+    one, same, other = frames(Cell()), make_frames(Cell()), frames(Cell(), seed=4)
     for a, b in zip(one, same, strict=True):
         np.testing.assert_array_equal(a.image, b.image)
         np.testing.assert_array_equal(a.bounds, b.bounds)

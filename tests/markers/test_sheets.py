@@ -61,7 +61,9 @@ def test_a_square_of_another_side_is_told_apart(tmp_path) -> None:
     assert len(squares_mm(page, 40.0)) == 1 and len(squares_mm(page, 40.1)) == 0
 
 
-@pytest.mark.parametrize("dictionary", ["4X4_50", "6X6_1900", "APRILTAG_36h11"])
+@pytest.mark.parametrize(
+    "dictionary", ["4X4_50", "6X6_1900", pytest.param("APRILTAG_36h11", marks=pytest.mark.slow)]
+)
 def test_pages_are_detected_at_true_size_heading_up(dictionary: str) -> None:
     """At 254 dots an inch, ten a millimetre: edges are rounded to whole dots, so sides are right to one."""
     ids = [0, 7, 15, 300][: 3 if dictionary == "4X4_50" else 4]

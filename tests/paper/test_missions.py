@@ -35,7 +35,9 @@ def test_a_tree_of_units_forms_its_shape_from_pixels_alone(name):
     check_tree_mission(name, "rendered", *TREE_SETTINGS[name])
 
 
-@pytest.mark.parametrize("name", FORMED_S)
+@pytest.mark.parametrize(
+    "name", ["star", "grid", *(pytest.param(name, marks=pytest.mark.slow) for name in ("triangle", "circle"))]
+)
 def test_noisy_perception_forms_the_same_shape_and_leaves_no_robot_alone(name):
     """Points with the detector's measured noise."""
     check_noisy_mission(name, *SETTINGS[name])

@@ -6,6 +6,7 @@ beyond 3.4 σ left out (0.07), corners by a midpoint rule (0.1 at ρ = 0.3).
 """
 
 from dataclasses import replace
+from itertools import product
 
 import cv2
 import numpy as np
@@ -132,7 +133,14 @@ def test_the_reference_has_converged():
 # --- markers ---
 
 HEADINGS = np.array([0.0, 0.2, np.pi / 4, 1.3, 2.9, -2.2])
+LARGE = {(60.0, psf, tilt) for psf, tilt in ((0.5, 0.0), (0.8, 0.0), (0.8, 20.0), (1.5, 20.0))}
 SIDES = (10.0, 20.0, 60.0)
+
+LIGHT = [
+    pytest.param(*each, marks=pytest.mark.slow if each in LARGE else ())
+    for each in product(SIDES, (0.5, 0.8, 1.5), (0.0, 20.0))
+]
+"""Sides, blurs and tilts; of the large ones, which take most time, the sharpest tilted and the softest."""
 
 
 def check_exact(side: float, psf: float, tilt: float) -> None:
@@ -146,9 +154,7 @@ def check_exact(side: float, psf: float, tilt: float) -> None:
     assert rms < RMS
 
 
-@pytest.mark.parametrize("tilt", [0.0, 20.0])
-@pytest.mark.parametrize("psf", [0.5, 0.8, 1.5])
-@pytest.mark.parametrize("side", SIDES)
+@pytest.mark.parametrize(("side", "psf", "tilt"), LIGHT)
 def test_light_is_right(side, psf, tilt):
     check_exact(side, psf, tilt)
 

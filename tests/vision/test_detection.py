@@ -194,12 +194,13 @@ def test_dark_ground_between_cards_is_no_marker_in_two_thousand_images():
 
 
 @pytest.mark.parametrize("following", [False, True])
-@pytest.mark.parametrize(("tried", "least"), [(70, 28), pytest.param(150, 60, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("tried", "least"), [(40, 16), pytest.param(150, 60, marks=pytest.mark.slow)])
 def test_a_marker_cut_by_the_border_is_itself_or_nothing(
     place_markers, draw_markers, following, tried, least
 ):
     """Pushed out over any side by any share, at any heading: never another id, and its true centre within a
-    tenth of a side, though an eighth of its cells may be out of sight."""
+    tenth of a side, though an eighth of its cells may be out of sight. Two images are looked at of each place
+    where the first is remembered."""
     rng, found = np.random.default_rng(3), 0
     for _ in range(tried):
         side, turn = rng.uniform(18, 50), rng.integers(4)
@@ -210,10 +211,10 @@ def test_a_marker_cut_by_the_border_is_itself_or_nothing(
             place_markers(center, rng.uniform(-3.1, 3.1), side), [marker_id], (150, 150), rng
         )
         detector = PhotometricDetector(DICTIONARY, following=following)
-        for _ in range(2):
+        for _ in range(1 + following):
             seen = detector.detect(image)
             assert seen.ids.tolist() in ([], [marker_id])
-            found += len(seen.ids)
+            found += len(seen.ids) * (1 if following else 2)
             assert (np.abs(seen.centers_px @ [1, 1j] - center) < side / 10).all()
     assert found > least
 

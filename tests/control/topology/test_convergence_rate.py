@@ -218,7 +218,7 @@ def test_the_firmer_pair_is_the_nearest_that_is_firm_enough_or_the_firmest_there
     assert min(told.values()) >= 10, told
 
 
-@pytest.mark.parametrize("seed", [4, 6])
+@pytest.mark.parametrize("seed", [pytest.param(4, marks=pytest.mark.slow), 6])
 def test_the_late_slope_of_a_mission_is_that_of_the_slowest_mode(seed) -> None:
     """Unicycles, two units with their own cameras, points without noise: the error falls as L says.
 

@@ -181,7 +181,7 @@ def painted_over(image: np.ndarray, cells: np.ndarray) -> np.ndarray:
     return image
 
 
-@pytest.mark.parametrize("count", [1, 2])
+@pytest.mark.parametrize("count", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_wrong_bits_which_and_how_many(draw, count) -> None:
     """White cells of id 3 painted over: it is still most like id 3, and these cells are named."""
     cells = np.argwhere(marker_cells(DICTIONARY, 3))[:count]
@@ -263,7 +263,7 @@ def test_each_test_of_a_fit_is_named_with_its_value_and_limit(draw, quantity) ->
     assert (measured.value < measured.limit) == measured.at_least
 
 
-@pytest.mark.parametrize("count", [2, 4])
+@pytest.mark.parametrize("count", [2, pytest.param(4, marks=pytest.mark.slow)])
 def test_mirrored(draw, count) -> None:
     ids = IDS[:count]
     rejected = likely(np.ascontiguousarray(draw(ids=ids)[:, ::-1]))

@@ -117,8 +117,11 @@ def nees(frames, noise_of, *, seed):
 
 @pytest.mark.parametrize(
     ("noise_of", "alone"),
-    [(np.asarray, 1.0), (smoothed, 3.0), (sharpened, 0.6)],
-    ids=["white", "smooth", "sharp"],
+    [
+        pytest.param(np.asarray, 1.0, id="white", marks=pytest.mark.slow),
+        pytest.param(smoothed, 3.0, id="smooth"),
+        pytest.param(sharpened, 0.6, id="sharp"),
+    ],
 )
 def test_covariances_hold_where_noise_is_correlated(quiet, noise_of, alone, monkeypatch):
     """And would not without the ratio: smooth noise moves markers by more, sharpened noise by less.

@@ -72,7 +72,9 @@ def test_flat_quadrilaterals_and_none_at_all_are_no_candidates():
     assert not decode_quads(flat, np.zeros((0, 4, 2)), "4X4_50", SIGMA_PX).ids.size
 
 
-@pytest.mark.parametrize("dictionary", ["4X4_50", "5X5_100", "APRILTAG_36h11"])
+@pytest.mark.parametrize(
+    "dictionary", ["4X4_50", pytest.param("5X5_100", marks=pytest.mark.slow), "APRILTAG_36h11"]
+)
 def test_a_mirrored_image_shows_nothing_wrong(place_markers, draw_markers, dictionary):
     """Of 4X4_50 four are their own mirror images and found as themselves; of the others none is."""
     rng = np.random.default_rng(4)

@@ -59,7 +59,7 @@ def test_the_same_seed_gives_the_same_steps(scenario_tree, perception) -> None:
     """Bit for bit, with frames and messages lost at random too; and another seed gives others."""
     tree = scenario_tree("triangle") | {
         "perception": perception,
-        "duration_s": 0.8,
+        "duration_s": 0.4,
         "network": {"frame_loss": 0.2, "message_loss": 0.2},
     }
     one, again, other = (fingerprint(tree | {"seed": seed}) for seed in (5, 5, 6))

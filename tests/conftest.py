@@ -15,6 +15,7 @@ import re
 import secrets
 import shutil
 import tomllib
+from collections import OrderedDict
 from collections.abc import Callable, Iterator
 from functools import lru_cache
 from pathlib import Path
@@ -129,12 +130,28 @@ def ideal_failure() -> tuple[Mission, list[Step]]:
     return mission, list(run_steps(mission))
 
 
+GROUNDS_KEPT = 12
+"""Number of grounds at one resolution that are kept. Chosen: some ten megabytes each at most."""
+
+
 @pytest.fixture(scope="session", autouse=True)
 def grounds_made_once() -> Iterator[None]:
-    """More grounds than usual are kept in memory: making one takes half a second."""
-    kept = lru_cache(8)(ground._concrete_spectrum.__wrapped__)
+    """More grounds than usual are kept in memory, and at the resolutions in use: making one takes long."""
+    spectrum_of = lru_cache(8)(ground._concrete_spectrum.__wrapped__)
+    make, kept = ground._band_limited, OrderedDict[tuple[int, int, float], tuple[np.ndarray, np.ndarray]]()
+
+    def band_limited(spectrum: np.ndarray, samples: int, sigma: float) -> np.ndarray:
+        key = id(spectrum), samples, sigma
+        if key not in kept:
+            kept[key] = spectrum, make(spectrum, samples, sigma)  # no other gets its id while it is kept
+        kept.move_to_end(key)
+        if len(kept) > GROUNDS_KEPT:
+            kept.popitem(last=False)
+        return kept[key][1]
+
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(ground, "_concrete_spectrum", kept)
+        patch.setattr(ground, "_concrete_spectrum", spectrum_of)
+        patch.setattr(ground, "_band_limited", band_limited)
         yield
 
 

@@ -16,6 +16,7 @@ from skyherd.bench.entrants import EntrantError, default_entrants, dictionary_fo
 from skyherd.bench.execution import Plan, measure_cells
 from skyherd.bench.frames import lens_blur, rendered_frames
 from skyherd.bench.page import MARKDOWN, PAGE, write_outputs
+from skyherd.bench.plots import PLOTS
 from skyherd.bench.result import RESULT, Result, environment, read_result
 from skyherd.bench.scene import SPEED_PX, TURN_RAD, camera_shots
 from skyherd.bench.table import share, short
@@ -474,7 +475,8 @@ def run(*arguments):
 
 
 def test_the_command_leaves_its_files(tmp_path, monkeypatch, capfd):
-    """With a design cut to three cells: the rest is the same for all."""
+    """With a design cut to two cells, and one figure: the rest is the same for all."""
+    monkeypatch.setattr("skyherd.bench.plots.PLOTS", PLOTS[:1])
     cells = [replace(cell, cameras=1, frames=1) for cell in quick_design(1)[:2]]
     monkeypatch.setattr("skyherd.bench.design.quick_design", lambda **kind: cells)
     monkeypatch.setattr("skyherd.cli.bench.QUICK_FRAMES", WARM_UP + 1)

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.spatial import ConvexHull, QhullError
 
 from skyherd.control.policy import NO_ROBOTS, FlightLaw, FlightTask
 from skyherd.control.selection.safety_radius import centre_distances
@@ -127,11 +128,6 @@ def _nearer_there(shared: IntArray, start: dict[int, float], unit_id: int, repor
     return np.array(theirs, dtype=np.int64)
 
 
-FLAT = 1e-12
-"""Greatest area of points on a line, as a share of the square around them. Chosen: above rounding, and far
-below what robots of any size can form."""
-
-
 @dataclass(frozen=True)
 class Perimeter(FlightLaw):
     """Fly along the perimeter of the robots' convex hull, turning slowly (the paper's one-camera case).
@@ -176,8 +172,9 @@ class Perimeter(FlightLaw):
 
 def _nearest_hull_edge(points: Array) -> tuple[Array, Array] | None:
     """Point of the hull's boundary nearest to the origin, and the unit vector along its edge, or None."""
-    corners = _hull(points)
-    if corners is None:
+    try:
+        corners = points[ConvexHull(points).vertices]
+    except (QhullError, ValueError):
         return None
     along = np.roll(corners, -1, axis=0) - corners
     length = np.linalg.norm(along, axis=1)
@@ -185,33 +182,3 @@ def _nearest_hull_edge(points: Array) -> tuple[Array, Array] | None:
     feet = corners + at[:, None] * along
     nearest = int(np.argmin(np.linalg.norm(feet, axis=1)))
     return feet[nearest], along[nearest] / length[nearest]
-
-
-def _hull(points: Array) -> Array | None:
-    """Corners (M, 2) of the convex hull of points (N, 2), by turns to the left, or None if it has no area.
-
-    Andrew's chains, one along either side: of so few points they take a third of the time of SciPy's hull.
-    """
-    ascending = sorted(points.tolist())
-    corners = _right_chain(ascending) + _right_chain(ascending[::-1])
-    after = corners[1:] + corners[:1]
-    area = sum((u * y - v * x) / 2 for (u, v), (x, y) in zip(corners, after, strict=True))
-    extent = max((high - low for low, high in map(_ends, zip(*ascending, strict=True))), default=0.0)
-    return np.array(corners) if area > FLAT * extent * extent else None
-
-
-def _ends(values: Sequence[float]) -> tuple[float, float]:
-    return min(values), max(values)
-
-
-def _right_chain(points: list[list[float]]) -> list[list[float]]:
-    """The hull's corners from the first of ordered points to before the last, with all points to the left."""
-    chain: list[list[float]] = []
-    for u, v in points:
-        while len(chain) > 1:
-            (a, b), (c, d) = chain[-2:]
-            if (c - a) * (v - b) - (d - b) * (u - a) > 0:
-                break
-            chain.pop()
-        chain.append([u, v])
-    return chain[:-1]

@@ -10,7 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from PIL import Image, ImageOps
+from PIL import Image, ImageFile, ImageOps
 
 from skyherd.errors import InputError
 from skyherd.files import images
@@ -108,6 +108,20 @@ def test_exif_orientation_is_obeyed(tmp_path, orientation) -> None:
     grey = read(path, Image.fromarray(GREY), exif=exif)
     np.testing.assert_array_equal(grey, np.asarray(ImageOps.exif_transpose(Image.open(path))))
     assert (grey.shape == GREY.shape) == (orientation < 5)
+
+
+def test_a_file_that_claims_far_more_pixels_than_it_can_hold_is_refused_before_it_is_decoded(
+    tmp_path, monkeypatch
+) -> None:
+    """One grey level all over, which no picture is: it is read whole, and not from a third of the file."""
+    path = tmp_path / "a.png"
+    Image.new("L", (10_000, 6_000), 90).save(path)
+    data = path.read_bytes()
+    assert read_grey(path).shape == (6_000, 10_000)
+    monkeypatch.setattr(ImageFile.ImageFile, "load", lambda *_: pytest.fail("decoded"))
+    path.write_bytes(data[: len(data) // 3])
+    with pytest.raises(InputError, match=r"60 megapixels in \d+ bytes"):
+        read_grey(path)
 
 
 def test_fifty_megapixels_are_read_without_a_warning(tmp_path) -> None:

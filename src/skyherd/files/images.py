@@ -28,6 +28,14 @@ MAX_PIXELS = 400_000_000
 """Pixels of the largest picture that is read. *Chosen*: beyond any camera; a small damaged file may claim any
 size, and would fill the memory."""
 
+PLAUSIBLE_PIXELS = 50_000_000
+"""Pixels that a file of any size may claim. *Chosen*: decoded in less than a second."""
+
+PIXELS_A_BYTE = 2000
+"""Most pixels for each byte of a file that claims more than `PLAUSIBLE_PIXELS`. *Chosen*: twice what PNG
+makes of one grey level all over; photographs have about one. A damaged file of a kilobyte may claim any size,
+and is then refused before seconds are spent on decoding it."""
+
 MAX_BYTES = 2**30
 """Size of the largest picture file that is read. *Chosen*: beyond any camera's; it has to fit the memory."""
 
@@ -83,12 +91,13 @@ def read_grey(path: Path, *, most_pixels: int | None = None) -> Grey:
     with _quiet_pillow():
         try:
             with Image.open(io.BytesIO(data), formats=DECODERS) as picture:
-                if picture.width * picture.height > most:
-                    raise _refuse(
-                        path,
-                        f"{picture.width * picture.height / 1e6:.0f} megapixels",
-                        f"at most {most / 1e6:.0f} can be read",
-                    )
+                pixels = picture.width * picture.height
+                if pixels > most:
+                    what = f"{pixels / 1e6:.0f} megapixels"
+                    raise _refuse(path, what, f"at most {most / 1e6:.0f} can be read")
+                if pixels > max(PLAUSIBLE_PIXELS, PIXELS_A_BYTE * len(data)):
+                    what = f"damaged: {pixels / 1e6:.0f} megapixels in {len(data)} bytes"
+                    raise _refuse(path, what, f"give {FORMATS} that is whole")
                 deep = _is_deep(picture)
                 picture.load()
                 grey = _grey_of_deep(data) if deep else _grey(picture)

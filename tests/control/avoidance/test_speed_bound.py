@@ -386,3 +386,35 @@ def test_a_body_that_no_message_named_was_beyond_the_horizon() -> None:
     (unseen_mps,) = closing_bounds(remembered(0.1), rule(), 0.0).unseen_mps
     gamma_ps = rule().gamma_ps
     assert unseen_mps == pytest.approx(gamma_ps * 20.0 * SIDE_M / 2 * np.exp(-gamma_ps * (0.1 + STEP_S)))
+
+
+def test_where_clocks_differ_a_message_counts_as_older_by_the_margin() -> None:
+    """All bounds are those of a message that is older by as much, where all clocks agree."""
+    late = closing_bounds(remembered(0.1), rule(clock_margin_s=0.4), 0.0)
+    older = closing_bounds(remembered(0.5), rule(), 0.0)
+    for name in ("speeds_mps", "slack_rad", "unseen_mps"):
+        assert getattr(late, name) == pytest.approx(getattr(older, name), rel=1e-12)
+    assert late.speeds_mps[0] < closing_bounds(remembered(0.1), rule(), 0.0).speeds_mps[0]
+
+
+def test_each_robot_takes_the_age_of_its_news_by_its_own_time() -> None:
+    """Two robots with one message on each other; the time of the second one is 0.4 s ahead."""
+    memory = NeighborMemory(np.array([0, 1]), np.array([0, 1]), lifetime_s=5.0)
+    pair = Proximity(
+        unit_id=0,
+        time_s=0.0,
+        horizon_sides=20.0,
+        ids=[0, 1],
+        robot_ids=[0, 1],
+        other_ids=[1, 0],
+        distances_sides=[10.0, 10.0],
+        bearings_rad=[0.0, 0.0],
+        reaches_sides=[2.0, 2.0],
+        shares=[0.5, 0.5],
+    )
+    memory.receive(pair)
+    bounds = closing_bounds(memory, rule(), np.array([0.1, 0.5]))
+    for robot, age_s in ((0, 0.1), (1, 0.5)):
+        alone = closing_bounds(remembered(age_s), rule(), 0.0)
+        assert bounds.speeds_mps[robot] == pytest.approx(alone.speeds_mps[0], rel=1e-12)
+        assert bounds.slack_rad[robot] == pytest.approx(alone.slack_rad[0], rel=1e-12)

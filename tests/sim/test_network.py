@@ -100,9 +100,15 @@ def test_the_dead_pass_nothing_on_and_a_ring_of_relays_falls_silent(make_report)
     network.send([], make_report(0, [0], [0], [0]), 0.0)
     network.deliver(9.0)
     assert not any(network.reports)
-    network.connect([[0, 1, 2, 3]] * 4)
+    network.connect(CHAIN)
     network.send([], make_report(0, [0], [0], [0]), 10.0)
-    network.deliver(11.0)
+    network.connect(CHAIN, dead=[1])
+    network.deliver(19.0)
+    assert not network.reports[2], "what was under way to a unit that died ends there"
+    network.forget(1)
+    network.connect([[0, 1, 2, 3]] * 4)
+    network.send([], make_report(0, [0], [0], [0]), 20.0)
+    network.deliver(21.0)
     assert [list(heard) for heard in network.reports] == [[], [0], [0], [0]]
     assert not network._waiting, "what is no news to anybody is not passed on for ever"
 

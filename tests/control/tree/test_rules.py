@@ -15,6 +15,7 @@ from skyherd.control.tree.orphans import adopt_orphans, disown_lost
 from skyherd.control.tree.pair_exchange import _to_release, receive_turns, use_turns
 from skyherd.control.tree.partition import heal_partition, leave_for_lower_tree
 from skyherd.control.tree.peer_reports import PeerReports
+from skyherd.control.tree.protocol import note_view
 from skyherd.control.tree.view_targets import seek_robots
 from skyherd.datasets.configuration.models import AvoidanceModel, RolesModel, SelectionModel
 from skyherd.messages import NO_ID, TreeStatus, UnitReport
@@ -317,3 +318,10 @@ def test_robots_that_no_living_member_controls_are_looked_for(ready, living, sou
     state = NodeState(own=robots(0, 1, 2, 3, 4, 5), tree_id=0, ready=ready)
     now = situation(0, [report(1, living, controls=[6])])
     assert seek_robots(state, now)["sought"] == sought
+
+
+@pytest.mark.parametrize(("imaged_s", "since_s"), [(9.8, 1.0), (7.1, 1.0), (6.9, 10.0), (-np.inf, 10.0)])
+def test_after_a_silence_without_images_or_a_clock_that_was_set_a_unit_looks_around_anew(imaged_s, since_s):
+    """It counts its time from the image at 10 s if the one before is more than a silence (3 s) ago."""
+    noted = note_view(NodeState(imaged_s=imaged_s, since_s=1.0), situation(0, []))
+    assert (noted["since_s"], noted["imaged_s"]) == (since_s, 10.0)

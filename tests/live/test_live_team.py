@@ -17,7 +17,7 @@ from skyherd.live.lab import load_lab
 from skyherd.live.live_clock import LiveClock
 from skyherd.live.radio import Air, Post
 from skyherd.live.station import Station
-from skyherd.live.unit_process import run_unit
+from skyherd.live.unit_process import UnitAtWork, run_unit
 from skyherd.recording.mcap_log import McapLog
 from skyherd.vision import DeferringDetector
 
@@ -253,17 +253,23 @@ def test_a_unit_whose_disk_is_full_says_so_and_goes_on(tmp_path, monkeypatch) ->
 def test_a_unit_searches_for_what_can_wait_when_it_has_sent_what_it_decided(tmp_path, monkeypatch) -> None:
     images, order = tmp_path / "images", []
     images.mkdir()
-    for number in range(3):
-        Image.fromarray(np.full((120, 160), 90 + number, np.uint8)).save(images / f"{number}.png")
-    lab, air = load_lab("triangle"), Air()
-    station = Station(
-        lab, air.radio("unit/0"), LiveClock(), tmp_path / "run", lambda line: None, lambda: False
-    )
-    keep = unit_process.keep_image
+    Image.fromarray(np.full((120, 160), 90, np.uint8)).save(images / "0.png")
+    look, report = UnitAtWork.look, UnitAtWork.report
     monkeypatch.setattr(unit_process, "warm_up", lambda *given: order.append("warm"))
-    monkeypatch.setattr(unit_process, "keep_image", lambda *given: order.append("kept") or keep(*given))
+    monkeypatch.setattr(UnitAtWork, "look", lambda *given: order.append("looked") or look(*given))
+    monkeypatch.setattr(UnitAtWork, "report", lambda *given: order.append("reported") or report(*given))
     monkeypatch.setattr(
         DeferringDetector, "look_around", lambda own, image, *, unit_id: order.append(int(image[0, 0]))
     )
+    lab, air = load_lab("triangle"), Air()
+    latest_s = time.monotonic() + PATIENCE_S
+    station = Station(
+        lab,
+        air.radio("unit/0"),
+        LiveClock(),
+        tmp_path / "run",
+        lambda line: None,
+        lambda: order[-1] == 90 or time.monotonic() > latest_s,
+    )
     run_unit(station, 0, address=str(images), dry_run=True)
-    assert order == ["warm", "kept", 90, "kept", 91, "kept", 92]
+    assert order[0] == "warm" and order[-3:] == ["looked", "reported", 90]

@@ -12,9 +12,10 @@ import numpy as np
 
 from skyherd.control import Delivery
 from skyherd.datasets import crowded_mission, make_mission
-from skyherd.sim.agents import make_controller, make_team
+from skyherd.sim.agents import make_controller
 from skyherd.sim.perception import make_perception
 from skyherd.sim.physics import make_world
+from skyherd.sim.robot_teams import make_team
 
 ROBOTS, IMAGES, ROUNDS = 50, 40, 7
 

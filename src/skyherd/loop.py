@@ -11,9 +11,10 @@ from skyherd.datasets import Mission, Scenario
 from skyherd.geometry import IntArray
 from skyherd.messages import FlightCommand, VelocityCommand
 from skyherd.random_streams import RunStream, generator
-from skyherd.sim.agents import ControllerFactory, TeamFactory, UnitAgents, make_controller, make_team
+from skyherd.sim.agents import ControllerFactory, UnitAgents, make_controller
 from skyherd.sim.perception import Perception, Sight, make_perception
 from skyherd.sim.physics import make_network, make_world
+from skyherd.sim.robot_teams import TeamFactory, make_team
 from skyherd.sim.truth_metrics import TruthMetrics, TruthObserver
 from skyherd.sim.world import Fleet
 

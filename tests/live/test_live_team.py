@@ -223,6 +223,19 @@ def test_arm_and_stop_insist_until_all_answer(faults) -> None:
     assert not any(p.core.armed for name, p in team.processes.items() if name.startswith("robot"))
 
 
+def station_of(folder, say, ended):
+    """A station of the lab `triangle` for unit 0, over a radio in memory; it ends after a while."""
+    latest_s = time.monotonic() + PATIENCE_S
+    return Station(
+        load_lab("triangle"),
+        Air().radio("unit/0"),
+        LiveClock(),
+        folder,
+        say,
+        lambda: ended() or time.monotonic() > latest_s,
+    )
+
+
 def test_a_unit_whose_disk_is_full_says_so_and_goes_on(tmp_path, monkeypatch) -> None:
     images, told = tmp_path / "images", []
     images.mkdir()
@@ -232,16 +245,7 @@ def test_a_unit_whose_disk_is_full_says_so_and_goes_on(tmp_path, monkeypatch) ->
     def full(*arguments):
         raise OSError(28, "No space left on device")
 
-    lab, air = load_lab("triangle"), Air()
-    latest_s = time.monotonic() + PATIENCE_S
-    station = Station(
-        lab,
-        air.radio("unit/0"),
-        LiveClock(),
-        tmp_path / "run",
-        told.append,
-        lambda: any("device" in line for line in told) or time.monotonic() > latest_s,
-    )
+    station = station_of(tmp_path / "run", told.append, lambda: any("device" in line for line in told))
     put = McapLog.put
     monkeypatch.setattr(
         McapLog, "put", lambda log, topic, *rest: put(log, topic, *rest) if topic == "/about" else full()
@@ -261,15 +265,6 @@ def test_a_unit_searches_for_what_can_wait_when_it_has_sent_what_it_decided(tmp_
     monkeypatch.setattr(
         DeferringDetector, "look_around", lambda own, image, *, unit_id: order.append(int(image[0, 0]))
     )
-    lab, air = load_lab("triangle"), Air()
-    latest_s = time.monotonic() + PATIENCE_S
-    station = Station(
-        lab,
-        air.radio("unit/0"),
-        LiveClock(),
-        tmp_path / "run",
-        lambda line: None,
-        lambda: order[-1] == 90 or time.monotonic() > latest_s,
-    )
+    station = station_of(tmp_path / "run", lambda line: None, lambda: order[-1] == 90)
     run_unit(station, 0, address=str(images), dry_run=True)
     assert order[0] == "warm" and order[-3:] == ["looked", "reported", 90]

@@ -5,7 +5,8 @@ import pytest
 
 from skyherd.datasets import load_mission
 from skyherd.loop import run_steps
-from skyherd.sim.agents import UnitAgents, make_avoidance, make_controller
+from skyherd.sim.agents import UnitAgents, make_controller
+from skyherd.sim.robot_teams import make_avoidance
 
 
 @pytest.fixture

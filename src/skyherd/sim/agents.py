@@ -1,6 +1,6 @@
-"""The controllers of a scenario's units, and its robots, as the scenario's file asks for them."""
+"""The controllers of a scenario's units, as the scenario's file asks for them."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -8,25 +8,15 @@ import numpy as np
 from skyherd.control import (
     NO_ROBOTS,
     AerialController,
-    AvoidanceRule,
     BodyRule,
-    DeadReckoning,
     Decision,
     FlightLaw,
     Follow,
-    GoalFollowers,
-    GoalInboxes,
     Hover,
     HybridSelection,
     KeepInView,
-    MarkerGains,
-    NeighborMemory,
     Perimeter,
-    PixelGains,
     Rectifier,
-    RobotClocks,
-    RobotLaw,
-    RobotTeam,
     RoleRule,
     SafetyRadius,
     SelectionPolicy,
@@ -35,23 +25,13 @@ from skyherd.control import (
     Template,
     TreeProtocol,
     TreeRule,
-    Wheels,
     newest_roles,
 )
 from skyherd.datasets import FlightModel, Mission, Scenario, SelectionModel
-from skyherd.geometry import ComplexArray, IntArray
+from skyherd.geometry import IntArray
 from skyherd.messages import Detections, UnitReport
-from skyherd.sim.baseline_laws import Law, bearing_only_law, complex_laplacian_law
-from skyherd.sim.oracle_team import OracleTeam
-from skyherd.sim.physics import make_robot_clocks, read_unit_clock
-from skyherd.sim.world import World
-
-LAWS: Mapping[str, Callable[[ComplexArray, float], Law]] = {
-    "complex-laplacian": complex_laplacian_law,
-    "bearing-only": bearing_only_law,
-}
-"""Laws from the literature by the names of `control.method`, made from the shape on the ground and the
-gain."""
+from skyherd.sim.delays import least_report_delay_s
+from skyherd.sim.physics import read_unit_clock
 
 REPORT_LIFETIME_S = 2.0
 """Age up to which a unit's report counts. Chosen: a dwell time; shorter, and lost reports are felt."""
@@ -59,13 +39,6 @@ REPORT_LIFETIME_S = 2.0
 REPORTS_MISSED = 5
 """A unit counts as silent no sooner than after this many of its images, however slow its camera is. Chosen:
 with three of ten messages lost, five in a row are lost once in 400 times."""
-
-SLIP_DEVIATIONS = 3.0
-"""Standard deviations of slip that robots allow for. Chosen: a robot slips more in one step of 370."""
-
-ROUNDING_STEPS = 1e-9
-"""Share of a step by which a delay may exceed whole steps without costing another one: the rounding of a
-quotient."""
 
 
 def make_flight(model: FlightModel, template: Template) -> FlightLaw:
@@ -90,14 +63,6 @@ def make_flight(model: FlightModel, template: Template) -> FlightLaw:
         least_side_px=model.least_side_px,
         **gains,
     )
-
-
-def make_gains(scenario: Scenario) -> RobotLaw:
-    """The robots' gains, in the paper's pixels or in marker sides."""
-    control = scenario.control
-    if control.gains == "pixel":
-        return PixelGains(k_v=control.k_v, k_omega=control.k_omega, b_th=control.b_th)
-    return MarkerGains(k=control.k, k_omega=control.k_omega, b_th=control.b_th, side_m=scenario.marker.side_m)
 
 
 def make_selection(model: SelectionModel) -> SelectionPolicy:
@@ -136,18 +101,8 @@ def make_controller(mission: Mission, unit: int) -> AerialController:
     )
 
 
-def least_report_delay_s(scenario: Scenario) -> float:
-    """Least time, s, from an image to an image of another unit that takes in the report on it."""
-    rates_hz = {unit.frame_rate_hz for unit in scenario.units}
-    steps = np.floor(1 / (max(rates_hz) * scenario.step_s) + ROUNDING_STEPS) if len(rates_hz) == 1 else 1.0
-    return max(float(steps) * scenario.step_s, min(unit.latency_s for unit in scenario.units))
-
-
 ControllerFactory = Callable[[Mission, int], AerialController]
 """Makes a new controller for a unit of a mission."""
-
-TeamFactory = Callable[[Mission, World], RobotTeam]
-"""Makes the robots of a mission; the world is for teams that are given the truth."""
 
 
 class UnitAgents:
@@ -219,94 +174,4 @@ def make_bodies(mission: Mission) -> BodyRule | None:
         margin_sides=model.margin_sides,
         horizon_sides=model.horizon_sides,
         obstacles={obstacle.id: obstacle.radius_sides for obstacle in mission.scenario.obstacles},
-    )
-
-
-def make_team(mission: Mission, world: World) -> RobotTeam:
-    """The robots: they follow the units' goals, or a law from the literature, which is given the world."""
-    scenario, gains, wheels = mission.scenario, make_gains(mission.scenario), make_wheels(mission.scenario)
-    if scenario.control.method != "similarity":
-        shape = mission.template.points_of(mission.ids).conj()
-        law = LAWS[scenario.control.method](shape, scenario.control.k)
-        return OracleTeam(world, law, gains, wheels)
-    units = np.arange(len(scenario.units))
-    inboxes = GoalInboxes(mission.ids, units, scenario.robots.timeout_s, distances=gains.needs_distances)
-    motion = make_dead_reckoning(scenario, mission.ids.size)
-    clocks = make_clocks(scenario, mission.ids.size)
-    if not scenario.avoidance.on:
-        return GoalFollowers(inboxes, gains, wheels, motion=motion, clocks=clocks)
-    bodies = np.union1d(mission.ids, mission.obstacle_ids)
-    neighbors = NeighborMemory(mission.ids, bodies, scenario.avoidance.lifetime_s)
-    return GoalFollowers(
-        inboxes,
-        gains,
-        wheels,
-        neighbors=neighbors,
-        avoidance=make_avoidance(scenario),
-        motion=motion,
-        clocks=clocks,
-    )
-
-
-def make_clocks(scenario: Scenario, count: int) -> RobotClocks | None:
-    """How `count` robots tell the age of messages; None where all clocks agree."""
-    if not scenario.clocks_differ:
-        return None
-    least_delay_s = min(unit.latency_s for unit in scenario.units)
-    return RobotClocks(make_robot_clocks(scenario, count), TeamClock(least_delay_s, count, listens=True))
-
-
-def _late_s(scenario: Scenario) -> float:
-    """By how much, s, a message to a robot may take longer than the fastest ones, in whole steps."""
-    latencies_s = [unit.latency_s for unit in scenario.units]
-    late_s = max(latencies_s) + scenario.network.delay_s - min(latencies_s)
-    return _whole_steps(late_s, scenario.step_s) + (scenario.step_s if late_s else 0.0)
-
-
-def make_dead_reckoning(scenario: Scenario, count: int) -> DeadReckoning | None:
-    """What `count` robots know of their own motion; None where they follow goals as they come."""
-    if not scenario.control.compensate:
-        return None
-    drive = scenario.robots.drive
-    slowest_s = max(model.latency_s for model in scenario.units)
-    return DeadReckoning(
-        count,
-        scenario.marker.side_m,
-        axis_offset_m=drive.axis_offset_m,
-        delay_s=_whole_steps(drive.delay_s, scenario.step_s),
-        memory_s=scenario.robots.timeout_s + slowest_s + scenario.network.delay_s,
-    )
-
-
-def _whole_steps(delay_s: float, step_s: float) -> float:
-    """A drive's delay as the wheels keep it: rounded up to whole time steps."""
-    return float(np.ceil(delay_s / step_s - ROUNDING_STEPS) * step_s)
-
-
-def make_wheels(scenario: Scenario) -> Wheels:
-    """What a robot knows of its own wheels."""
-    robots = scenario.robots
-    return Wheels(robots.max_speed_mps, robots.max_turn_radps, robots.drive.axis_offset_m)
-
-
-def make_avoidance(scenario: Scenario) -> AvoidanceRule:
-    """What the bound on robots' speed goes by: their own wheels, and how old their news may be."""
-    robots, drive, step_s = scenario.robots, scenario.robots.drive, scenario.step_s
-    brakes_s = robots.max_speed_mps / drive.max_accel_mps2 if drive.max_accel_mps2 else 0.0
-    rates_hz = {unit.frame_rate_hz for unit in scenario.units}
-    apart_s = step_s if len(rates_hz) > 1 else 1 / rates_hz.pop()  # between two images, of whatever units
-    wheel_mps = drive.wheel_step_mps / 2 + drive.dead_zone_mps + drive.gain_error * robots.max_speed_mps
-    return AvoidanceRule(
-        side_m=scenario.marker.side_m,
-        wheels=make_wheels(scenario),
-        nominal_age_s=max(unit.latency_s + 1 / unit.frame_rate_hz for unit in scenario.units),
-        superseded_age_s=min(unit.latency_s for unit in scenario.units) + apart_s,
-        step_s=step_s,
-        lag_s=_whole_steps(drive.delay_s, step_s) + brakes_s,
-        overshoot=drive.gain_error + SLIP_DEVIATIONS * drive.slip,
-        creep_mps=drive.wheel_step_mps / 2,
-        turn_error_radps=2 * wheel_mps / drive.track_m + SLIP_DEVIATIONS * drive.slip * robots.max_turn_radps,
-        clock_margin_s=_late_s(scenario) if scenario.clocks_differ else 0.0,
-        lifetime_s=scenario.avoidance.lifetime_s,
-        detour=scenario.avoidance.detour,
     )

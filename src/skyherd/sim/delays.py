@@ -1,0 +1,44 @@
+"""How long messages take in a scenario, from the image to whoever takes them in, in steps of the world.
+
+A message arrives its sender's latency after the image. Robots take it in at the next step of the world, units
+with the first image of their own after that step.
+"""
+
+import numpy as np
+
+from skyherd.datasets import Scenario
+
+ROUNDING_STEPS = 1e-9
+"""Share of a step by which a delay may exceed whole steps without costing another one: the rounding of a
+quotient."""
+
+
+def whole_steps(delay_s: float, step_s: float) -> float:
+    """A delay, s, rounded up to whole time steps."""
+    return float(np.ceil(delay_s / step_s - ROUNDING_STEPS) * step_s)
+
+
+def least_message_delay_s(scenario: Scenario) -> float:
+    """Least time, s, from an image to the robots that take in a message on it."""
+    return whole_steps(min(unit.latency_s for unit in scenario.units), scenario.step_s)
+
+
+def most_message_delay_s(scenario: Scenario) -> float:
+    """Greatest time, s, from an image to the robots that take in a message on it."""
+    slowest_s = max(unit.latency_s for unit in scenario.units)
+    return whole_steps(slowest_s + scenario.network.delay_s, scenario.step_s)
+
+
+def least_report_delay_s(scenario: Scenario) -> float:
+    """Least time, s, from an image to an image of another unit that takes in the report on it.
+
+    Where all units take their images at the same steps it is a whole number of images.
+    """
+    taken_in_s = least_message_delay_s(scenario) + scenario.step_s
+    rates_hz = {unit.frame_rate_hz for unit in scenario.units}
+    if len(rates_hz) > 1:
+        return taken_in_s
+    apart = 1 / (rates_hz.pop() * scenario.step_s)  # steps between two images
+    if abs(apart - round(apart)) > ROUNDING_STEPS * apart:
+        return max(taken_in_s, float(np.floor(apart)) * scenario.step_s)
+    return whole_steps(taken_in_s, max(round(apart), 1) * scenario.step_s)

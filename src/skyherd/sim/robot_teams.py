@@ -1,0 +1,136 @@
+"""The robots of a scenario, as its file asks for them: what they know of themselves, and their law."""
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from skyherd.control import (
+    AvoidanceRule,
+    DeadReckoning,
+    GoalFollowers,
+    GoalInboxes,
+    MarkerGains,
+    NeighborMemory,
+    PixelGains,
+    RobotClocks,
+    RobotLaw,
+    RobotTeam,
+    TeamClock,
+    Wheels,
+)
+from skyherd.datasets import Mission, Scenario
+from skyherd.geometry import ComplexArray
+from skyherd.sim.baseline_laws import Law, bearing_only_law, complex_laplacian_law
+from skyherd.sim.delays import least_message_delay_s, most_message_delay_s, whole_steps
+from skyherd.sim.oracle_team import OracleTeam
+from skyherd.sim.physics import make_robot_clocks
+from skyherd.sim.world import World
+
+LAWS: Mapping[str, Callable[[ComplexArray, float], Law]] = {
+    "complex-laplacian": complex_laplacian_law,
+    "bearing-only": bearing_only_law,
+}
+"""Laws from the literature by the names of `control.method`, made from the shape on the ground and the
+gain."""
+
+SLIP_DEVIATIONS = 3.0
+"""Standard deviations of slip that robots allow for. Chosen: a robot slips more in one step of 370."""
+
+TeamFactory = Callable[[Mission, World], RobotTeam]
+"""Makes the robots of a mission; the world is for teams that are given the truth."""
+
+
+def make_gains(scenario: Scenario) -> RobotLaw:
+    """The robots' gains, in the paper's pixels or in marker sides."""
+    control = scenario.control
+    if control.gains == "pixel":
+        return PixelGains(k_v=control.k_v, k_omega=control.k_omega, b_th=control.b_th)
+    return MarkerGains(k=control.k, k_omega=control.k_omega, b_th=control.b_th, side_m=scenario.marker.side_m)
+
+
+def make_team(mission: Mission, world: World) -> RobotTeam:
+    """The robots: they follow the units' goals, or a law from the literature, which is given the world."""
+    scenario, gains, wheels = mission.scenario, make_gains(mission.scenario), make_wheels(mission.scenario)
+    if scenario.control.method != "similarity":
+        shape = mission.template.points_of(mission.ids).conj()
+        law = LAWS[scenario.control.method](shape, scenario.control.k)
+        return OracleTeam(world, law, gains, wheels)
+    units = np.arange(len(scenario.units))
+    inboxes = GoalInboxes(mission.ids, units, scenario.robots.timeout_s, distances=gains.needs_distances)
+    motion = make_dead_reckoning(scenario, mission.ids.size)
+    clocks = make_clocks(scenario, mission.ids.size)
+    if not scenario.avoidance.on:
+        return GoalFollowers(inboxes, gains, wheels, motion=motion, clocks=clocks)
+    bodies = np.union1d(mission.ids, mission.obstacle_ids)
+    neighbors = NeighborMemory(mission.ids, bodies, scenario.avoidance.lifetime_s)
+    return GoalFollowers(
+        inboxes,
+        gains,
+        wheels,
+        neighbors=neighbors,
+        avoidance=make_avoidance(scenario),
+        motion=motion,
+        clocks=clocks,
+    )
+
+
+def make_clocks(scenario: Scenario, count: int) -> RobotClocks | None:
+    """How `count` robots tell the age of messages; None where all clocks agree."""
+    if not scenario.clocks_differ:
+        return None
+    team = TeamClock(least_message_delay_s(scenario), count, listens=True)
+    return RobotClocks(make_robot_clocks(scenario, count), team)
+
+
+def make_clock_margin_s(scenario: Scenario) -> float:
+    """How much older, s, a message may be than a robot's knowledge of the team's time tells.
+
+    It is what the slowest messages take longer than the fastest; 0 where all clocks agree.
+    """
+    if not scenario.clocks_differ:
+        return 0.0
+    return most_message_delay_s(scenario) - least_message_delay_s(scenario)
+
+
+def make_dead_reckoning(scenario: Scenario, count: int) -> DeadReckoning | None:
+    """What `count` robots know of their own motion; None where they follow goals as they come."""
+    if not scenario.control.compensate:
+        return None
+    drive = scenario.robots.drive
+    slowest_s = max(model.latency_s for model in scenario.units)
+    return DeadReckoning(
+        count,
+        scenario.marker.side_m,
+        axis_offset_m=drive.axis_offset_m,
+        delay_s=whole_steps(drive.delay_s, scenario.step_s),
+        memory_s=scenario.robots.timeout_s + slowest_s + scenario.network.delay_s,
+    )
+
+
+def make_wheels(scenario: Scenario) -> Wheels:
+    """What a robot knows of its own wheels."""
+    robots = scenario.robots
+    return Wheels(robots.max_speed_mps, robots.max_turn_radps, robots.drive.axis_offset_m)
+
+
+def make_avoidance(scenario: Scenario) -> AvoidanceRule:
+    """What the bound on robots' speed goes by: their own wheels, and how old their news may be."""
+    robots, drive, step_s = scenario.robots, scenario.robots.drive, scenario.step_s
+    brakes_s = robots.max_speed_mps / drive.max_accel_mps2 if drive.max_accel_mps2 else 0.0
+    rates_hz = {unit.frame_rate_hz for unit in scenario.units}
+    apart_s = step_s if len(rates_hz) > 1 else 1 / rates_hz.pop()  # between two images, of whatever units
+    wheel_mps = drive.wheel_step_mps / 2 + drive.dead_zone_mps + drive.gain_error * robots.max_speed_mps
+    return AvoidanceRule(
+        side_m=scenario.marker.side_m,
+        wheels=make_wheels(scenario),
+        nominal_age_s=max(unit.latency_s + 1 / unit.frame_rate_hz for unit in scenario.units),
+        superseded_age_s=min(unit.latency_s for unit in scenario.units) + apart_s,
+        step_s=step_s,
+        lag_s=whole_steps(drive.delay_s, step_s) + brakes_s,
+        overshoot=drive.gain_error + SLIP_DEVIATIONS * drive.slip,
+        creep_mps=drive.wheel_step_mps / 2,
+        turn_error_radps=2 * wheel_mps / drive.track_m + SLIP_DEVIATIONS * drive.slip * robots.max_turn_radps,
+        clock_margin_s=make_clock_margin_s(scenario),
+        lifetime_s=scenario.avoidance.lifetime_s,
+        detour=scenario.avoidance.detour,
+    )

@@ -1,14 +1,18 @@
 """The tree in the video: what units last said, and what is drawn of it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from skyherd.analysis.tree_snapshot import TreeHistory, tree_snapshot
+from skyherd.drawing.canvas import text_width
 from skyherd.drawing.palette import unit_rgb
 from skyherd.loop import dead_units
 from skyherd.messages import NO_ID
 from skyherd.messages.tree_status import TreeStatus
 from skyherd.video.composer import Composer, make_layout
+from skyherd.video.ground_panel import STATE_SIZE_PX, TITLE_SIZE_PX, title_texts
 from skyherd.video.legend import legend_height_px
 from skyherd.video.tree_overlay import FLASH, FLASH_S, TreeOverlay
 
@@ -94,3 +98,18 @@ def test_a_dead_unit_has_no_picture_until_it_returns(ideal_failure) -> None:
 def test_the_trees_key_has_room(units: int) -> None:
     layout = make_layout((1600, 1000), [(480, 480)] * units, tree=True)
     assert legend_height_px(layout.key.width, tree=True) <= layout.key.height
+
+
+@pytest.mark.parametrize(
+    ("missing", "title", "state"),
+    [
+        (0, "the ground, metres", "1 of 1 units in the tree"),
+        (3, "metres", "1 of 1 units in the tree · missing: 20, 21, 22"),
+        (60, "the ground, metres", "1 of 1 units in the tree · missing: 60"),
+    ],
+)
+def test_the_title_and_the_state_of_the_tree_do_not_cover_each_other(missing, title, state) -> None:
+    """In 440 px; ids that do not fit are counted."""
+    tree = replace(tree_snapshot({0: word()}), missing_ids=frozenset(range(20, 20 + missing)))
+    assert title_texts(tree, 440) == (title, state)
+    assert text_width(title, TITLE_SIZE_PX) + text_width(state, STATE_SIZE_PX, bold=True) < 440

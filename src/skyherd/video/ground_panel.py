@@ -17,6 +17,7 @@ from skyherd.drawing.canvas import (
     draw_segments,
     draw_text,
     fill_polygon,
+    text_width,
 )
 from skyherd.drawing.palette import INK, MUTED, PAPER, TEMPLATE_COLOR, rgb, unit_rgb
 from skyherd.errors import DegenerateSetError
@@ -31,6 +32,9 @@ TITLE_PX = 26
 LEFT_PX = 34
 BOTTOM_PX = 22
 """Margins of the map: title above, labels of the axes to the left and below."""
+
+TITLE_SIZE_PX, STATE_SIZE_PX, TITLE_GAP_PX = 15, 13, 16
+"""Sizes of the letters of the title and of the tree's state beside it, and the least gap between the two."""
 
 FIELD: Color = (248, 248, 246)
 GRID: Color = (228, 229, 226)
@@ -133,11 +137,13 @@ class GroundPanel:
     def _write_title(self, tree: TreeSnapshot | None) -> None:
         """The title on the left, and the state of the tree on the right."""
         self._title[:] = rgb(PAPER)
-        title = "the ground from above · axes in metres" if tree is None else "the ground, metres"
-        draw_text(self._title, title, (LEFT_PX, TITLE_PX / 2), rgb(INK), size_px=15)
-        if tree is not None:
-            right = self._title.shape[1] - 2, TITLE_PX / 2
-            draw_text(self._title, _tree_text(tree), right, rgb(INK), size_px=13, bold=True, align="right")
+        width_px = self._title.shape[1] - LEFT_PX - 2
+        title, state = (
+            ("the ground from above · axes in metres", "") if tree is None else title_texts(tree, width_px)
+        )
+        draw_text(self._title, title, (LEFT_PX, TITLE_PX / 2), rgb(INK), size_px=TITLE_SIZE_PX)
+        right = self._title.shape[1] - 2, TITLE_PX / 2
+        draw_text(self._title, state, right, rgb(INK), size_px=STATE_SIZE_PX, bold=True, align="right")
 
     def _in_view(self, points_m: Array) -> bool:
         if self._px_per_m == 0:
@@ -272,14 +278,32 @@ class GroundPanel:
             draw_text(self._field, str(robot_id), (u, v), rgb(INK), size_px=11, bold=True, align="center")
 
 
-def _tree_text(tree: TreeSnapshot) -> str:
-    """The state of the tree in a few words."""
+def title_texts(tree: TreeSnapshot, width_px: float) -> tuple[str, str]:
+    """The title and the state of the tree, as long as both fit beside each other into a width, px.
+
+    The title is shortened first, then dropped; robots that are missing are counted where their ids do not
+    fit.
+    """
+    for state in (_tree_text(tree), _tree_text(tree, counted=True)):
+        room_px = width_px - text_width(state, STATE_SIZE_PX, bold=True) - TITLE_GAP_PX
+        for title in ("the ground, metres", "metres", ""):
+            if text_width(title, TITLE_SIZE_PX) <= room_px:
+                return title, state
+    return "", _tree_text(tree, counted=True)
+
+
+def _tree_text(tree: TreeSnapshot, *, counted: bool = False) -> str:
+    """The state of the tree in a few words; units and robots `counted` rather than named."""
     living = len(tree.members) + len(tree.unjoined)
     parts = [f"{len(tree.members)} of {living} units in the tree"]
     if not tree.ready:
         parts.append("robots wait")
     if tree.dead:
-        parts.append("dead: " + ", ".join(str(unit) for unit in sorted(tree.dead)))
+        parts.append(f"dead: {_named(tree.dead, counted)}")
     if tree.missing_ids:
-        parts.append("missing: " + ", ".join(str(robot) for robot in sorted(tree.missing_ids)))
+        parts.append(f"missing: {_named(tree.missing_ids, counted)}")
     return " · ".join(parts)
+
+
+def _named(ids: frozenset[int], counted: bool) -> str:
+    return f"{len(ids)}" if counted else ", ".join(str(number) for number in sorted(ids))

@@ -17,8 +17,11 @@ import numpy as np
 
 from skyherd.geometry import Array, IntArray
 from skyherd.messages import TIME_TOLERANCE_S
-from skyherd.messages.checks import check_numbers
+from skyherd.messages.checks import check_count, check_numbers
 from skyherd.messages.clock_offset import DRIFT
+
+MOST_MEMBERS = 10_000
+"""Most members of a team. Chosen: as many robots as a scenario may have."""
 
 
 class TeamClock:
@@ -34,12 +37,13 @@ class TeamClock:
         listens: as the attribute.
 
     Raises:
-        InputError: `least_delay_s` is negative or no number.
+        InputError: `least_delay_s` is negative or no number, or `members` is no number of robots or units.
     """
 
     def __init__(self, least_delay_s: float = 0.0, members: int = 1, *, listens: bool = False) -> None:
         self.least_delay_s, self.listens = least_delay_s, listens
         check_numbers(self, not_negative=("least_delay_s",))
+        check_count("TeamClock.members", members, most=MOST_MEMBERS)
         self._ahead_s: Array = np.full(members, -np.inf)
         self._heard_s: Array = np.zeros(members)
 

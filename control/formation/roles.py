@@ -8,7 +8,7 @@ A unit follows the newest map that it has received. Therefore
 - nothing has to be confirmed. If two units had to agree on each exchange, messages that are lost half-way
   would leave them in disagreement, and a robot could be passed on only from neighbour to neighbour.
 
-Only one unit at a time may make a newer map: the one that has the current slot of the common clock among the
+Only one unit at a time may make a newer map: the one that has the current slot of the team's time among the
 units that it receives reports from, and only if all of these have reported the map that it starts from. It
 makes it for the whole team, whose places it knows from `skyherd.control.formation.registration`.
 

@@ -1,4 +1,4 @@
-"""A schedule of shapes: which shape the team is to form at which time of the common clock."""
+"""A schedule of shapes: which shape the team is to form at which of the team's times."""
 
 from dataclasses import dataclass
 from itertools import pairwise

@@ -99,7 +99,7 @@ def has_turn(turn: int, unit_id: int, neighbor_id: int) -> bool:
 
 
 def first_turn(time_s: float, holder_id: int, other_id: int) -> int:
-    """The turn at which a new edge begins, which `holder_id` has: the common clock in milliseconds.
+    """The turn at which a new edge begins, which `holder_id` has: the team's time in milliseconds.
 
     A turn lasts for one image at least, and so for more than a millisecond. A new edge therefore starts
     beyond all turns of any former edge of the two units, also if one of them has lost its memory.

@@ -3,7 +3,7 @@
 Every robot is one unit's own or in the pair of one edge, and the edges form a tree; then TC1-TC5 hold
 whatever the assignment is (docs/topology.md has the proofs). The assignment changes only
 
-- by turns (`pair_exchange`, `edge`): a unit exchanges the pair of an edge, at a slot of the common clock. A
+- by turns (`pair_exchange`, `edge`): a unit exchanges the pair of an edge, at a slot of the team's time. A
   robot goes from one unit to another by being shared in between. Every change is made by one unit alone, the
   one that has the turn, so that nothing has to be agreed on and nothing can be half agreed;
 - by joining (`joining`): a unit asks a member of the tree, which grants an edge without a pair; the new unit
@@ -16,11 +16,11 @@ whatever the assignment is (docs/topology.md has the proofs). The assignment cha
   parts of one, all units but those of one leave and join again.
 
 Turns and joining are safe however messages are lost, late, repeated or reordered, while every two units
-receive a report of each other once in a silence: the protocol assumes that every unit can hear every other
-one. Failover and adoption rest on what was received. Should two units hold one robot as their own, the higher
-one drops it; if it is in the pair of another edge, the unit that holds it as its own does. Neither offers it
-before that is settled. A unit that learns that it was given up for dead starts anew, and so does the smaller
-of two parts of the tree that lost one another (`partition`).
+receive a report of each other once in a silence: the protocol assumes that every unit can hear of every other
+one, directly or by relay. Failover and adoption rest on what was received. Should two units hold one robot as
+their own, the higher one drops it; if it is in the pair of another edge, the unit that holds it as its own
+does. Neither offers it before that is settled. A unit that learns that it was given up for dead starts anew,
+and so does the smaller of two parts of the tree that lost one another (`partition`).
 
 A unit's state is one value (`NodeState`). Each rule reads it and the unit's situation (time, view, reports)
 and returns what is to change; `TreeProtocol.choose` applies the rules in the order of `RULES`.

@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from skyherd.control import TeamClock
+from skyherd.errors import InputError
 from skyherd.messages.clock_offset import DRIFT
 
 LEAST_S = 0.1
@@ -91,3 +92,17 @@ def test_a_bound_gives_way_so_that_a_fast_clock_does_not_run_away_from_its_team(
         clock.hear(float(time_s), np.array([rate * time_s]))
         assert clock.time_s(np.array([rate * time_s]))[0] == pytest.approx(time_s, abs=1e-9)
     assert abs(clock.time_s(np.array([rate * 1000.0]))[0] - 1000.0) <= 1e-4 + DRIFT
+
+
+@pytest.mark.parametrize(
+    ("given", "where"),
+    [
+        ({"least_delay_s": -0.1}, "least_delay_s"),
+        ({"least_delay_s": np.nan}, "least_delay_s"),
+        ({"members": -1}, "members"),
+        ({"members": 2**63}, "members"),
+    ],
+)
+def test_what_is_no_delay_or_no_number_of_members_is_refused(given, where) -> None:
+    with pytest.raises(InputError, match=where):
+        TeamClock(**given)

@@ -26,12 +26,12 @@ import sys
 from pathlib import Path
 from skyherd.datasets import load_mission
 from skyherd.runner import run_mission
-mission = load_mission("triangle", ["perception=ideal"])
+mission = load_mission("triangle", ["perception=ideal", "duration_s=36000.0"])
 with open(sys.argv[2], "w", buffering=1) as clock:
     print("begun", file=clock)
     run_mission(mission, Path(sys.argv[1]), video=False, on_step=lambda step: print(step.time_s, file=clock))
 """
-"""A run that writes the time of each step into a file as it is taken."""
+"""A run that writes the time of each step into a file as it is taken, and lasts until it is killed."""
 
 
 def killed_after(folder, clock, wait_s):

@@ -1,10 +1,12 @@
 """Delays of messages as the loop has them, and what robots and units make of them where clocks differ."""
 
+from dataclasses import replace
 from itertools import islice
 
 import numpy as np
 import pytest
 
+from skyherd.control import Delivery, RobotClocks, TeamClock
 from skyherd.datasets.configuration.mission import make_mission
 from skyherd.datasets.generated.random_missions import Crowd, random_mission
 from skyherd.loop import run_steps
@@ -113,3 +115,24 @@ def test_delays_are_rounded_up_to_whole_steps() -> None:
     assert whole_steps(0.3, 0.1) == pytest.approx(0.3)
     assert whole_steps(0.31, 0.1) == pytest.approx(0.4)
     assert whole_steps(0.0, 0.1) == 0.0
+
+
+def test_the_leading_clock_is_the_teams_and_robots_have_it_by_their_own() -> None:
+    """Units' clocks show -4, 3 and 1.5 s at the start: all stamp 3 s ahead of the world, from 3 s on."""
+    for step, team in run_for(mission_of(*CASES[1]), 12.0):
+        if step.time_s < 3.0:
+            continue
+        ahead_s = [frame.decision.report.time_s - step.time_s for frame in step.frames.values()]
+        assert ahead_s == pytest.approx([3.0] * len(ahead_s), abs=2 * DRIFT)
+        heard = np.isfinite(team.inboxes.received_s).any(axis=0)
+        assert team.clocks.lead_s(step.time_s)[heard] == pytest.approx(3.0, abs=2 * DRIFT)
+    assert heard.all()
+
+
+def test_robots_learn_the_teams_time_by_the_messages_that_they_receive_alone(make_goals) -> None:
+    clocks = RobotClocks(
+        lambda time_s: np.array([10.0, 20.0, 30.0]) + time_s, TeamClock(0.5, 3, listens=True)
+    )
+    goals = replace(make_goals(0, [4, 6], [1, 1]), time_s=2.0)
+    clocks.hear(Delivery(goals, np.array([True, False])), np.array([4, 5, 6]), 1.0)
+    assert clocks.lead_s(1.0).tolist() == [1.5, 20.0, 30.0]

@@ -174,3 +174,16 @@ def test_every_key_of_a_scenario_reaches_the_network(scenario_tree) -> None:
     assert network.units == len(network.reports) == len(scenario.units)
     silent = make_mission(scenario_tree("star") | {"network": faults | {"relay": False}}).scenario
     assert make_network(silent, np.random.default_rng(0)).parameters.relay_s is None
+
+
+@pytest.mark.parametrize(("outages", "trees"), [([], 1), ([[0.0, 100.0]], 2)])
+def test_a_dead_unit_in_the_middle_is_no_relay(outages, trees) -> None:
+    """Three units in a row, of which the outer ones receive the one between them alone."""
+    tree = random_mission(3, Crowd(3, 5, "chain")) | {"perception": "ideal", "duration_s": 8.0}
+    places_m = [(-8.0, 0.0), (0.0, 0.0), (8.0, 0.0)]
+    for unit, place_m in zip(tree["units"], places_m, strict=True):
+        unit |= {"position_m": place_m, "flight": {"kind": "hover"}}
+    tree["units"][1]["outages"] = outages
+    for step in run_steps(make_mission(tree | {"network": {"range_m": 9.0}})):
+        words = {unit: frame.decision.report.tree for unit, frame in step.frames.items()}
+    assert len({words[unit].tree_id for unit in (0, 2)}) == trees

@@ -211,16 +211,20 @@ def test_messages_replace_older_ones_and_clear_what_went_away(make_detections) -
     assert memory.fresh(4.1)[0].size == 0, "and old messages are forgotten"
 
 
-@pytest.mark.parametrize("imaged_s", [0.0, 0.1, 0.2, 0.3])
-def test_directions_turn_with_the_robot(make_detections, imaged_s) -> None:
-    """From when the image was taken, not from when its message came: at 1 rad/s until 0.5 s."""
+@pytest.mark.parametrize(("imaged_s", "lead_s"), [(0.0, 0.0), (0.1, 0.0), (0.2, 0.0), (0.3, 0.0), (0.2, 7.0)])
+def test_directions_turn_with_the_robot(make_detections, imaged_s, lead_s) -> None:
+    """From when the image was taken, not from when its message came: at 1 rad/s until 0.5 s.
+
+    Also where images are stamped by a clock that is ahead of the robot's.
+    """
     memory = NeighborMemory(np.array([0]), np.array([0, 1]), 2.0)
     for tick in range(5):
         if tick == 3:
-            seen = make_detections([0, 1], [0, 60], time_s=imaged_s)
-            memory.receive(proximity(seen, np.array([0]), BodyRule(1.0, obstacles={1: 1.0})))
+            seen = make_detections([0, 1], [0, 60], time_s=imaged_s + lead_s)
+            near = proximity(seen, np.array([0]), BodyRule(1.0, obstacles={1: 1.0}))
+            memory.receive(near, lead_s=np.array([lead_s]))
         memory.record_rotation(np.array([1.0]), 0.1 * tick, 0.1)
-    assert memory.bearings_rad(memory.fresh(0.5)) == pytest.approx([imaged_s - 0.5])
+    assert memory.bearings_rad(memory.fresh(0.5 + lead_s)) == pytest.approx([imaged_s - 0.5])
 
 
 def test_nothing_near_leaves_the_law_alone(make_detections) -> None:

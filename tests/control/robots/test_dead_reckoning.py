@@ -23,9 +23,10 @@ def goals_at(make_goals, axles, headings, targets, sides, offset_m, time_s):
 
 @pytest.mark.parametrize("offset_m", [0.0, 0.12])
 @pytest.mark.parametrize("delay_steps", [0, 3])
-@pytest.mark.parametrize("age_steps", [0, 1, 7])
-def test_a_late_goal_becomes_the_goal_of_now(make_goals, age_steps, delay_steps, offset_m) -> None:
-    """The drives are the simulator's exact arcs, and obey each command `delay_steps` late."""
+@pytest.mark.parametrize(("age_steps", "lead_s"), [(0, 0.0), (1, 0.0), (7, 0.0), (7, 4.0)])
+def test_a_late_goal_becomes_the_goal_of_now(make_goals, age_steps, lead_s, delay_steps, offset_m) -> None:
+    """The drives are the simulator's exact arcs, and obey each command `delay_steps` late; images may be
+    stamped by a clock that is ahead."""
     rng = np.random.default_rng(11)
     steps = 25
     commands = rng.normal(0, 1, (steps, 2, ROBOTS))
@@ -53,10 +54,10 @@ def test_a_late_goal_becomes_the_goal_of_now(make_goals, age_steps, delay_steps,
     old_axles = then - offset_m * np.exp(1j * then_rad)
     imaged_s = (steps - age_steps) * STEP_S
     inboxes.receive(
-        goals_at(make_goals, old_axles, then_rad, targets, sides, offset_m, imaged_s), steps * STEP_S
+        goals_at(make_goals, old_axles, then_rad, targets, sides, offset_m, imaged_s + lead_s), steps * STEP_S
     )
     before = inboxes.rho_px.copy()
-    found = motion.up_to_date(inboxes, steps * STEP_S).rho_px[0]
+    found = motion.up_to_date(inboxes, steps * STEP_S, np.full(ROBOTS, lead_s)).rho_px[0]
     wanted = (targets - to_complex(future)) * np.exp(-1j * turned) * sides / SIDE_M
     np.testing.assert_allclose(found, wanted, atol=1e-9)
     np.testing.assert_array_equal(inboxes.rho_px, before)

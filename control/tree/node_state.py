@@ -11,7 +11,7 @@ import numpy as np
 from skyherd.control.formation.template import Template
 from skyherd.control.tree.edge import NO_ROBOTS, NO_TURN, Edge, Robots
 from skyherd.control.tree.peer_reports import PeerReport, PeerReports
-from skyherd.messages import NO_ID
+from skyherd.messages import NO_ID, NO_SLOT
 from skyherd.messages.checks import check_numbers
 
 Share = Literal["leverage", "nearest"]
@@ -29,8 +29,8 @@ class TreeRule:
         radius: robots are given and taken inside this distance from the image centre, in halves of the
             image's shorter side.
         hysteresis: a unit would rather lose a robot outside `radius (1 + hysteresis)`.
-        dwell_s: length of a slot; pairs are exchanged, and robots adopted or given up, at the first image of
-            a slot.
+        dwell_s: length of a slot; pairs are exchanged, and robots adopted or handed over, at the first image
+            of a slot.
         gain: a new pair must be better than the present one by this factor, so that noise exchanges nothing.
         firm: while an edge agrees at a lower rate than this (in units of the robots' gain k), its units fly
             to see robots that would make a better pair.
@@ -71,6 +71,19 @@ class Extent:
 
 
 @dataclass(frozen=True)
+class HandOver:
+    """Where an own robot is to go (control/tree/hand_over.py).
+
+    Attributes:
+        to_id: the unit whose own it becomes.
+        slot: the slot with which it does; `NO_SLOT` before that unit has accepted it.
+    """
+
+    to_id: int
+    slot: int = NO_SLOT
+
+
+@dataclass(frozen=True)
 class NodeState:
     """A unit's part in the protocol. Only `TreeProtocol` replaces it, by what its rules return.
 
@@ -82,6 +95,9 @@ class NodeState:
         ask_turn: the turn at which it expects the edge that it asks for to begin.
         heir_id: the neighbour that takes over its robots and edges if it falls silent, or `NO_ID`.
         ready: whether the tree is known to be complete, so that robots may move.
+        giving: own robots that are to become another unit's.
+        taking: robots that are to become its own: the unit that has each, and the slot with which it does.
+        accepted: robots that it would take of those that other units want to hand to it.
         searches: whether the unit is to look around for what the tree lacks.
         sought: robots to be got into view, besides those that it controls.
         imaged_s: time of its last image.
@@ -105,6 +121,9 @@ class NodeState:
     ask_turn: int = NO_TURN
     heir_id: int = NO_ID
     ready: bool = False
+    giving: Mapping[int, HandOver] = field(default_factory=dict)
+    taking: Mapping[int, tuple[int, int]] = field(default_factory=dict)
+    accepted: Robots = NO_ROBOTS
     searches: bool = False
     sought: Robots = NO_ROBOTS
     imaged_s: float = -np.inf
@@ -149,6 +168,9 @@ class Changes(TypedDict, total=False):
     ask_turn: int
     heir_id: int
     ready: bool
+    giving: Mapping[int, HandOver]
+    taking: Mapping[int, tuple[int, int]]
+    accepted: Robots
     searches: bool
     sought: Robots
     imaged_s: float
@@ -167,7 +189,16 @@ class Changes(TypedDict, total=False):
 
 def resigned() -> Changes:
     """What changes when a unit leaves the tree to join it anew."""
-    return Changes(own=NO_ROBOTS, edges={}, ready=False, tree_id=NO_ID, asks_id=NO_ID)
+    return Changes(
+        own=NO_ROBOTS,
+        edges={},
+        ready=False,
+        tree_id=NO_ID,
+        asks_id=NO_ID,
+        giving={},
+        taking={},
+        accepted=NO_ROBOTS,
+    )
 
 
 @dataclass(frozen=True)

@@ -32,14 +32,14 @@ def lost(state: NodeState, now: Situation) -> Robots:
 
 
 def offerable(state: NodeState, now: Situation, neighbor: int) -> Robots:
-    """Own robots that may be offered to a unit: undisputed, seen by both, promised to nobody else.
+    """Own robots that may be offered to a unit: undisputed, seen by both, promised or handed to nobody else.
 
     Robots that several neighbours see, or units that ask to become neighbours, go to one after the other,
     slot by slot and two by two, so that none is left out and none gets a single robot, which makes no pair.
     Units that have no pair yet come first.
     """
     free = undisputed(state, now).intersection(now.seen_by(neighbor)) - state.offered(but=neighbor)
-    free -= lost(state, now)
+    free -= lost(state, now) | state.giving.keys()
     newcomers = now.askers | {other for other, edge in state.edges.items() if not edge.pair}
     sharers = {other: now.seen_by(other) for other in sorted(newcomers | state.edges.keys() | {neighbor})}
     offers = set()

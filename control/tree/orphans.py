@@ -3,7 +3,6 @@
 import numpy as np
 
 from skyherd.control.tree.node_state import Changes, NodeState, Situation
-from skyherd.control.tree.offers import lost
 
 
 def yield_claims(state: NodeState, now: Situation) -> Changes:
@@ -49,14 +48,3 @@ def _is_nearest(state: NodeState, now: Situation, robot: int) -> bool:
     others = ((peer.distances.get(robot, np.inf), peer.unit_id) for peer in now.members)
     here = (state.distances_before.get(robot, np.inf), now.unit_id)
     return here <= min(others, default=(np.inf, now.unit_id))
-
-
-def disown_lost(state: NodeState, now: Situation) -> Changes:
-    """As a member, at a slot: leave robots that went out of view to the members that see them.
-
-    Robots that are promised to a neighbour are kept until its turn is over.
-    """
-    if not (state.is_member and now.at_slot):
-        return Changes()
-    secured = frozenset[int]().union(*(peer.near(now.rule.radius) for peer in now.members))
-    return Changes(own=state.own - ((lost(state, now) & secured) - state.offered()))

@@ -10,17 +10,19 @@ whatever the assignment is (docs/topology.md has the proofs). The assignment cha
   takes the first pair in its first turn;
 - by failover (`failover`): each unit names an heir among its neighbours. When the unit falls silent the heir
   takes its robots and edges; the other neighbours turn to the heir and have the first turn;
+- by hand-over (`hand_over`): a robot that its unit lost from view becomes the own of one that sees it, with a
+  slot that both have agreed on;
 - by adoption (`orphans`): a robot that nobody controls becomes the own of the unit that sees it nearest to
-  its centre, after the unit that lost it from view has given it up;
+  its centre;
 - by repair (`orphans`, `partition`): robots that two units claim lose one of them, and of two trees, or two
   parts of one, all units but those of one leave and join again.
 
 Turns and joining are safe however messages are lost, late, repeated or reordered, while every two units
 receive a report of each other once in a silence: the protocol assumes that every unit can hear of every other
-one, directly or by relay. Failover and adoption rest on what was received. Should two units hold one robot as
-their own, the higher one drops it; if it is in the pair of another edge, the unit that holds it as its own
-does. Neither offers it before that is settled. A unit that learns that it was given up for dead starts anew,
-and so does the smaller of two parts of the tree that lost one another (`partition`).
+one, directly or by relay. Failover, hand-over and adoption rest on what was received. Should two units hold
+one robot as their own, the higher one drops it; if it is in the pair of another edge, the unit that holds it
+as its own does. Neither offers it before that is settled. A unit that learns that it was given up for dead
+starts anew, and so does the smaller of two parts of the tree that lost one another (`partition`).
 
 A unit's state is one value (`NodeState`). Each rule reads it and the unit's situation (time, view, reports)
 and returns what is to change; `TreeProtocol.choose` applies the rules in the order of `RULES`.
@@ -36,9 +38,10 @@ from skyherd.control.policy import Selection, SelectionPolicy
 from skyherd.control.selection.safety_radius import centre_distances
 from skyherd.control.topology.slots import slot_at
 from skyherd.control.tree.failover import fail_over, name_heir
+from skyherd.control.tree.hand_over import give, take
 from skyherd.control.tree.joining import admit, join_tree, watch_growth
 from skyherd.control.tree.node_state import Changes, NodeState, Situation, TreeRule
-from skyherd.control.tree.orphans import adopt_orphans, disown_lost, yield_claims
+from skyherd.control.tree.orphans import adopt_orphans, yield_claims
 from skyherd.control.tree.pair_exchange import receive_turns, use_turns
 from skyherd.control.tree.partition import heal_partition, leave_for_lower_tree
 from skyherd.control.tree.peer_reports import PeerReports
@@ -82,7 +85,8 @@ RULES: tuple[tuple[Transition, str], ...] = (
     (yield_claims, "before offers and adoption: both are made of what is left"),
     (admit, "before this unit's own turns: units that ask get robots before neighbours with a pair do"),
     (adopt_orphans, "after claims: what is adopted now can be offered in the turns of this image"),
-    (disown_lost, "after admission: a robot that was just promised stays"),
+    (take, "after claims: a robot that was just taken is none of those that were claimed before"),
+    (give, "after admission: a robot that was just promised stays"),
     (join_tree, "after the rules for members: a founder begins to grant edges at its next image"),
     (use_turns, "after all that changes own robots: offers are made of those that stay own"),
     (watch_growth, "after turns: the tree grows by them, and is seen to have grown in the same image"),
@@ -166,6 +170,10 @@ def tree_status(state: NodeState, now: Situation) -> TreeStatus:
         offered_to_ids=np.array([neighbor for _, neighbor in offers], dtype=np.int64),
         to_release_ids=_ascending(to_release),
         missing_ids=_ascending(missing),
+        handed_ids=np.array(list(state.giving), dtype=np.int64),
+        handed_to_ids=np.array([hand_over.to_id for hand_over in state.giving.values()], dtype=np.int64),
+        handed_slots=np.array([hand_over.slot for hand_over in state.giving.values()], dtype=np.int64),
+        accepted_ids=_ascending(state.accepted),
     )
 
 

@@ -21,13 +21,21 @@ from skyherd.live.wire import (
     decode,
     encode,
 )
-from skyherd.messages import FlightCommand, MotionGoals, Proximity, RoleMap, TreeStatus, UnitReport
+from skyherd.messages import (
+    NO_SLOT,
+    FlightCommand,
+    MotionGoals,
+    Proximity,
+    RoleMap,
+    TreeStatus,
+    UnitReport,
+)
 
 TEAM = "blue"
 
 
 def everything() -> list[Envelope]:
-    tree = TreeStatus(0, 1, 2, 3, True, [1], [4], [[5, 6]], [7], [1], [7], [8])
+    tree = TreeStatus(0, 1, 2, 3, True, [1], [4], [[5, 6]], [7], [1], [7], [8], [9], [2], [NO_SLOT], [3])
     report = UnitReport(
         0, 5.0, [640, 480], [1, 2], [[1.5, 2.5], [3, 4]], [1], [1], tree, 0.5, 20.0, RoleMap(1, 0, [1, 0])
     )
@@ -74,7 +82,7 @@ def body(**parts) -> bytes:
         (b"[1]", "no message of skyherd"),
         (b"x" * (MOST_BYTES + 1), "larger"),
         (changed(team="red"), "another team, 'red'"),
-        (changed(version=2), "of format '2', here it is 1"),
+        (changed(version=3), "of format '3', here it is 2"),
         (changed(version=True), "of format"),
         (changed(sender=5), "nobody"),
         (changed(sender=""), "nobody"),

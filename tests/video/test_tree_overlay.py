@@ -34,6 +34,10 @@ def word(*edges: tuple[int, int, tuple[int, int]], tree_id=0, asks_id=NO_ID, hei
         offered_to_ids=NONE,
         to_release_ids=NONE,
         missing_ids=NONE,
+        handed_ids=NONE,
+        handed_to_ids=NONE,
+        handed_slots=NONE,
+        accepted_ids=NONE,
     )
 
 

@@ -27,7 +27,7 @@ from skyherd.messages.tree_status import TreeStatus
 from skyherd.recording.json_codec import from_plain, to_json
 from skyherd.text import printable, shorten
 
-VERSION = 1
+VERSION = 2
 """Version of the format. It rises whenever a message changes in a way that an older process would misread."""
 
 MOST_BYTES = 1 << 20

@@ -12,10 +12,11 @@ from skyherd.messages.proximity import Proximity
 from skyherd.messages.reports import UnitReport, shared_ids
 from skyherd.messages.role_map import RoleMap
 from skyherd.messages.times import TIME_TOLERANCE_S
-from skyherd.messages.tree_status import TreeStatus
+from skyherd.messages.tree_status import NO_SLOT, TreeStatus
 
 __all__ = [
     "NO_ID",
+    "NO_SLOT",
     "TIME_TOLERANCE_S",
     "Detections",
     "FlightCommand",

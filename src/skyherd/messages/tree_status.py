@@ -10,6 +10,10 @@ from skyherd.geometry import IntArray
 from skyherd.messages.frozen_arrays import freeze, freeze_ids
 from skyherd.messages.ids import NO_ID
 
+NO_SLOT = -(2**53)
+"""Stands for no slot. Derived: below the number of any slot that a clock shows, also one that counts from a
+time to come, and exact in JSON."""
+
 
 @dataclass(frozen=True)
 class TreeStatus:
@@ -29,6 +33,11 @@ class TreeStatus:
         offered_to_ids: (L,) the neighbour that each of them is offered to.
         to_release_ids: (W,) those of the offered robots that the unit prefers to give up.
         missing_ids: (M,) robots of its own that it has not seen for a long time.
+        handed_ids: (H,) robots of its own that are to become another unit's own.
+        handed_to_ids: (H,) the unit that each of them goes to.
+        handed_slots: (H,) the slot with which it does, the same for both units; NO_SLOT before the other unit
+            has accepted it.
+        accepted_ids: (A,) robots that it would take of those that other units want to hand to it.
 
     Raises:
         MessageError: a shape is wrong or an id occurs twice.
@@ -46,6 +55,10 @@ class TreeStatus:
     offered_to_ids: IntArray
     to_release_ids: IntArray
     missing_ids: IntArray
+    handed_ids: IntArray
+    handed_to_ids: IntArray
+    handed_slots: IntArray
+    accepted_ids: IntArray
 
     def __post_init__(self) -> None:
         edges = freeze_ids(self, "neighbor_ids")
@@ -55,6 +68,10 @@ class TreeStatus:
         freeze(self, "offered_to_ids", (offered,), integer=True)
         freeze_ids(self, "to_release_ids")
         freeze_ids(self, "missing_ids")
+        handed = freeze_ids(self, "handed_ids")
+        freeze(self, "handed_to_ids", (handed,), integer=True)
+        freeze(self, "handed_slots", (handed,), integer=True)
+        freeze_ids(self, "accepted_ids")
 
     @cached_property
     def rows(self) -> dict[int, int]:

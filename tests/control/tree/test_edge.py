@@ -29,6 +29,10 @@ def report_of(edge: Edge, time_s: float = 0.0) -> UnitReport:
         offered_to_ids=np.full(len(offered), edge.neighbor_id),
         to_release_ids=np.array(to_release, dtype=np.int64),
         missing_ids=NONE,
+        handed_ids=NONE,
+        handed_to_ids=NONE,
+        handed_slots=NONE,
+        accepted_ids=NONE,
     )
     return UnitReport(edge.unit_id, time_s, np.array([800, 800]), NONE, np.zeros((0, 2)), NONE, NONE, status)
 

@@ -8,26 +8,39 @@ import pytest
 from skyherd.control import BodyRule, RoleRule, Template, TreeRule
 from skyherd.control.tree.edge import NO_TURN, Edge
 from skyherd.control.tree.failover import fail_over, name_heir, successor_of
+from skyherd.control.tree.hand_over import give, take
 from skyherd.control.tree.joining import admit
-from skyherd.control.tree.node_state import NodeState, Situation
+from skyherd.control.tree.node_state import HandOver, NodeState, Situation
 from skyherd.control.tree.offers import offerable
-from skyherd.control.tree.orphans import adopt_orphans, disown_lost
+from skyherd.control.tree.orphans import adopt_orphans
 from skyherd.control.tree.pair_exchange import _to_release, receive_turns, use_turns
 from skyherd.control.tree.partition import heal_partition, leave_for_lower_tree
 from skyherd.control.tree.peer_reports import PeerReports
 from skyherd.control.tree.protocol import note_view
 from skyherd.control.tree.view_targets import seek_robots
 from skyherd.datasets.configuration.models import AvoidanceModel, RolesModel, SelectionModel
-from skyherd.messages import NO_ID, TreeStatus, UnitReport
+from skyherd.messages import NO_ID, NO_SLOT, TreeStatus, UnitReport
 
 SIZE_PX = np.array([800, 800])
 SHAPE = Template(np.arange(8), np.exp(2j * np.pi * np.arange(8) / 8) * (1 + 0.1 * np.arange(8)))
 RULE = TreeRule(share="nearest")
 
 
-def report(unit, time_s, *, controls=(), sees=None, tree_id=0, edges=(), heir=NO_ID, asks=NO_ID):
+def report(
+    unit,
+    time_s,
+    *,
+    controls=(),
+    sees=None,
+    tree_id=0,
+    edges=(),
+    heir=NO_ID,
+    asks=NO_ID,
+    handed=None,
+    accepts=(),
+):
     """A report: what the unit sees by distance in half images, its edges as (neighbour, turn, pair)."""
-    sees = sees or {}
+    sees, handed = sees or {}, handed or {}
     points = np.array([(799 / 2 + 400 * at, 799 / 2) for at in sees.values()]).reshape(-1, 2)
     tree = TreeStatus(
         tree_id=tree_id,
@@ -42,6 +55,10 @@ def report(unit, time_s, *, controls=(), sees=None, tree_id=0, edges=(), heir=NO
         offered_to_ids=[],
         to_release_ids=[],
         missing_ids=[],
+        handed_ids=list(handed),
+        handed_to_ids=[to_id for to_id, _ in handed.values()],
+        handed_slots=[slot for _, slot in handed.values()],
+        accepted_ids=list(accepts),
     )
     return UnitReport(
         unit_id=unit,
@@ -55,8 +72,8 @@ def report(unit, time_s, *, controls=(), sees=None, tree_id=0, edges=(), heir=NO
     )
 
 
-def situation(unit, reports, *, time_s=10.0, sees=None):
-    """What a unit goes by at the first image of slot 5."""
+def situation(unit, reports, *, time_s=10.0, sees=None, at_slot=True):
+    """What a unit goes by at an image in slot 5, by default the first one."""
     peers = PeerReports()
     news = peers.take(reports)
     return Situation(
@@ -65,7 +82,7 @@ def situation(unit, reports, *, time_s=10.0, sees=None):
         unit_id=unit,
         time_s=time_s,
         slot=5,
-        at_slot=True,
+        at_slot=at_slot,
         distances=sees or {},
         news=news,
         peers=peers,
@@ -76,14 +93,94 @@ def robots(*ids):
     return frozenset(ids)
 
 
-def test_a_robot_that_is_promised_is_not_left_to_others():
+def out_of_view(*ids, **fields):
+    """A member's state whose own robots, these ones, went out of its view at 5 s."""
+    times = {"seen_s": dict.fromkeys(ids, 5.0), "held_s": dict.fromkeys(ids, 1.0)}
+    return NodeState(own=robots(*ids), tree_id=0, **times, **fields)
+
+
+def test_robots_out_of_view_go_to_the_member_that_sees_them_nearest_inside_its_radius():
+    reports = [report(7, 10.0, sees={1: 0.3, 2: 0.9}), report(9, 10.0, sees={1: 0.2, 3: 0.2})]
+    changed = give(out_of_view(1, 2, 3), situation(0, reports))
+    assert changed["giving"] == {1: HandOver(9), 3: HandOver(9)}
+    assert changed["own"] == robots(1, 2, 3), "announced is not yet given"
+
+
+def test_a_robot_that_is_promised_is_not_handed_over():
     """Robots 1 and 2 went out of view and unit 9 sees both; 1 is offered to unit 7."""
     edge = Edge(0, 7, 0.0, turn=1, pair=robots(3, 4), offered=robots(1))
-    state = NodeState(
-        own=robots(1, 2), edges={7: edge}, tree_id=0, seen_s={1: 5.0, 2: 5.0}, held_s={1: 1.0, 2: 1.0}
-    )
     now = situation(0, [report(9, 10.0, sees={1: 0.1, 2: 0.1})])
-    assert disown_lost(state, now)["own"] == robots(1)
+    assert give(out_of_view(1, 2, edges={7: edge}), now)["giving"].keys() == {2}
+
+
+def test_a_robot_that_is_handed_over_is_not_offered():
+    now = situation(0, [report(9, 10.0, sees={1: 0.1, 2: 0.1})], sees={1: 0.1, 2: 0.1})
+    state = NodeState(own=robots(1, 2), tree_id=0, giving={2: HandOver(9, 6)}, held_s={1: 1.0, 2: 1.0})
+    assert offerable(state, now, 9) == robots(1)
+
+
+@pytest.mark.parametrize(("time_s", "slot"), [(10.0, 6), (10.8, 6), (11.2, 7), (11.9, 7)])
+def test_an_accepted_hand_over_is_settled_half_a_slot_ahead_at_least(time_s, slot):
+    """Slots are of 2 s; the sixth begins at 12 s, the seventh at 14 s."""
+    now = situation(0, [report(9, time_s, sees={1: 0.1}, accepts=[1])], time_s=time_s, at_slot=False)
+    assert give(out_of_view(1, giving={1: HandOver(9)}), now)["giving"] == {1: HandOver(9, slot)}
+
+
+@pytest.mark.parametrize("at_slot", [True, False])
+def test_what_is_not_accepted_stays(at_slot):
+    """Unit 9 no longer sees the robot: at a slot the unit looks for another taker, which there is not."""
+    now = situation(0, [report(9, 10.0, sees={2: 0.1}, accepts=[2])], at_slot=at_slot)
+    changed = give(out_of_view(1, giving={1: HandOver(9)}), now)
+    assert changed["own"] == robots(1) and changed["giving"] == ({} if at_slot else {1: HandOver(9)})
+
+
+@pytest.mark.parametrize(("slot", "own"), [(5, ()), (6, (1,)), (NO_SLOT, (1,))])
+def test_a_settled_robot_is_dropped_in_its_slot_and_not_before(slot, own):
+    """Also if the unit has seen it again meanwhile: the other one counts on it."""
+    now = situation(0, [report(9, 10.0)], sees={1: 0.1}, at_slot=False)
+    state = NodeState(own=robots(1), tree_id=0, giving={1: HandOver(9, slot)}, seen_s={1: 10.0})
+    changed = give(state, now)
+    assert changed["own"] == robots(*own)
+    assert changed["giving"] == ({1: HandOver(9, 6)} if slot == 6 else {})
+
+
+@pytest.mark.parametrize(
+    ("handed", "sees", "accepted"),
+    [
+        pytest.param({5: (1, NO_SLOT)}, {5: 0.5}, (5,), id="in view"),
+        pytest.param({5: (1, NO_SLOT)}, {5: 0.9}, (), id="outside the radius"),
+        pytest.param({5: (2, NO_SLOT)}, {5: 0.5}, (), id="handed to another unit"),
+        pytest.param({4: (1, NO_SLOT)}, {4: 0.5}, (), id="its own already"),
+    ],
+)
+def test_a_unit_accepts_robots_handed_to_it_that_it_sees(handed, sees, accepted):
+    now = situation(1, [report(0, 10.0, controls=handed, handed=handed)], sees=sees)
+    changed = take(NodeState(own=robots(4), tree_id=0), now)
+    assert changed["accepted"] == robots(*accepted) and changed["own"] == robots(4)
+
+
+@pytest.mark.parametrize(
+    ("slot", "third", "own", "taking"),
+    [
+        pytest.param(6, (), (), {5: (0, 6)}, id="its slot is to come"),
+        pytest.param(5, (), (5,), {}, id="its slot is this one"),
+        pytest.param(4, (), (), {}, id="its slot is over"),
+        pytest.param(5, (5,), (), {}, id="a third unit has it"),
+    ],
+)
+def test_a_settled_robot_is_taken_in_its_slot(slot, third, own, taking):
+    """Also if it is out of view by then: the unit that had it does not wait."""
+    reports = [report(0, 9.9, controls=[5], handed={5: (1, slot)}), report(2, 9.9, controls=third)]
+    changed = take(NodeState(tree_id=0), situation(1, reports))
+    assert changed["own"] == robots(*own) and changed["taking"] == taking
+
+
+def test_a_unit_that_leaves_the_tree_keeps_nothing_of_what_it_was_to_give_or_take():
+    """A lower tree is heard of; none of the robots that were agreed on is the unit's in the new one."""
+    state = out_of_view(1, giving={1: HandOver(9, 6)}, taking={2: (9, 6)}, accepted=robots(3))
+    state = replace(replace(state, tree_id=4), **leave_for_lower_tree(state, situation(5, [])))
+    state = replace(state, **leave_for_lower_tree(replace(state, tree_id=4), situation(5, [report(0, 10.0)])))
+    assert not state.is_member and not (state.own or state.giving or state.taking or state.accepted)
 
 
 @pytest.mark.parametrize(("unit", "adopts"), [(0, True), (2, False)])

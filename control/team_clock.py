@@ -6,11 +6,11 @@ the greatest such bound; for members that send messages themselves their own clo
 the sending clock that is farthest ahead sets the team's time, all others follow it, and nobody need know
 whose it is (L. Lamport, Time, clocks, and the ordering of events in a distributed system, 1978).
 
-Clocks run at slightly different rates, for which a bound gives way with its age (`DRIFT`), but for one's own
-clock. With δ the least delay and δ + d the delay of a message, a member's time then never runs ahead of the
-leading clock's, and right after the message it lags behind its sender's by at most d: an age that a member
-takes of a message is too small by d at most, and by `2 DRIFT` times the age of the fastest recent one. Only a
-member that starts, or that hears of a clock that leads by more, sees a jump.
+Clocks run at slightly different rates, for which a bound gives way with its age (`OffsetBound`), but for
+one's own clock. With δ the least delay and δ + d the delay of a message, a member's time then never runs
+ahead of the leading clock's, and right after the message it lags behind its sender's by at most d: an age
+that a member takes of a message is too small by d at most, and by `2 DRIFT` times the age of the fastest
+recent one. Only a member that starts, or that hears of a clock that leads by more, sees a jump.
 """
 
 import numpy as np
@@ -18,7 +18,7 @@ import numpy as np
 from skyherd.geometry import Array, IntArray
 from skyherd.messages import TIME_TOLERANCE_S
 from skyherd.messages.checks import check_count, check_numbers
-from skyherd.messages.clock_offset import DRIFT
+from skyherd.messages.clock_offset import OffsetBound
 
 MOST_MEMBERS = 10_000
 """Most members of a team. Chosen: as many robots as a scenario may have."""
@@ -44,8 +44,7 @@ class TeamClock:
         self.least_delay_s, self.listens = least_delay_s, listens
         check_numbers(self, not_negative=("least_delay_s",))
         check_count("TeamClock.members", members, most=MOST_MEMBERS)
-        self._ahead_s: Array = np.full(members, -np.inf)
-        self._heard_s: Array = np.zeros(members)
+        self._ahead = OffsetBound(members)
 
     def hear(self, stamp_s: float, own_s: Array, rows: IntArray | None = None) -> None:
         """Take in that a message arrived.
@@ -56,17 +55,10 @@ class TeamClock:
             rows: members that it arrived at; all if None.
         """
         at = slice(None) if rows is None else rows
-        bound_s = stamp_s + self.least_delay_s - own_s[at]
-        newer = bound_s >= self._aged_s(own_s)[at]
-        self._ahead_s[at] = np.where(newer, bound_s, self._ahead_s[at])
-        self._heard_s[at] = np.where(newer, own_s[at], self._heard_s[at])
+        self._ahead.tighten(stamp_s + self.least_delay_s - own_s[at], own_s, at)
 
     def time_s(self, own_s: Array) -> Array:
         """The team's time (N,), by what the members' own clocks show (N,); these until it has heard."""
-        ahead_s = self._aged_s(own_s)
+        ahead_s = self._ahead.at(own_s)
         is_own = np.isneginf(ahead_s) if self.listens else ahead_s < TIME_TOLERANCE_S
         return own_s + np.where(is_own, 0.0, ahead_s)
-
-    def _aged_s(self, own_s: Array) -> Array:
-        """The bounds (N,) on the team's time less each member's own, as they have given way until now."""
-        return self._ahead_s - DRIFT * np.maximum(own_s - self._heard_s, 0.0)

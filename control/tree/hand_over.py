@@ -33,7 +33,8 @@ def take(state: NodeState, now: Situation) -> Changes:
     A robot that a third unit claims by then is not taken, nor one whose slot was over before it was heard of:
     others may have adopted it since.
     """
-    if not state.is_member:
+    handing = [peer for peer in now.members if peer.tree.handed_ids.size]
+    if not state.is_member or not (handing or state.taking or state.accepted):
         return Changes()
     taking = dict(state.taking)
     for peer in now.news:
@@ -41,7 +42,7 @@ def take(state: NodeState, now: Situation) -> Changes:
         taking |= {robot: (peer.unit_id, slot) for robot, slot in settled.items() if slot >= now.slot}
     due = {robot: giver for robot, (giver, slot) in taking.items() if slot <= now.slot}
     own = state.own | {robot for robot, giver in due.items() if not _is_claimed(now, robot, but=giver)}
-    handed = frozenset[int]().union(*(_handed_to(now.unit_id, peer).keys() for peer in now.members))
+    handed = frozenset[int]().union(*(_handed_to(now.unit_id, peer) for peer in handing))
     return Changes(
         own=own,
         taking={robot: settled for robot, settled in taking.items() if robot not in due},
@@ -54,7 +55,7 @@ def give(state: NodeState, now: Situation) -> Changes:
 
     Robots that are promised to a neighbour are kept until its turn is over.
     """
-    if not state.is_member:
+    if not state.is_member or not (now.at_slot or state.giving):
         return Changes()
     own = state.own - {r for r, hand_over in state.giving.items() if NO_SLOT < hand_over.slot <= now.slot}
     giving = {r: hand_over for r, hand_over in state.giving.items() if r in own}

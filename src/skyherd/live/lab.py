@@ -16,6 +16,7 @@ from skyherd.control import (
     Rectifier,
     RoleRule,
     SizeRule,
+    TeamClock,
     Template,
     Wheels,
 )
@@ -312,6 +313,7 @@ class Lab:
             report_lifetime_s=max(REPORT_LIFETIME_S, REPORTS_MISSED * model.limits.goal_timeout_s),
             roles=RoleRule(period_s=1.0, gain=0.05, classes=None) if model.shape.exchange else None,
             size=self._size(),
+            clock=TeamClock(),
         )
 
     def make_unit(self, unit: int) -> UnitCore:

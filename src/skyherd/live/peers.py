@@ -5,10 +5,10 @@ from dataclasses import dataclass, replace
 from typing import TypeVar
 
 from skyherd.live.wire import Beat, Envelope
-from skyherd.messages import MotionGoals, Proximity, UnitReport
+from skyherd.messages import MotionGoals, Proximity
 from skyherd.messages.clock_offset import ClockOffset, OffsetEstimate
 
-M = TypeVar("M", MotionGoals, Proximity, UnitReport)
+M = TypeVar("M", MotionGoals, Proximity)
 
 FORGET_S = 60.0
 """A process that was silent for so long is forgotten, s. Chosen: a restart takes seconds, and a day of

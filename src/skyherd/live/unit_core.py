@@ -1,10 +1,13 @@
 """One aerial unit's computer without sockets: detections, messages and clock readings in, messages out.
 
-The decisions are the simulator's `AerialController`. What is added is what a live unit needs around it: the
-reports of others in its own time, and images that are not worth deciding on left out.
+The decisions are the simulator's `AerialController`, and so is the team's time (`skyherd.control.TeamClock`),
+which stamps the units' reports, so that slots and turns are the same for all of them however their clocks
+differ. What robots receive has the time of the image by the unit's own clock, which they compare with theirs.
+What is added here is what a live unit needs around it: clocks that are not to be trusted, and images that are
+not worth deciding on, are left out.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -63,10 +66,15 @@ class UnitCore:
         if why := self.clocks.distrust(envelope.sender, now_s):
             self.trouble = why
             return
-        report = self.clocks.in_our_time(message, envelope.sender, now_s)
-        last = self._reports.get(report.unit_id)
-        if report.time_s <= now_s + FUTURE_S and (last is None or report.time_s >= last.time_s):
-            self._reports[report.unit_id] = report
+        ahead_s = message.time_s - now_s
+        if ahead_s > self.clocks.limits.offset_s + FUTURE_S:
+            self.trouble = f"{envelope.sender} tells of an image {ahead_s:.2g} s from now"
+            return
+        if self._controller.clock is not None:
+            self._controller.clock.hear(message.time_s, np.array([now_s]))
+        last = self._reports.get(message.unit_id)
+        if last is None or message.time_s >= last.time_s:
+            self._reports[message.unit_id] = message
 
     def beat(self, now_s: float, state: str) -> Beat:
         """A sign of life of this unit."""
@@ -87,6 +95,7 @@ class UnitCore:
         self.trouble = ""
         self._imaged_s = detections.time_s
         decision = self._controller.step(detections, list(self._reports.values()))
+        decision = _stamped(decision, detections.time_s)
         sighting = Sighting(
             self.unit_id,
             detections.time_s,
@@ -96,3 +105,14 @@ class UnitCore:
         news: list[Message] = [sighting]
         news += [message for message in (decision.goals, decision.proximity) if message is not None]
         return UnitNews(decision, (*news, decision.report))
+
+
+def _stamped(decision: Decision, time_s: float) -> Decision:
+    """The same decision by a unit's own time of the image, but for its report, which keeps the team's."""
+    goals, proximity = decision.goals, decision.proximity
+    return replace(
+        decision,
+        detections=replace(decision.detections, time_s=time_s),
+        goals=None if goals is None else replace(goals, time_s=time_s),
+        proximity=None if proximity is None else replace(proximity, time_s=time_s),
+    )

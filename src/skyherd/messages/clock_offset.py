@@ -1,6 +1,6 @@
-"""What another machine's clock shows when ours shows something, learnt from nothing but stamped messages.
+"""What other clocks show when ours shows something, learnt from nothing but stamped messages.
 
-Let θ be what the other clock shows less what ours shows. A message cannot arrive before it was sent, so that
+Let θ be what another clock shows less what ours shows. A message cannot arrive before it was sent, so that
 each one bounds θ, whatever the delays were:
 
 - one that they send when their clock shows s, and that we receive when ours shows r, tells `θ >= s - r`;
@@ -8,18 +8,48 @@ each one bounds θ, whatever the delays were:
 
 The fastest messages give the tightest bounds, so that slow ones do no harm, and a delay that differs between
 the two directions widens the interval and never moves it off the truth. Clocks run at slightly different
-rates, for which bounds give way with their age. Where the two bounds contradict each other, a clock was set:
-what was known before is dropped. A lower and an upper bound are all that needs to be remembered.
+rates, for which bounds give way with their age (`OffsetBound`). Messages in both directions tell the offset
+of one clock and how far it may be off (`ClockOffset`); messages in one direction are enough to agree on one
+time for all (`skyherd.control.TeamClock`).
 """
 
 from dataclasses import dataclass
 
+import numpy as np
+
+from skyherd.geometry import Array, IntArray
 from skyherd.messages.checks import check_numbers
 
 DRIFT = 2e-4
 """By how much two clocks may run apart, s/s. Chosen: crystals are within 50 parts in a million each, and the
 kernel slews a clock that it corrects by up to 500; twice the crystals' sum lets a bound of 1 ms hold for 5
 seconds, in which dozens of messages pass."""
+
+
+class OffsetBound:
+    """The greatest lower bound that N clocks have on how far another time is ahead of theirs.
+
+    A bound gives way by `drift` for each second of its age, and a new one takes its place where it is
+    greater.
+
+    Attributes:
+        drift: by how much clocks may run apart, s/s.
+    """
+
+    def __init__(self, members: int = 1, drift: float = DRIFT) -> None:
+        self.drift = drift
+        self._bounds_s: Array = np.full(members, -np.inf)
+        self._made_s: Array = np.zeros(members)
+
+    def at(self, own_s: Array) -> Array:
+        """The bounds (N,), s, when the clocks show `own_s` (N,); -inf where there is none."""
+        return self._bounds_s - self.drift * np.maximum(own_s - self._made_s, 0.0)
+
+    def tighten(self, bounds_s: Array, own_s: Array, rows: IntArray | slice = slice(None)) -> None:
+        """Take in bounds (M,), s, that clocks in `rows` (M,) have when the clocks show `own_s` (N,)."""
+        is_greater = bounds_s >= self.at(own_s)[rows]
+        self._bounds_s[rows] = np.where(is_greater, bounds_s, self._bounds_s[rows])
+        self._made_s[rows] = np.where(is_greater, own_s[rows], self._made_s[rows])
 
 
 @dataclass(frozen=True)
@@ -56,9 +86,11 @@ class NewsAge:
 class ClockOffset:
     """The bounds on one other clock's offset, from the stamps of the messages exchanged with it.
 
+    Where the two bounds contradict each other, a clock was set, and what was known before is dropped.
+
     Attributes:
         drift: by how much the two clocks may run apart, s/s.
-        resets: how often the bounds contradicted each other, which says that a clock was set.
+        resets: how often the bounds contradicted each other.
 
     Raises:
         InputError: `drift` is negative or no number.
@@ -67,32 +99,31 @@ class ClockOffset:
     def __init__(self, drift: float = DRIFT) -> None:
         self.drift, self.resets = drift, 0
         check_numbers(self, not_negative=("drift",))
-        self._lowest_s, self._highest_s = float("-inf"), float("inf")
-        self._bounded_s = float("-inf")
+        self._at_least = OffsetBound(drift=drift)
+        self._less_at_least = OffsetBound(drift=drift)  # on what ours shows less what theirs shows
 
     def hear(self, their_sent_s: float, our_received_s: float) -> None:
         """Take in the stamps of a message that came from there: `θ >= sent - received`."""
-        self._widen(our_received_s)
-        bound_s = their_sent_s - our_received_s
-        if bound_s > self._highest_s:
+        now_s, bound_s = np.array([our_received_s]), np.array([their_sent_s - our_received_s])
+        if bound_s > -self._less_at_least.at(now_s):
             self.resets += 1
-            self._lowest_s, self._highest_s = bound_s, float("inf")
-        self._lowest_s = max(self._lowest_s, bound_s)
+            self._at_least, self._less_at_least = OffsetBound(drift=self.drift), OffsetBound(drift=self.drift)
+        self._at_least.tighten(bound_s, now_s)
 
     def confirm(self, our_sent_s: float, their_received_s: float, now_s: float) -> None:
         """Take in when a message of ours arrived there, as they told us: `θ <= received - sent`."""
-        self._widen(now_s)
         # The bound is as old as the message; until now it has given way like all others.
-        bound_s = their_received_s - our_sent_s + self.drift * max(0.0, now_s - our_sent_s)
-        if bound_s < self._lowest_s:
+        aged_s = self.drift * max(0.0, now_s - our_sent_s)
+        now, bound_s = np.array([now_s]), np.array([their_received_s - our_sent_s + aged_s])
+        if bound_s < self._at_least.at(now):
             self.resets += 1
-            self._lowest_s, self._highest_s = float("-inf"), bound_s
-        self._highest_s = min(self._highest_s, bound_s)
+            self._at_least, self._less_at_least = OffsetBound(drift=self.drift), OffsetBound(drift=self.drift)
+        self._less_at_least.tighten(-bound_s, now)
 
     def estimate(self, now_s: float) -> OffsetEstimate:
         """The middle of what is possible now, and how far off it may be."""
-        aged_s = self._aged_s(now_s)
-        lowest_s, highest_s = self._lowest_s - aged_s, self._highest_s + aged_s
+        now = np.array([now_s])
+        lowest_s, highest_s = float(self._at_least.at(now)[0]), -float(self._less_at_least.at(now)[0])
         if lowest_s == float("-inf") or highest_s == float("inf"):
             return OffsetEstimate(0.0, float("inf"))
         return OffsetEstimate((lowest_s + highest_s) / 2, (highest_s - lowest_s) / 2)
@@ -101,13 +132,3 @@ class ClockOffset:
         """How old what they stamped is now."""
         known = self.estimate(now_s)
         return NewsAge(now_s - (their_stamp_s - known.offset_s), known.uncertainty_s)
-
-    def _aged_s(self, now_s: float) -> float:
-        """By how much the bounds have given way since they were last moved."""
-        return self.drift * max(0.0, now_s - self._bounded_s) if self._bounded_s > float("-inf") else 0.0
-
-    def _widen(self, now_s: float) -> None:
-        """Let both bounds give way for the time since they were last moved."""
-        aged_s = self._aged_s(now_s)
-        self._lowest_s, self._highest_s = self._lowest_s - aged_s, self._highest_s + aged_s
-        self._bounded_s = max(self._bounded_s, now_s)

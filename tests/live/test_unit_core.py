@@ -1,0 +1,91 @@
+"""A live unit whose clock differs from others': one time for slots, and for robots the time of the image."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from skyherd.live.lab import load_lab
+from skyherd.live.wire import Beat, Envelope
+
+LAB = load_lab("star")
+FRAME_S, DELAY_S = 0.2, 0.05
+
+
+class TwoUnits:
+    """Two units of a lab that see its robots at the same instants; messages take `DELAY_S`."""
+
+    def __init__(self, make_detections, offsets_s):
+        self.cores, self.offsets_s = [LAB.make_unit(number) for number in range(2)], offsets_s
+        ids = LAB.template.ids
+        self.image = make_detections(ids, LAB.template.points_of(ids) * 20 + 400 + 400j)
+        self.decisions = [[], []]
+
+    def run(self, seconds):
+        """Images, and what each unit says on them to the other one."""
+        for number in range(round(seconds / FRAME_S)):
+            time_s = 100.0 + number * FRAME_S
+            for unit, core in enumerate(self.cores):
+                own_s = time_s + self.offsets_s[unit]
+                news = core.see(replace(self.image, unit_id=unit, time_s=own_s), own_s)
+                self.decisions[unit].append(news.decision)
+            for unit in (0, 1):
+                self.tell(unit, time_s, self.decisions[1 - unit][-1].report)
+
+    def tell(self, unit, sent_s, report):
+        """A report of the other unit, and a beat that says when a message of this one arrived there."""
+        ours_s, theirs_s = self.offsets_s[unit], self.offsets_s[1 - unit]
+        sent_before_s = sent_s - 2 * DELAY_S
+        beat = Beat({f"unit/{unit}": (sent_before_s + ours_s, sent_before_s + DELAY_S + theirs_s)})
+        for message in (beat, report):
+            envelope = Envelope(f"unit/{1 - unit}", sent_s + theirs_s, message)
+            self.cores[unit].receive(envelope, sent_s + DELAY_S + ours_s)
+
+    def stamps_s(self):
+        """What the reports say of the times of the last second's images: arrays of both units."""
+        return [np.array([decision.report.time_s for decision in made[-5:]]) for made in self.decisions]
+
+
+@pytest.mark.parametrize("offsets_s", [(0.0, 0.4), (0.4, 0.0), (-0.3, 0.5)])
+def test_units_share_one_time_though_their_clocks_differ(make_detections, offsets_s) -> None:
+    """It is the time of the clock that is ahead; the other unit knows it to the delay of a message."""
+    team = TwoUnits(make_detections, offsets_s)
+    team.run(4.0)
+    first_s, second_s = team.stamps_s()
+    leader_s = (first_s, second_s)[int(np.argmax(offsets_s))]
+    lag_s = leader_s - (first_s, second_s)[int(np.argmin(offsets_s))]
+    assert (lag_s > 0).all() and (lag_s <= DELAY_S + 1e-3).all(), "of 0.4 to 0.8 s between the clocks"
+    assert not any(core.trouble for core in team.cores)
+
+
+def test_robots_are_told_when_the_image_was_taken_by_the_units_own_clock(make_detections) -> None:
+    """They compare that clock with theirs; the team's time would be another one's."""
+    team = TwoUnits(make_detections, (0.0, 0.4))
+    team.run(4.0)
+    behind = team.decisions[0]
+    assert all(decision.goals is not None for decision in behind[-5:])
+    for number, decision in enumerate(behind):
+        own_s = 100.0 + number * FRAME_S
+        assert decision.detections.time_s == own_s
+        assert decision.goals is None or decision.goals.time_s == own_s
+    assert behind[-1].report.time_s > own_s + 0.3
+
+
+def test_a_clock_that_is_not_trusted_leads_nobody(make_detections) -> None:
+    team = TwoUnits(make_detections, (0.0, 20.0))
+    team.run(4.0)
+    own_s = np.array([decision.detections.time_s for decision in team.decisions[0][-5:]])
+    assert (team.stamps_s()[0] == own_s).all()
+    assert "+20 s off" in team.cores[0].trouble
+
+
+def test_a_report_of_a_time_to_come_leads_nobody(make_detections) -> None:
+    """Its sender's clock is right, and what it says is not: such a stamp would lead the whole team."""
+    team = TwoUnits(make_detections, (0.0, 0.0))
+    team.run(2.0)
+    lie = replace(team.decisions[1][-1].report, time_s=200.0)
+    team.tell(0, 102.0, lie)
+    assert "from now" in team.cores[0].trouble
+    own_s = 102.2
+    news = team.cores[0].see(replace(team.image, time_s=own_s), own_s)
+    assert news.decision.report.time_s == own_s

@@ -49,7 +49,7 @@ GAINS = ["--set", "control.k=0.3", "--set", "control.k_omega=1.2"]
 """Three times those of the example, so that a run takes half a minute."""
 
 KEEP_ALIVE_S = 0.5
-"""Of the world's wheels (`skyherd.live.world_process.HOLD_S`)."""
+"""Of the world's wheels (`skyherd.live.world.process.HOLD_S`)."""
 
 FORMED = 0.02
 STALL_S = 3.0

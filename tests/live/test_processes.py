@@ -20,7 +20,7 @@ from skyherd.live.diaries.replay import replay
 from skyherd.live.lab import LabRadio, lab_text
 from skyherd.live.review import make_live_report
 from skyherd.live.supervisor import Child, Supervisor
-from skyherd.live.world_process import CameraStream
+from skyherd.live.world.camera_stream import CameraStream
 
 
 def test_zenoh_is_named_where_it_is_missing(monkeypatch, tmp_path) -> None:

@@ -18,8 +18,9 @@ import pytest
 from skyherd.datasets import load_mission
 from skyherd.errors import InputError
 from skyherd.loop import run_steps
+from skyherd.recording.footer import MAGIC
 from skyherd.recording.reader import MOST_BYTES, read_messages, read_recording, read_steps
-from skyherd.recording.survey import MAGIC, Flaw, describe_flaws, survey
+from skyherd.recording.survey import Flaw, describe_flaws, survey
 from skyherd.recording.writer import McapRecorder
 
 CHUNK_OPCODE, CHUNK_HEAD = 6, 9 + 8 + 8 + 8 + 4 + 4 + 4 + 8

@@ -126,7 +126,7 @@ def world(
 ) -> int:
     """Be the world of a scenario: streams of its cameras out, wheel commands in, in real time."""
     from skyherd.datasets import load_mission
-    from skyherd.live.world_process import run_world
+    from skyherd.live.world.process import run_world
 
     mission = load_mission(scenario, settings or [])
     with (

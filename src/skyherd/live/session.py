@@ -75,9 +75,8 @@ def run_session(
     shows = console.is_terminal
     supervisor = Supervisor(folder / "live.log", lines.append if shows else say)
     watched = operator.watch(lab, radio, LiveClock(), "supervisor")
-    options = ["--out", str(folder), "--supervised"]
+    options = ["--out", str(folder), "--supervised", *["--insecure"] * insecure, *["--dry-run"] * dry_run]
     options += [part for setting in settings for part in ("--set", setting)]
-    options += ["--insecure"] * insecure + ["--dry-run"] * dry_run
     end_s = float("inf") if duration_s is None else time.monotonic() + duration_s
     waiting_to_arm = armed
     try:

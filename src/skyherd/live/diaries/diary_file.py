@@ -8,7 +8,8 @@ import orjson
 
 from skyherd.errors import InputError
 from skyherd.files.reading import open_regular
-from skyherd.recording.survey import HEAD_CHANNEL, MALFORMED, describe_flaws, read_chunk, survey
+from skyherd.recording.footer import HEAD_CHANNEL, MALFORMED
+from skyherd.recording.survey import describe_flaws, read_chunk, survey
 
 ALLOWED = "a file of `skyherd live run`"
 """What is to be given where something else was, as complaints say it."""

@@ -1,15 +1,14 @@
 """The figures of a live run."""
 
-from collections.abc import Iterator
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from skyherd.drawing.palette import INK, MUTED, PAPER, UNIT_COLORS, WARNING, unit_color
+from skyherd.drawing.palette import INK, MUTED, UNIT_COLORS, WARNING, unit_color
 from skyherd.geometry import Array
+from skyherd.live.review.image_paths import draw_images
 from skyherd.live.review.latency import latency_stages, whole_way
 from skyherd.live.review.process_log import ProcessLog
 from skyherd.live.review.reasons import DECIDING, armed_stretches, stretches, time_by_reason
@@ -18,7 +17,6 @@ from skyherd.live.robot_core import DRIVING
 from skyherd.plots.panels import Panel
 from skyherd.plots.style import (
     draw_line,
-    frame_square,
     legend_above,
     new_figure,
     robot_colorbar,
@@ -36,17 +34,8 @@ FIXED_COLORS = {DECIDING: UNIT_COLORS[0], DRIVING: UNIT_COLORS[2], "disarmed": "
 REASON_COLORS = (*(UNIT_COLORS[k] for k in (1, 4, 3, 5, 6)), "#5a3a1a")
 """Colours of what else holds wheels still, by the time that it did; all further reasons share the last."""
 
-MOST_PANELS = 12
-"""Units whose images are drawn at most. Chosen: more than a page can show well."""
-
 MOST_POINTS = 1500
 """Points of a curve that are drawn at most. Chosen: more than a figure has pixels across."""
-
-GAP_S = 1.0
-"""A path is not drawn over a time without the marker that is longer, s. Chosen: nobody knows the way."""
-
-MOST_LABELS = 24
-"""Robots that are numbered in images at most; the colour bar names those of more."""
 
 
 def draw_timeline(session: SessionLog) -> Figure:
@@ -112,66 +101,11 @@ def draw_shape_error(session: SessionLog) -> Figure | None:
         axes.plot(times, part, ".", color=color, markersize=2.5, alpha=0.5)
         draw_line(axes, *_few(times_s, np.where(whole, errors, np.nan)), color=color)
     use_log_scale(axes)
-    handles = [Line2D([], [], color=unit_color(log.number), label=log.name) for log in _first_runs(session)]
+    handles = [Line2D([], [], color=unit_color(log.number), label=log.name) for log in session.first_units()]
     if any(judged.robots < len(session.lab.ids) for log in logs for judged in log.judged):
         handles.append(Line2D([], [], color=MUTED, marker=".", linestyle="", label="not all robots in view"))
     legend_above(figure, handles)
     return figure
-
-
-def draw_images(session: SessionLog) -> Figure | None:
-    """Draw the paths of the markers in each unit's image, and its last goals; None if there was no image."""
-    units = [log for log in _first_runs(session) if any(run.seen for run in session.runs[log.name])]
-    if not units:
-        return None
-    units = units[:MOST_PANELS]
-    columns = min(len(units), 2)
-    rows = -(-len(units) // columns)
-    figure = new_figure((4.6 if columns == 1 else 3.2) * rows + 0.4)
-    panels = figure.subplots(rows, columns, squeeze=False).ravel()
-    ids = np.array(session.lab.ids)
-    colors = dict(zip(ids.tolist(), robot_colors(ids.size), strict=True))
-    for axes, log in zip(panels, units, strict=False):
-        _draw_image(axes, session.runs[log.name], colors)
-        axes.set_title(log.name)
-    for axes in panels[len(units) :]:
-        axes.set_visible(False)
-    if ids.size > MOST_LABELS:
-        robot_colorbar(figure, list(panels), ids)
-    handles = [
-        Line2D([], [], color=INK, marker="s", linestyle="", markersize=4, label="first seen"),
-        Line2D([], [], color=INK, marker="o", linestyle="", markersize=6, label="last seen"),
-        Line2D([], [], color=INK, marker="+", linestyle="", markersize=9, label="last goal"),
-    ]
-    legend_above(figure, handles)
-    return figure
-
-
-def _draw_image(axes: Axes, logs: list[ProcessLog], colors: dict[int, Array]) -> None:
-    images = [seen for log in logs for seen in log.seen]
-    width, height = next(log.image_size_px for log in reversed(logs) if log.seen)
-    all_ids = np.concatenate([seen.ids for seen in images])
-    all_points = np.concatenate([seen.centers_px for seen in images])
-    all_times_s = np.repeat([seen.time_s for seen in images], [seen.ids.size for seen in images])
-    for robot, color in colors.items():
-        rows = np.flatnonzero(all_ids == robot)
-        if not rows.size:
-            continue
-        rows = rows[:: -(-rows.size // MOST_POINTS)] if rows.size > MOST_POINTS else rows
-        for piece in np.split(rows, np.flatnonzero(np.diff(all_times_s[rows]) > GAP_S) + 1):
-            axes.plot(*all_points[piece].T, color=color, linewidth=1.0)
-        first, last = all_points[rows[0]], all_points[rows[-1]]
-        labelled = len(colors) <= MOST_LABELS
-        axes.plot(*first, "s", color=color, markersize=3.5)
-        axes.plot(*last, "o", color=color, markersize=11 if labelled else 6, markeredgecolor=PAPER)
-        if labelled:
-            axes.annotate(
-                str(robot), last, color=PAPER, ha="center", va="center_baseline", fontsize=7, zorder=9
-            )
-    for robot, place in logs[-1].goals_px.items():
-        axes.plot(*place, "+", color=colors.get(robot, INK), markersize=17)
-    frame_square(axes, np.array([[0.0, 0.0], [width, height]]))
-    axes.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), xlabel="u (px)", ylabel="v (px)")
 
 
 def draw_latency(session: SessionLog) -> Figure | None:
@@ -211,7 +145,7 @@ def draw_latency(session: SessionLog) -> Figure | None:
     over_time.set_ylim(bottom=0.0)
     handles = [
         Line2D([], [], color=unit_color(log.number), marker=".", linestyle="", label=log.name)
-        for log in _first_runs(session)
+        for log in session.first_units()
     ]
     legend_above(figure, handles)
     return figure
@@ -263,16 +197,11 @@ def draw_clocks(session: SessionLog) -> Figure | None:
         return None
     handles = [
         Line2D([], [], color=unit_color(log.number), label=f"{log.name}, as others know it")
-        for log in _first_runs(session)
+        for log in session.first_units()
         if log.name in drawn
     ]
     legend_above(figure, handles, columns=3)
     return figure
-
-
-def _first_runs(session: SessionLog) -> Iterator[ProcessLog]:
-    """The first file of each unit."""
-    return (logs[0] for logs in session.runs.values() if logs[0].is_unit)
 
 
 def _few(times_s: Array, values: Array) -> tuple[Array, Array]:

@@ -61,6 +61,10 @@ class SessionLog:
             if name.startswith(f"{kind}/"):
                 yield from logs
 
+    def first_units(self) -> Iterator[ProcessLog]:
+        """The first file of each unit."""
+        return (logs[0] for logs in self.runs.values() if logs[0].is_unit)
+
     @property
     def restarts(self) -> int:
         """How often a process was started again."""

@@ -6,24 +6,19 @@ came for `HOLD_S`, as those of a robot with a keep-alive do. It alone knows the 
 """
 
 import math
-import socket
-import threading
 import time
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-import av
 import numpy as np
 
 from skyherd.datasets import Mission
-from skyherd.errors import InputError
 from skyherd.live.live_clock import LiveClock
 from skyherd.live.radio import Post, Radio
 from skyherd.live.wire import Wheels
+from skyherd.live.world.camera_stream import CameraStream
 from skyherd.messages import FlightCommand, VelocityCommand
 from skyherd.random_streams import RunStream, generator
 from skyherd.recording.mcap_log import McapLog, Schema
@@ -38,132 +33,11 @@ HOLD_S = 0.5
 FIRST_PORT = 7461
 """Port of the first camera. Chosen: beside the radio's."""
 
-QUALITY = {"preset": "ultrafast", "tune": "zerolatency", "crf": "18"}
-"""How x264 encodes. Chosen: as a network camera does, each picture sent before the next is taken."""
-
-KEY_FRAME_S = 2.0
-"""Time between two pictures that need none before them, s."""
-
-FULL_RANGE = 2
-"""FFmpeg's number of grey levels from 0 to 255, where videos have 16 to 235 as a rule."""
-
-MILLISECOND = Fraction(1, 1000)
-"""Unit of time of FLV."""
-
 TOPICS: dict[str, Schema] = {
     "/scenario": ("skyherd.WorldScenario", {"type": "object"}),
     "/truth": ("skyherd.WorldTruth", {"type": "object"}),
 }
 """What the world records: the scenario, and at each step where everything is and what wheels were told."""
-
-
-class CameraStream:
-    """One camera's pictures for whoever connects: the newest, encoded in a thread of its own.
-
-    Attributes:
-        port: where it listens on loopback.
-        sent: number of pictures that were sent.
-
-    Args:
-        size_px: width and height.
-        rate_hz: pictures a second of real time.
-        port: as the attribute; 0 for any that is free.
-
-    Raises:
-        InputError: the port is taken.
-    """
-
-    def __init__(self, size_px: tuple[int, int], rate_hz: float, port: int) -> None:
-        self.sent = 0
-        self._size_px, self._rate_hz = size_px, rate_hz
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            self._socket.bind(("127.0.0.1", port))
-        except OSError as error:
-            raise InputError(f"port {port}", error.strerror or str(error), "--port of a free one") from None
-        self.port = int(self._socket.getsockname()[1])
-        self._socket.listen(1)
-        self._socket.settimeout(0.2)
-        self._newest: tuple[Image, float] | None = None
-        self._news = threading.Condition()
-        self._closing = False
-        self._thread = threading.Thread(target=self._run, name=f"camera {self.port}", daemon=True)
-        self._thread.start()
-
-    def show(self, image: Image, taken_s: float) -> None:
-        """Let this be the newest picture, taken at a time of any clock."""
-        with self._news:
-            self._newest = image, taken_s
-            self._news.notify()
-
-    def close(self) -> None:
-        """End the stream."""
-        with self._news:
-            self._closing = True
-            self._news.notify()
-        self._thread.join(2.0)
-        self._socket.close()
-
-    def _run(self) -> None:
-        while not self._closing:
-            try:
-                viewer, _ = self._socket.accept()
-            except TimeoutError:
-                continue
-            except OSError:
-                return
-            viewer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            viewer.settimeout(5.0)
-            with viewer, suppress(OSError, av.FFmpegError):
-                self._serve(viewer)
-
-    def _serve(self, viewer: socket.socket) -> None:
-        """Send pictures to one viewer until it leaves."""
-        container = av.open(_Pipe(viewer), "w", format="flv")
-        stream = container.add_stream("libx264", rate=max(1, round(self._rate_hz)), options=QUALITY)
-        stream.width, stream.height = self._size_px
-        stream.pix_fmt = "yuv420p"
-        context = stream.codec_context
-        context.thread_count = 1
-        context.color_range = FULL_RANGE
-        context.gop_size = max(1, round(KEY_FRAME_S * self._rate_hz))
-        last = -1
-        try:
-            while True:
-                with self._news:
-                    self._news.wait_for(lambda: self._newest is not None or self._closing)
-                    if self._closing:
-                        return
-                    (image, taken_s), self._newest = self._newest, None  # type: ignore[misc]
-                picture = av.VideoFrame.from_ndarray(_yuv(image), format="yuv420p")
-                last = max(last + 1, round(taken_s * 1000))
-                picture.pts, picture.time_base = last, MILLISECOND
-                picture.color_range = FULL_RANGE
-                container.mux(stream.encode(picture))
-                self.sent += 1
-        finally:
-            with suppress(OSError, av.FFmpegError):
-                container.close()
-
-
-class _Pipe:
-    """A socket as PyAV writes to it."""
-
-    def __init__(self, viewer: socket.socket) -> None:
-        self._viewer = viewer
-
-    def write(self, data: bytes) -> int:
-        """Send all of it."""
-        self._viewer.sendall(data)
-        return len(data)
-
-
-def _yuv(image: Image) -> Image:
-    """A grey image (height, width) with the colour planes that H.264 wants, both even, colourless."""
-    height, width = image.shape
-    plane = np.full((height // 2, width), 128, dtype=np.uint8)
-    return np.concatenate([image, plane])
 
 
 @dataclass

@@ -25,13 +25,13 @@ from skyherd.vision.diagnosis.reasons import (
     Measured,
     Reason,
     Suspect,
-    describe,
     failed_test,
     find_reason,
     is_clear,
     is_cut,
     is_dark,
 )
+from skyherd.vision.diagnosis.wording import describe
 from skyherd.vision.grey import Image, check_grey
 from skyherd.vision.photometric.detector import PhotometricDetector
 from skyherd.vision.photometric.verify import Quantity, image_noise, verification_tests

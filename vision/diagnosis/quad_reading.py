@@ -7,15 +7,20 @@ pattern is known, blur and contrast follow from the bits themselves and need no 
 """
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
 from skyherd.geometry import Array, BoolArray, IntArray
-from skyherd.markers.dictionary import cells_per_side, dictionary_size, marker_cells
-from skyherd.vision.blurred_cells import MIN_DEVIATION, blurred_darkness, correlations, standardised
+from skyherd.markers.dictionary import cells_per_side
+from skyherd.vision.blurred_cells import MIN_DEVIATION, correlations, standardised
+from skyherd.vision.diagnosis.templates import (
+    FIRST_BLUR_CELLS,
+    Templates,
+    blurred_levels,
+    load_templates,
+)
 from skyherd.vision.grey import Image
 
 PER_CELL = 3
@@ -28,10 +33,6 @@ cell has many pixels."""
 
 BLURS_CELLS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.85, 1.0)
 """Standard deviations of the blur, in cells, that are tried. Chosen: from sharp to beyond legible."""
-
-FIRST_BLUR_CELLS = 0.3
-"""Standard deviation of the blur, in cells, at the first look. Chosen: moderate, so that the nearest markers
-are among the `FINALISTS` at any other."""
 
 FINALISTS = 8
 """Number of templates, the likest at the first blur, that are compared at all blurs. Chosen: more cost time
@@ -53,61 +54,6 @@ white, and the brightest few may be glare."""
 
 FIRST_MIDDLE = 128.0
 """Level between black and white if no inner cell is in the image: the middle of the 8-bit range."""
-
-
-@dataclass(frozen=True)
-class Templates:
-    """All N markers of a dictionary in four quarter turns, as they are and mirrored: 8 N templates.
-
-    The row of marker i in turn k is `4 N mirrored + N k + i`. A mirror image that is a marker as well, of the
-    same id or of another, counts as that marker.
-
-    Attributes:
-        white: (8 N, n, n) which cells are white.
-        levels: (8 N, n, n) levels of the cells' middles under `FIRST_BLUR_CELLS`, 0 black, 1 white.
-        standard: (8 N, n n) the same, each template with mean 0 and standard deviation 1.
-        count: number N of markers.
-        unmirrored: (8 N,) for each row the row of the same cells that is not mirrored, or itself if the
-            mirror image is no marker.
-    """
-
-    white: BoolArray
-    levels: npt.NDArray[np.float32]
-    standard: npt.NDArray[np.float32]
-    count: int
-    unmirrored: IntArray
-
-    def row(self, index: int) -> tuple[int, bool]:
-        """Return the marker id of a row, and whether it is the mirror image of a marker and none itself."""
-        own = int(self.unmirrored[index])
-        return own % self.count, own >= 4 * self.count
-
-    def wrong_cells(self, index: int, white: BoolArray, seen: BoolArray) -> tuple[tuple[int, int], ...]:
-        """Return row and column, from 1, of the cells (n, n) that are seen and are not those of a row.
-
-        They are counted in the marker, from its corner that is ahead on the left.
-        """
-        own = int(self.unmirrored[index])
-        turned = np.rot90((white != self.white[own]) & seen, -(own % (4 * self.count) // self.count))
-        return tuple((int(row) + 1, int(column) + 1) for row, column in np.argwhere(turned))
-
-
-def _blurred(white: BoolArray, blur_cells: float, per_cell: int) -> npt.NDArray[np.float32]:
-    """Levels (M, S, S), S = n per_cell, of markers (M, n, n) on a white ground under a blur."""
-    return (1.0 - blurred_darkness(white, blur_cells, per_cell)).astype(np.float32)
-
-
-@lru_cache(maxsize=4)
-def load_templates(dictionary: str) -> Templates:
-    """Return the templates of a dictionary; the last four dictionaries are kept."""
-    count = dictionary_size(dictionary)
-    cells = np.stack([marker_cells(dictionary, k) for k in range(count)])
-    sides = (cells, cells[:, :, ::-1])
-    white = np.concatenate([np.rot90(side, turn, (1, 2)) for side in sides for turn in range(4)])
-    levels = _blurred(white, FIRST_BLUR_CELLS, 1)
-    rows = {cell.tobytes(): row for row, cell in reversed(list(enumerate(white[: 4 * count])))}
-    unmirrored = np.array([rows.get(cell.tobytes(), row) for row, cell in enumerate(white)])
-    return Templates(white, levels, standardised(levels.reshape(len(levels), -1)), count, unmirrored)
 
 
 @dataclass(frozen=True)
@@ -361,7 +307,7 @@ def _nearest(sight: _Sight) -> Match:
 
 def _under_all_blurs(white: BoolArray) -> npt.NDArray[np.float32]:
     """Levels (B M, S, S) of markers (M, n, n) under each of the B blurs that are tried, blur by blur."""
-    return np.concatenate([_blurred(white, blur, PER_CELL) for blur in BLURS_CELLS])
+    return np.concatenate([blurred_levels(white, blur, PER_CELL) for blur in BLURS_CELLS])
 
 
 def _fit(likeness: float, row: int, blur: float, pattern: npt.NDArray[np.float32], values: Array) -> Match:

@@ -10,7 +10,6 @@ from enum import Enum
 import numpy as np
 
 from skyherd.geometry import Array
-from skyherd.markers.dictionary import cells_per_side
 from skyherd.vision.diagnosis.quad_reading import Reading
 from skyherd.vision.photometric.unknown_blur import MAX_SIGMA_SHARE
 from skyherd.vision.photometric.verify import MAX_BLUR_CELLS, FitTest, Quantity
@@ -60,9 +59,6 @@ Chosen: fainter ones are shadows and texture."""
 MIN_QUIET_CONTRAST = 1.0
 """Smallest contrast, grey levels, that the quiet zone's level is compared with, so that none divides by
 zero."""
-
-SHOWN_CELLS = 4
-"""Most wrong cells that are named one by one. Chosen: they fit into a line."""
 
 
 class Reason(Enum):
@@ -209,7 +205,7 @@ def find_reason(suspect: Suspect, n_cells: int, *, again: bool) -> tuple[Reason,
         return Reason.BLURRED, Measured(UNITS[Quantity.BLUR], reading.blur_cells, most_blur_cells)
     if not suspect.seen:
         return _unseen_reason(suspect)
-    dark = int(_lacks_quiet(reading).sum())
+    dark = int(edges_without_quiet(reading).sum())
     if dark and not reading.wrong_bits and suspect.failed and suspect.failed[0] in SPOILED_BY_GROUND:
         return Reason.NO_QUIET_ZONE, Measured("edges without a white margin", dark, 0.0)
     if reading.wrong_bits and (not suspect.fitted or _is_cell(suspect.failed)):
@@ -223,7 +219,7 @@ def _unseen_reason(suspect: Suspect) -> tuple[Reason, Measured | None]:
     if reading.contrast < LEAST_SEARCHED_CONTRAST and suspect.failed is None:
         name = UNITS[Quantity.CONTRAST]
         return Reason.LOW_CONTRAST, Measured(name, reading.contrast, LEAST_SEARCHED_CONTRAST, at_least=True)
-    dark = int(_lacks_quiet(reading).sum())
+    dark = int(edges_without_quiet(reading).sum())
     if dark:
         return Reason.NO_QUIET_ZONE, Measured("edges without a white margin", dark, 0.0)
     if reading.wrong_bits:
@@ -251,7 +247,7 @@ def _has_bits(reading: Reading) -> bool:
 def is_clear(reading: Reading) -> bool:
     """Return whether a candidate is a large, sharp and clear frame on white."""
     clear = reading.framed and reading.cell_px[0] >= CLEAR_CELL_PX and reading.contrast >= CLEAR_CONTRAST
-    return clear and reading.blur_cells <= CLEAR_BLUR_CELLS and not bool(_lacks_quiet(reading).any())
+    return clear and reading.blur_cells <= CLEAR_BLUR_CELLS and not bool(edges_without_quiet(reading).any())
 
 
 def is_dark(reading: Reading) -> bool:
@@ -265,57 +261,7 @@ def is_cut(reading: Reading, image_size_px: Array) -> bool:
     return bool(((corners < BORDER_PX) | (corners > image_size_px - 1 - BORDER_PX)).any())
 
 
-def _lacks_quiet(reading: Reading) -> Array:
+def edges_without_quiet(reading: Reading) -> Array:
     """(4,) whether the quiet zone beside each edge is too dark."""
     share = (reading.quiet - reading.black) / max(reading.contrast, MIN_QUIET_CONTRAST)
     return np.asarray(share < QUIET_SHARE)
-
-
-WORDS = {
-    Reason.REPEATED: "id {id} is there more than once, so that none is trusted: use each id once",
-    Reason.OVERLOOKED: "the detector photometric finds id {id} here: use it",
-    Reason.NO_BITS: "a dark quadrilateral without bits",
-    Reason.MIRRORED: "the mirror image of id {id}: flip the picture left to right",
-    Reason.WRONG_BITS: "{wrong} of {cells} cells differ from the nearest marker, id {id} (row.column "
-    "{which}): covered in part, dirty, or of another dictionary than {dictionary}",
-    Reason.FEW_PIXELS: "{measured} ({like}): fly lower, zoom in or print larger",
-    Reason.NO_QUIET_ZONE: "no white margin at {dark_edges} of its 4 edges ({like}): leave one cell, "
-    "{cell_percent:.0f} % of its side, white all around",
-    Reason.NO_OUTLINE: "no dark square with four straight sides is found around it ({like}): keep "
-    "away what crosses or touches its border",
-    Reason.LOW_CONTRAST: "{measured} ({like}): more light, less glare, a better print",
-    Reason.TOO_WHITE: "{measured} ({like}): expose for less time, or less glare",
-    Reason.BLURRED: "{measured} ({like}): focus, expose for less time, or print larger",
-    Reason.CUT: "{measured} ({like}): all of it must be in the picture, with its white margin",
-    Reason.OBLIQUE: "{measured}, seen at {tilt_deg:.0f} deg ({like}): look from nearer to straight above",
-    Reason.TOO_NEAR: "{measured} ({like}): look from farther away, or from nearer to straight above",
-    Reason.NOISY: "{measured} ({like}): more light, fly lower or print larger",
-    Reason.UNSETTLED: "{measured} ({like}): something that looks like part of it is beside it, or it is bent",
-    Reason.WRONG_CELL: "{measured} ({like}): covered in part, dirty, or too much sharpening and compression",
-    Reason.UNLIKE_PIXELS: "{measured} ({like}): bent, covered in part, glare, or too much sharpening and "
-    "compression",
-    Reason.UNLIKE_CELLS: "{measured} ({like}): glare or shade across it, or covered in part",
-    Reason.PALE_PRINT: "{measured} ({like}): print all markers alike, without glare",
-}
-"""What users read for each reason, with places for the numbers that `describe` fills in."""
-
-
-def describe(reason: Reason, measured: Measured | None, reading: Reading, dictionary: str) -> str:
-    """Return the reason with the numbers that were measured, and what to do about it, in words."""
-    n, wrong = cells_per_side(dictionary), reading.wrong_cells
-    like = f"most like id {reading.nearest_id}"
-    if wrong:
-        like += f", {len(wrong)} of {n * n} cells wrong"
-    which = ", ".join(f"{row}.{column}" for row, column in wrong[:SHOWN_CELLS])
-    return WORDS[reason].format(
-        measured=measured,
-        like=like,
-        id=reading.nearest_id,
-        wrong=len(wrong),
-        which=which + (", …" if len(wrong) > SHOWN_CELLS else ""),
-        cells=n * n,
-        cell_percent=100 / n,
-        tilt_deg=reading.tilt_deg,
-        dark_edges=int(_lacks_quiet(reading).sum()),
-        dictionary=dictionary,
-    )

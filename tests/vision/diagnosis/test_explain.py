@@ -13,9 +13,11 @@ from skyherd.markers.dictionary import code_distance, corners_of_pose, marker_ce
 from skyherd.render import Camera, CameraPose, Ground, Renderer, Sensor
 from skyherd.vision import PhotometricDetector, create_detector
 from skyherd.vision.diagnosis.explain import Rejection, explain
-from skyherd.vision.diagnosis.quad_reading import load_templates, read_quad
-from skyherd.vision.diagnosis.reasons import OF_QUANTITY, Reason, Suspect, describe, failed_test, find_reason
+from skyherd.vision.diagnosis.quad_reading import read_quad
+from skyherd.vision.diagnosis.reasons import OF_QUANTITY, Reason, Suspect, failed_test, find_reason
 from skyherd.vision.diagnosis.suggestions import suggest
+from skyherd.vision.diagnosis.templates import load_templates
+from skyherd.vision.diagnosis.wording import describe
 from skyherd.vision.photometric.fit_result import FitResults
 from skyherd.vision.photometric.local_homography import LocalHomographies
 from skyherd.vision.photometric.verify import (

@@ -7,9 +7,9 @@ import argparse
 import shutil
 from pathlib import Path
 
+from skyherd.bench.detectors.tables import make_tables
 from skyherd.bench.result import read_result
 from skyherd.bench.table import markdown_page
-from skyherd.bench.tables import make_tables
 
 DOC = Path(__file__).parent.parent / "docs" / "benchmark.md"
 BEGIN, END = "<!-- measured: begin -->", "<!-- measured: end -->"

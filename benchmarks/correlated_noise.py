@@ -8,8 +8,8 @@ is made good, and the standard deviation of the ratio times the root of the numb
 
 import numpy as np
 
-from skyherd.bench.design import Cell
-from skyherd.bench.frames import rendered_frames
+from skyherd.bench.detectors.design import Cell
+from skyherd.bench.detectors.frames import rendered_frames
 from skyherd.vision.photometric.correlated_noise import KEPT_SHARE
 from skyherd.vision.photometric.detector import PhotometricDetector
 from skyherd.vision.photometric.fit import PixelSamples

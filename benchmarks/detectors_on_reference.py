@@ -21,13 +21,13 @@ sys.path.insert(0, str(Path(__file__).parent.parent / "tests" / "helpers"))
 
 from reference import reference_light
 
-from skyherd.bench.design import GRID, Cell
+from skyherd.bench.detectors.design import GRID, Cell
+from skyherd.bench.detectors.frames import Frame, make_frame, marker_bounds
+from skyherd.bench.detectors.page import write_outputs
+from skyherd.bench.detectors.scene import camera_shots
 from skyherd.bench.entrants import DEFAULT_DICTIONARY, REFERENCE
 from skyherd.bench.execution import Plan, measure_cells
-from skyherd.bench.frames import Frame, make_frame, marker_bounds
-from skyherd.bench.page import write_outputs
 from skyherd.bench.result import Result, environment
-from skyherd.bench.scene import camera_shots
 from skyherd.markers.dictionary import card_side
 from skyherd.render import project_markers
 

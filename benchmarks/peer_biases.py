@@ -13,10 +13,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from skyherd.bench.design import Cell
+from skyherd.bench.detectors.design import Cell
+from skyherd.bench.detectors.frames import rendered_frames
+from skyherd.bench.detectors.scorer import match
 from skyherd.bench.entrants import DEFAULT_DICTIONARY, dictionary_for
-from skyherd.bench.frames import rendered_frames
-from skyherd.bench.scorer import match
 from skyherd.vision import PeerDetector, peer_names
 
 SIDES_PX = (18.0, 24.0, 30.0, 45.0, 60.0, 80.0)

@@ -10,7 +10,7 @@ recall. It takes some minutes.
 import sys
 from dataclasses import replace
 
-from skyherd.bench.design import CAMERA_SWEEPS, Cell
+from skyherd.bench.detectors.design import CAMERA_SWEEPS, Cell
 from skyherd.bench.execution import Plan, Row, measure_cells
 
 CAMERAS, FRAMES, SEED = 4, 4, 5000

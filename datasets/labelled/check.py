@@ -17,14 +17,14 @@ import cv2
 import numpy as np
 
 from skyherd.datasets.labelled.agreement import Agreement, look
-from skyherd.datasets.labelled.coco import coco_text
 from skyherd.datasets.labelled.folder import Folder, open_folder, same_version
+from skyherd.datasets.labelled.formats.coco import coco_text
+from skyherd.datasets.labelled.formats.truth_table import image_row, label_table
+from skyherd.datasets.labelled.formats.yolo import folder_yaml, yolo_text
 from skyherd.datasets.labelled.labels import Labels, make_labels
 from skyherd.datasets.labelled.read import Dataset, LabelledImage, read_dataset
 from skyherd.datasets.labelled.sampling import make_scene
 from skyherd.datasets.labelled.scenes import Scene
-from skyherd.datasets.labelled.truth_table import image_row, label_table
-from skyherd.datasets.labelled.yolo import folder_yaml, yolo_text
 from skyherd.errors import InputError
 from skyherd.files.reading import MOST_JSON_BYTES, read_bytes
 

@@ -14,15 +14,21 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from skyherd.datasets.labelled.coco import coco_text
 from skyherd.datasets.labelled.folder import Folder, open_output
+from skyherd.datasets.labelled.formats.coco import coco_text
+from skyherd.datasets.labelled.formats.truth_table import (
+    TRUTH_COLUMNS,
+    Row,
+    image_row,
+    table_text,
+    truth_rows,
+)
+from skyherd.datasets.labelled.formats.yolo import folder_yaml, yolo_text
 from skyherd.datasets.labelled.labels import Labels, make_labels
 from skyherd.datasets.labelled.preview import write_preview
 from skyherd.datasets.labelled.read import Dataset, read_dataset
 from skyherd.datasets.labelled.sampling import make_scene, station_number
 from skyherd.datasets.labelled.spec import SpecFile
-from skyherd.datasets.labelled.truth_table import TRUTH_COLUMNS, Row, image_row, table_text, truth_rows
-from skyherd.datasets.labelled.yolo import folder_yaml, yolo_text
 from skyherd.errors import OutputError
 from skyherd.files.atomic import write_text, write_whole
 from skyherd.progress import NO_PROGRESS, Progress

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from skyherd.datasets.labelled.folder import open_folder
+from skyherd.datasets.labelled.formats.truth_table import no_labels, read_labels, read_table
 from skyherd.datasets.labelled.labels import Labels
 from skyherd.datasets.labelled.spec import DatasetSpec
-from skyherd.datasets.labelled.truth_table import no_labels, read_labels, read_table
 from skyherd.errors import InputError
 from skyherd.files.images import Grey, read_grey
 

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from skyherd.datasets.configuration.camera_models import CameraModel
 from skyherd.datasets.configuration.scene_models import GroundModel, OccluderModel, SensorModel
-from skyherd.datasets.labelled.outlines import area
+from skyherd.datasets.labelled.formats.outlines import area
 from skyherd.files.images import read_grey
 from skyherd.geometry import ROBOT_FRAME_CORNERS, UNIFORM_VARIANCE, Array, IntArray, to_points
 from skyherd.markers.cramer_rao import pose_covariances

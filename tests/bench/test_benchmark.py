@@ -11,17 +11,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from skyherd.bench.design import CAMERA_SWEEPS, EMPTY, GRID, SWEEPS, Cell, full_design, quick_design
+from skyherd.bench.detectors.design import CAMERA_SWEEPS, EMPTY, GRID, SWEEPS, Cell, full_design, quick_design
+from skyherd.bench.detectors.frames import lens_blur, rendered_frames
+from skyherd.bench.detectors.page import MARKDOWN, PAGE, write_outputs
+from skyherd.bench.detectors.plots import PLOTS
+from skyherd.bench.detectors.scene import SPEED_PX, TURN_RAD, camera_shots
+from skyherd.bench.detectors.tables import make_tables
+from skyherd.bench.detectors.timing import WARM_UP, measure_times, timing_cells
 from skyherd.bench.entrants import EntrantError, default_entrants, dictionary_for, make_entrant
 from skyherd.bench.execution import Plan, measure_cells
-from skyherd.bench.frames import lens_blur, rendered_frames
-from skyherd.bench.page import MARKDOWN, PAGE, write_outputs
-from skyherd.bench.plots import PLOTS
 from skyherd.bench.result import RESULT, Result, environment, read_result
-from skyherd.bench.scene import SPEED_PX, TURN_RAD, camera_shots
 from skyherd.bench.table import share, short
-from skyherd.bench.tables import make_tables
-from skyherd.bench.timing import WARM_UP, measure_times, timing_cells
 from skyherd.cli import main
 from skyherd.errors import InputError
 from skyherd.geometry import wrap_angle
@@ -476,9 +476,9 @@ def run(*arguments):
 
 def test_the_command_leaves_its_files(tmp_path, monkeypatch, capfd):
     """With a design cut to two cells, and one figure: the rest is the same for all."""
-    monkeypatch.setattr("skyherd.bench.plots.PLOTS", PLOTS[:1])
+    monkeypatch.setattr("skyherd.bench.detectors.plots.PLOTS", PLOTS[:1])
     cells = [replace(cell, cameras=1, frames=1) for cell in quick_design(1)[:2]]
-    monkeypatch.setattr("skyherd.bench.design.quick_design", lambda **kind: cells)
+    monkeypatch.setattr("skyherd.bench.detectors.design.quick_design", lambda **kind: cells)
     monkeypatch.setattr("skyherd.cli.bench.QUICK_FRAMES", WARM_UP + 1)
     monkeypatch.setattr("skyherd.cli.bench.QUICK_SIZES_PX", ((320, 240),))
     out = tmp_path / "deep" / "bench"

@@ -5,8 +5,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from skyherd.bench.frames import Frame
-from skyherd.bench.scorer import Scorer, match
+from skyherd.bench.detectors.frames import Frame
+from skyherd.bench.detectors.scorer import Scorer, match
 
 SIDE_PX = 20.0
 

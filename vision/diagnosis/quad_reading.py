@@ -8,13 +8,13 @@ pattern is known, blur and contrast follow from the bits themselves and need no 
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
 from skyherd.geometry import Array, BoolArray, IntArray
 from skyherd.markers.dictionary import cells_per_side
 from skyherd.vision.blurred_cells import MIN_DEVIATION, correlations, standardised
+from skyherd.vision.diagnosis.cell_samples import PER_CELL, cell_extents_px, image_from_cells, sample_cells
 from skyherd.vision.diagnosis.templates import (
     FIRST_BLUR_CELLS,
     Templates,
@@ -22,14 +22,6 @@ from skyherd.vision.diagnosis.templates import (
     load_templates,
 )
 from skyherd.vision.grey import Image
-
-PER_CELL = 3
-"""Samples of a cell along each axis on which likeness is measured. Chosen odd, so that one lies in the
-middle."""
-
-FINE = 3
-"""Finer samples along each axis that are averaged into one of the above. Chosen: fewer are noisier where a
-cell has many pixels."""
 
 BLURS_CELLS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.85, 1.0)
 """Standard deviations of the blur, in cells, that are tried. Chosen: from sharp to beyond legible."""
@@ -117,12 +109,6 @@ def _area(corners_px: Array) -> float:
     return float((u * np.roll(v, -1) - np.roll(u, -1) * v).sum() / 2)
 
 
-def image_from_cells(corners_px: Array, n: int) -> Array:
-    """Return the homography (3, 3) from cell coordinates, 0 to n to the right and down, to pixels."""
-    square = np.array([[0, 0], [n, 0], [n, n], [0, n]], np.float32)
-    return np.asarray(cv2.getPerspectiveTransform(square, corners_px.astype(np.float32)), dtype=float)
-
-
 def read_quad(image: Image, corners_px: Array, dictionary: str) -> Reading:
     """Return what a quadrilateral holds, read as a marker.
 
@@ -155,7 +141,7 @@ class _Sight:
     Attributes:
         corners_px: (4, 2) its corners.
         image_cells: (3, 3) homography from cell coordinates to pixels.
-        samples: levels (S, S) of cells and quiet zone, as of `_sample`.
+        samples: levels (S, S) of cells and quiet zone, as of `sample_cells`.
         templates: what it is compared with.
         best: rows of the `FINALISTS`, the templates that its cells' middles are most like, ascending.
         likeness: with the likest of them; 0 if too little of it is in the image.
@@ -178,7 +164,7 @@ def _look(image: Image, corners_px: Array, dictionary: str) -> _Sight:
     """Sample a quadrilateral and compare its cells' middles with all templates."""
     n = cells_per_side(dictionary)
     image_cells = image_from_cells(corners_px, n)
-    samples = _sample(image, image_cells, n)
+    samples = sample_cells(image, image_cells, n)
     templates = load_templates(dictionary)
     cells = samples[PER_CELL // 2 :: PER_CELL, PER_CELL // 2 :: PER_CELL][1:-1, 1:-1]
     seen = np.isfinite(cells)
@@ -204,7 +190,7 @@ def _read(sight: _Sight, match: "Match") -> Reading:
     middle = _middle(border, inner)
     return Reading(
         corners_px=sight.corners_px,
-        cell_px=_cell_px(sight.image_cells, len(ring)),
+        cell_px=cell_extents_px(sight.image_cells, len(ring)),
         black=match.black,
         white=match.white,
         depth=_median(quiet) - _median(border),
@@ -235,36 +221,6 @@ def _median(values: Array) -> float:
     if not finite.size:
         return float("nan")
     return float(finite[(finite.size - 1) // 2] + finite[finite.size // 2]) / 2
-
-
-def _cell_px(image_cells: Array, n: int) -> Array:
-    """Shorter and longer extent of a cell at the centre, px."""
-    w = image_cells @ [n / 2, n / 2, 1.0]
-    jacobian = (image_cells[:2, :2] - np.outer(w[:2] / w[2], image_cells[2, :2])) / w[2]
-    return np.asarray(np.linalg.svd(jacobian, compute_uv=False)[::-1])
-
-
-def _sample(image: Image, image_cells: Array, n: int) -> Array:
-    """Levels (S, S), S = (n + 2) PER_CELL, of cells and quiet zone; not a number off the image."""
-    size = (n + 2) * PER_CELL
-    fine = PER_CELL * FINE
-    first = 0.5 / fine - 1
-    to_cells = np.array([[1 / fine, 0, first], [0, 1 / fine, first], [0, 0, 1]])
-    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    warped = cv2.warpPerspective(
-        image,
-        image_cells @ to_cells,
-        (size * FINE, size * FINE),
-        flags=flags,
-        borderMode=cv2.BORDER_REPLICATE,
-    )
-    samples = np.asarray(warped, dtype=float).reshape(size, FINE, size, FINE).mean(axis=(1, 3))
-    at = (np.arange(size) + 0.5) / PER_CELL - 1
-    points = np.stack(np.meshgrid(at, at), axis=-1) @ image_cells[:, :2].T + image_cells[:, 2]
-    with np.errstate(divide="ignore", invalid="ignore"):  # a quadrilateral may have its horizon inside
-        u, v = points[..., 0] / points[..., 2], points[..., 1] / points[..., 2]
-    inside = (u > -0.5) & (v > -0.5) & (u < image.shape[1] - 0.5) & (v < image.shape[0] - 0.5)
-    return np.where(inside, samples, np.nan)
 
 
 @dataclass(frozen=True)

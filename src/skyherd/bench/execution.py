@@ -12,10 +12,10 @@ from typing import Any
 import cv2
 import numpy as np
 
-from skyherd.bench.design import Cell
+from skyherd.bench.detectors.design import Cell
+from skyherd.bench.detectors.frames import Frame, FrameSource, rendered_frames
+from skyherd.bench.detectors.scorer import Scorer
 from skyherd.bench.entrants import EntrantError, dictionary_for, make_entrant
-from skyherd.bench.frames import Frame, FrameSource, rendered_frames
-from skyherd.bench.scorer import Scorer
 from skyherd.errors import SkyherdError
 from skyherd.messages import Detections
 from skyherd.progress import NO_PROGRESS, Progress

@@ -9,7 +9,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from skyherd.bench.design import EMPTY, GRID, Cell, Sweep
+from skyherd.bench.detectors.design import EMPTY, GRID, Cell, Sweep
 from skyherd.bench.entrants import is_ours
 from skyherd.errors import InputError
 from skyherd.files.atomic import write_text
@@ -19,7 +19,7 @@ RESULT = "bench.json"
 """File name of a result in its folder."""
 
 Row = dict[str, Any]
-"""One detector in one cell: the cell's factors, and the fields of `skyherd.bench.scorer.Score` and its
+"""One detector in one cell: the cell's factors, the fields of `skyherd.bench.detectors.scorer.Score`, and its
 times."""
 
 PACKAGES = {

@@ -64,12 +64,12 @@ def detectors(
 
     It leaves bench.json, bench.html, bench.md and figures.
     """
-    from skyherd.bench.design import full_design, quick_design
+    from skyherd.bench.detectors.design import full_design, quick_design
+    from skyherd.bench.detectors.page import output_names, write_outputs
+    from skyherd.bench.detectors.timing import measure_times, timing_cells
     from skyherd.bench.entrants import default_entrants, missing_libraries
     from skyherd.bench.execution import Plan, measure_cells
-    from skyherd.bench.page import output_names, write_outputs
     from skyherd.bench.result import Result, environment
-    from skyherd.bench.timing import measure_times, timing_cells
     from skyherd.files.output_folder import OutputFolder
 
     chosen = _split(names) or default_entrants()

@@ -11,8 +11,8 @@ from command_line import assert_refused, call
 from label_specs import spec_of
 
 from skyherd.datasets.labelled.check import check_dataset
+from skyherd.datasets.labelled.formats.truth_table import table_text
 from skyherd.datasets.labelled.make import make_dataset
-from skyherd.datasets.labelled.truth_table import table_text
 
 IMAGE = "images/train/000000.png"
 

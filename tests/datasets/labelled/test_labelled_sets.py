@@ -14,9 +14,9 @@ from pycocotools.cocoeval import COCOeval
 from skyherd.datasets import read_dataset
 from skyherd.datasets.labelled import make
 from skyherd.datasets.labelled.folder import open_folder
+from skyherd.datasets.labelled.formats.outlines import area, bounding_box, visible_outline
 from skyherd.datasets.labelled.labels import COVERED, OUTSIDE, SEEN, make_labels
 from skyherd.datasets.labelled.make import make_dataset
-from skyherd.datasets.labelled.outlines import area, bounding_box, visible_outline
 from skyherd.datasets.labelled.ranges import draw_integer, draw_number
 from skyherd.datasets.labelled.sampling import make_scene
 from skyherd.datasets.labelled.spec import load_spec, spec_names

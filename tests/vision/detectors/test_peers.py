@@ -7,9 +7,9 @@ import cv2
 import numpy as np
 import pytest
 
-from skyherd.bench.design import Cell
-from skyherd.bench.frames import rendered_frames
-from skyherd.bench.scorer import match
+from skyherd.bench.detectors.design import Cell
+from skyherd.bench.detectors.frames import rendered_frames
+from skyherd.bench.detectors.scorer import match
 from skyherd.errors import InputError
 from skyherd.geometry import apply_homography, wrap_angle
 from skyherd.markers.dictionary import marker_cells, pose_of_corners

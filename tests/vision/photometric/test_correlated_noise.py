@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
-from skyherd.bench.design import Cell
-from skyherd.bench.frames import rendered_frames
+from skyherd.bench.detectors.design import Cell
+from skyherd.bench.detectors.frames import rendered_frames
 from skyherd.geometry import to_complex
 from skyherd.vision.photometric import common_unknowns
 from skyherd.vision.photometric.correlated_noise import (

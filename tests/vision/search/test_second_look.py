@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
-from skyherd.bench.design import Cell
-from skyherd.bench.frames import rendered_frames
+from skyherd.bench.detectors.design import Cell
+from skyherd.bench.detectors.frames import rendered_frames
 from skyherd.markers.dictionary import marker_cells
 from skyherd.vision import PhotometricDetector, create_detector
 from skyherd.vision.photometric import detector as stages

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from skyherd.datasets.labelled.formats.outlines import area, bounding_box, visible_outline
 from skyherd.datasets.labelled.labels import KEYPOINTS, OUTSIDE, Labels
-from skyherd.datasets.labelled.outlines import area, bounding_box, visible_outline
 
 Json = dict[str, Any]
 """A JSON object."""

@@ -2,11 +2,11 @@
 
 from pathlib import Path
 
+from skyherd.bench.detectors.plots import PLOTS, write_plots
+from skyherd.bench.detectors.tables import make_tables
 from skyherd.bench.measurement_page import write_page
-from skyherd.bench.plots import PLOTS, write_plots
 from skyherd.bench.result import RESULT, Result
 from skyherd.bench.table import short
-from skyherd.bench.tables import make_tables
 from skyherd.report.pages import Tile
 
 PAGE, MARKDOWN = "bench.html", "bench.md"

@@ -11,8 +11,8 @@ from typing import Literal, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from skyherd.bench.design import Cell
-from skyherd.bench.scene import Shot, camera_shots
+from skyherd.bench.detectors.design import Cell
+from skyherd.bench.detectors.scene import Shot, camera_shots
 from skyherd.geometry import ROBOT_FRAME_CORNERS, UNIFORM_VARIANCE, Array, BoolArray, IntArray
 from skyherd.markers.blur_model import total_sigma_px
 from skyherd.markers.cramer_rao import pose_covariances

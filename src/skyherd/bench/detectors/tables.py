@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 
-from skyherd.bench.design import CAMERA_SWEEPS, SWEEPS, Sweep
+from skyherd.bench.detectors.design import CAMERA_SWEEPS, SWEEPS, Sweep
 from skyherd.bench.result import Result, Row
 from skyherd.bench.table import NONE, Table, share, short
 

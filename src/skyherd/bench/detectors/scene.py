@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skyherd.bench.design import Cell
+from skyherd.bench.detectors.design import Cell
 from skyherd.geometry import Array, IntArray, apply_homography
 from skyherd.markers.dictionary import card_side, dictionary_size
 from skyherd.render import Camera, CameraPose, homography_image_ground

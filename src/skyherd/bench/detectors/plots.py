@@ -10,11 +10,11 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullLocator
 
-from skyherd.bench.axes import AIM, ratio_axes, share_axes, side_axis, span
-from skyherd.bench.design import CAMERA_SWEEPS, SWEEPS, Sweep
 from skyherd.bench.detector_style import style_of
+from skyherd.bench.detectors.axes import AIM, ratio_axes, share_axes, side_axis, span
+from skyherd.bench.detectors.design import CAMERA_SWEEPS, SWEEPS, Sweep
+from skyherd.bench.detectors.tables import MIDDLE_NOISE
 from skyherd.bench.result import Result, Row
-from skyherd.bench.tables import MIDDLE_NOISE
 from skyherd.drawing.palette import INK, MUTED
 from skyherd.plots.panels import FigureFile, Panel, write_panels
 from skyherd.plots.style import legend_above, new_figure

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from skyherd.bench.design import Cell
+from skyherd.bench.detectors.design import Cell
 from skyherd.bench.entrants import REFERENCE, dictionary_for
 from skyherd.bench.execution import Entrant, Plan, Row, one_thread, time_row
 from skyherd.progress import NO_PROGRESS, Progress

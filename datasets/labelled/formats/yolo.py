@@ -7,8 +7,8 @@ width and height from its upper left corner; keypoints out of the image are `0 0
 import numpy as np
 
 from skyherd.datasets.labelled.folder import Folder
+from skyherd.datasets.labelled.formats.outlines import bounding_box, visible_outline
 from skyherd.datasets.labelled.labels import KEYPOINTS, OUTSIDE, Labels
-from skyherd.datasets.labelled.outlines import bounding_box, visible_outline
 
 CLASS = 0
 """Number of the only class, `marker`. *Derived*: classes count from 0 in `data.yaml`."""

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skyherd.bench.frames import Frame
+from skyherd.bench.detectors.frames import Frame
 from skyherd.geometry import Array, IntArray, wrap_angle
 from skyherd.messages import Detections
 

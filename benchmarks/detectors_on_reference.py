@@ -3,8 +3,10 @@
     python benchmarks/detectors_on_reference.py                     # about six minutes on two cores
     python benchmarks/detectors_on_reference.py --out runs/reference --detectors photometric,opencv
 
-The reference (`tests/helpers/reference.py`) shares nothing with `skyherd.render`: what a detector reaches on
-our frames it must reach on these. Its levels are fixed and it knows no motion, occlusion or uneven light.
+The reference (`tests/helpers/reference.py`) computes the light at every pixel without `skyherd.render`: what
+a detector reaches on our frames it must reach on these. Where markers lie in the image, and the truth, come
+from the renderer's projection, which the tests hold against OpenCV's. The reference's levels are fixed, and
+it knows no motion, occlusion or uneven light.
 """
 
 import argparse

@@ -4,18 +4,19 @@
     python benchmarks/rectification.py --runs 10 --part any
     python benchmarks/rectification.py --part cost
 
-Parts: `any`, cameras drawn at random, tilted, oblong, skew and distorting; `cameras`, each of the test
-cameras by name, tilted, and tilted and swaying; `ideal`, where it must not hurt; `cost`, beside the
-detector's on the same images. One unit hovers over 3, 6 or 16 robots that never stop (`b_th = 0`); shape
-errors are means over the last `--average` seconds. `NEES` is of the rectified centres, over their covariance,
-against the true camera's map, both but for a similarity of all centres, which no goal depends on; 1 is
-honest. Every flight is kept in `--out` under the hash of its mission, and the same command goes on from
-there.
+Parts: `any`, cameras drawn at random, tilted, oblong, skew and distorting, and drawn again where the lens
+would fold within the image, which no camera's does; `cameras`, each of the test cameras by name, tilted, and
+tilted and swaying; `ideal`, where it must not hurt; `cost`, beside the detector's on the same images. One
+unit hovers over 3, 6 or 16 robots that never stop (`b_th = 0`); shape errors are means over the last
+`--average` seconds. `NEES` is of the rectified centres, over their covariance, against the true camera's map,
+both but for a similarity of all centres, which no goal depends on; 1 is honest. Every flight is kept in
+`--out` under the hash of its mission, and the same command goes on from there.
 """
 
 import argparse
 import json
 import time
+from collections import Counter
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass
@@ -120,20 +121,30 @@ def flight_tree(
     }
 
 
+REDRAWN: Counter[str] = Counter()
+"""Why cameras of this call were drawn again, and how often."""
+
+
 def draw_mission(robots: int, seed: int, *, ideal: bool, rectify: bool, duration_s: float) -> Mission:
-    """The mission of a seed: the first draw whose lens makes an image that has all robots in it."""
+    """The mission of a seed: the first draw whose lens makes an image that has all robots in it.
+
+    `REDRAWN` counts the draws before it: lenses that fold within the image, which no camera has, and images
+    that cut a robot off.
+    """
     rng = np.random.default_rng([seed, robots])
     while True:
         tree = scenario_tree(robots, rng, ideal=ideal)
         tree["control"]["rectify"] = rectify
         try:
             mission = make_mission(tree | {"duration_s": duration_s})
-        except InputError:
+        except InputError as error:
+            REDRAWN["the lens folds the image" if "fold" in str(error) else str(error)] += 1
             continue
         marker = mission.scenario.marker
         seen = ProjectedPerception(marker.side_m, marker.dictionary).look(make_world(mission), [0], 0.0)[0]
         if seen.whole_ids.size == robots:
             return mission
+        REDRAWN["a robot is not in the image"] += 1
 
 
 def camera_mission(
@@ -268,6 +279,7 @@ def print_any(flights: Flights, runs: int, plain_runs: int) -> None:
             how = {"ideal": False, "rectify": rectify, "duration_s": FLIGHT_S}
             flown = flights([draw_mission(robots, seed, **how) for seed in range(count)])
             print_row(flown, robots, "rectified" if rectify else "as seen")
+    print("drawn again: " + ("; ".join(f"{count}, {why}" for why, count in REDRAWN.items()) or "none"))
 
 
 def print_cameras(flights: Flights, runs: int) -> None:

@@ -14,7 +14,8 @@
 With `--radio M` units receive those within M times the least range at which all hang together at the start,
 and others by relay. `cut_s` is how long the radio did not hold all living units together, when no protocol
 can keep P, since nobody can tell a unit out of reach from a dead one. `least_gap_m` is the least distance
-between two bodies.
+between two bodies. Violations count from when the tree is ready; before, robots stand still. Of deaths,
+`formed_before` says whether the shape had been reached by then.
 
 One row a mission, as it ends, as a line of JSON; a file that is there is gone on with, so that an interrupted
 run resumes. Times count from when the tree is ready: robots hold still before. `predicted_s` is when
@@ -230,7 +231,9 @@ def run_mission(seed: int, options: argparse.Namespace) -> dict[str, Any]:
         "wall_s": perf_counter() - started,
     }
     if deaths:
-        row |= {"death_s": watch.death_s, "tc12_back_s": watch.back_s, "covered_s": watch.covered_s}
+        formed_s = np.inf if watch.reached_s is None else (watch.ready_s or 0.0) + watch.reached_s
+        row |= {"death_s": watch.death_s, "formed_before": bool(formed_s < min(deaths))}
+        row |= {"tc12_back_s": watch.back_s, "covered_s": watch.covered_s}
     return {key: round(value, 4) if isinstance(value, float) else value for key, value in row.items()}
 
 
@@ -269,6 +272,7 @@ def summarize(rows: list[dict[str, Any]]) -> dict[str, Any]:
         back = [np.inf if row["tc12_back_s"] is None else row["tc12_back_s"] for row in deaths]
         covered = [np.inf if row["covered_s"] is None else row["covered_s"] for row in deaths]
         summary |= {
+            "formed_before_the_death": sum(row["formed_before"] for row in deaths),
             "tc12_back_within_30s": int(np.sum(np.array(back) <= 30)),
             "covered_within_30s": int(np.sum(np.array(covered) <= 30)),
             "covered_median_s": float(np.median(covered)),

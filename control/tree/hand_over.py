@@ -51,11 +51,11 @@ def take(state: NodeState, now: Situation) -> Changes:
 
 
 def give(state: NodeState, now: Situation) -> Changes:
-    """As a member: hand robots that went out of view to members that see them, and drop those that are due.
+    """Hand robots that went out of view to members that see them, and drop those that are due.
 
     Robots that are promised to a neighbour are kept until its turn is over.
     """
-    if not state.is_member or not (now.at_slot or state.giving):
+    if not (now.at_slot or state.giving):
         return Changes()
     own = state.own - {r for r, hand_over in state.giving.items() if NO_SLOT < hand_over.slot <= now.slot}
     giving = {r: hand_over for r, hand_over in state.giving.items() if r in own}

@@ -113,6 +113,18 @@ def test_a_robot_that_is_promised_is_not_handed_over():
     assert give(out_of_view(1, 2, edges={7: edge}), now)["giving"].keys() == {2}
 
 
+def test_a_robot_that_another_unit_claims_as_well_is_not_handed_over():
+    """Of robots 1 and 2, which unit 9 sees, unit 7 claims 1: whose it is must be settled first."""
+    reports = [report(7, 10.0, controls=[1]), report(9, 10.0, sees={1: 0.1, 2: 0.1})]
+    assert give(out_of_view(1, 2), situation(0, reports))["giving"].keys() == {2}
+
+
+def test_what_is_settled_goes_to_nobody_else():
+    """Unit 7 sees the robot nearer by now, but unit 9 counts on it."""
+    now = situation(0, [report(7, 10.0, sees={1: 0.1}), report(9, 10.0, sees={1: 0.3})])
+    assert give(out_of_view(1, giving={1: HandOver(9, 6)}), now)["giving"] == {1: HandOver(9, 6)}
+
+
 def test_a_robot_that_is_handed_over_is_not_offered():
     now = situation(0, [report(9, 10.0, sees={1: 0.1, 2: 0.1})], sees={1: 0.1, 2: 0.1})
     state = NodeState(own=robots(1, 2), tree_id=0, giving={2: HandOver(9, 6)}, held_s={1: 1.0, 2: 1.0})
@@ -173,6 +185,18 @@ def test_a_settled_robot_is_taken_in_its_slot(slot, third, own, taking):
     reports = [report(0, 9.9, controls=[5], handed={5: (1, slot)}), report(2, 9.9, controls=third)]
     changed = take(NodeState(tree_id=0), situation(1, reports))
     assert changed["own"] == robots(*own) and changed["taking"] == taking
+
+
+def test_a_robot_that_was_taken_and_given_away_again_is_not_taken_by_an_old_report():
+    """The newest report of unit 0 is the one by which robot 5 was taken; nothing has come since."""
+    now = situation(1, [report(0, 9.9, controls=[5], handed={5: (1, 5)})])
+    changed = take(NodeState(tree_id=0, accepted=robots(5)), replace(now, news=()))
+    assert changed["own"] == robots() and not changed["taking"]
+
+
+def test_what_nobody_hands_over_any_more_is_not_accepted():
+    now = situation(1, [report(0, 10.0, controls=[5])], sees={5: 0.5})
+    assert take(NodeState(tree_id=0, accepted=robots(5)), now)["accepted"] == robots()
 
 
 def test_a_unit_that_leaves_the_tree_keeps_nothing_of_what_it_was_to_give_or_take():

@@ -39,7 +39,7 @@ SCENARIOS: dict[str, tuple[str, float, dict[str, float] | None]] = {
 LATENCIES_S = (0.0, 0.1, 0.3, 1.0)
 GAINS = tuple(float(f"{gain:.2g}") for gain in (*np.geomspace(0.2, 1, 5), *np.geomspace(1.25, 10, 9)))
 DURATION_S, IMAGES_HZ = 40.0, 10
-GOAL = 0.005
+GOAL, MOST_OVERSHOOT = 0.005, 10.0
 
 RUNS = [
     (scenario, latency_s, compensate, gain)
@@ -130,29 +130,40 @@ def draw(rows: list[dict[str, Any]], path: Path) -> None:
 
     matplotlib.use("Agg")
     from matplotlib import pyplot
+    from matplotlib.lines import Line2D
 
-    figure, axes = pyplot.subplots(2, len(SCENARIOS), figsize=(14, 6), sharex=True, squeeze=False)
+    figure, axes = pyplot.subplots(2, len(SCENARIOS), figsize=(13, 6), sharex=True, sharey="row")
     colours = ("#222222", "#0072b2", "#e69f00", "#d55e00")
     for column, scenario in enumerate(SCENARIOS):
         for latency_s, colour in zip(LATENCIES_S, colours, strict=True):
             for compensate in (False, True):
                 here = select(rows, scenario=scenario, latency_s=latency_s, compensate=compensate)
-                style = "-" if compensate else "--"
                 gains = [row["gain"] for row in here]
                 settled = [np.nan if row["settled_s"] is None else row["settled_s"] for row in here]
-                label = f"{latency_s:g} s, compensated" if compensate else f"{latency_s:g} s"
-                axes[0, column].plot(gains, settled, style, color=colour, marker=".", label=label)
-                overshoot = [min(row["overshoot"], 10.0) for row in here]
-                axes[1, column].plot(gains, overshoot, style, color=colour, marker=".")
-        axes[0, column].set(title=scenario, xscale="log", yscale="log")
-        axes[1, column].set(xlabel="gain k, 1/s", yscale="symlog", xscale="log")
-        axes[1, column].set_yscale("symlog", linthresh=0.01)
-    axes[0, 0].set_ylabel("time to a shape error below 0.5 %, s")
-    axes[1, 0].set_ylabel("overshoot, share of the start's error")
-    axes[0, -1].legend(fontsize=7)
+                overshoot = [min(row["overshoot"], MOST_OVERSHOOT) for row in here]
+                style = {"linestyle": "-" if compensate else "--", "color": colour, "marker": "."}
+                axes[0, column].plot(gains, settled, **style)
+                axes[1, column].plot(gains, overshoot, **style)
+        axes[0, column].set_title(scenario.replace(", ", ",\n"), fontsize=11)
+        axes[1, column].set_xlabel("gain k, 1/s")
+    axes[0, 0].set(xscale="log", yscale="log", ylabel="time to 0.5 % shape error, s")
+    axes[1, 0].set_yscale("symlog", linthresh=0.01)
+    axes[1, 0].set(ylim=(0, 1.3 * MOST_OVERSHOOT), ylabel="overshoot, share of the start")
     for axis in axes.flat:
         axis.grid(alpha=0.3)
-    figure.tight_layout()
+        axis.xaxis.set_major_formatter("{x:g}")
+        axis.yaxis.set_major_formatter("{x:g}")
+        axis.label_outer()
+    handles = [
+        Line2D([], [], color=colour, label=f"latency {latency_s:g} s")
+        for latency_s, colour in zip(LATENCIES_S, colours, strict=True)
+    ]
+    handles += [
+        Line2D([], [], color="#666666", linestyle=style, label=label)
+        for style, label in (("--", "goals as they come"), ("-", "compensated"))
+    ]
+    figure.legend(handles=handles, loc="upper center", ncols=len(handles), frameon=False)
+    figure.tight_layout(rect=(0, 0, 1, 0.94))
     figure.savefig(path, dpi=110)
 
 

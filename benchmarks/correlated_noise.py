@@ -1,4 +1,4 @@
-"""Measure the constants of `skyherd.vision.photometric.correlated_noise` on raw images, whose noise is white.
+"""Measure the constants of `vision/photometric/fitting/correlated_noise.py` on images with white noise.
 
     python benchmarks/correlated_noise.py
 
@@ -10,9 +10,9 @@ import numpy as np
 
 from skyherd.bench.detectors.design import Cell
 from skyherd.bench.detectors.frames import rendered_frames
-from skyherd.vision.photometric.correlated_noise import KEPT_SHARE
 from skyherd.vision.photometric.detector import PhotometricDetector
-from skyherd.vision.photometric.fit import PixelSamples
+from skyherd.vision.photometric.fitting.correlated_noise import KEPT_SHARE
+from skyherd.vision.photometric.fitting.fit import PixelSamples
 
 SIDES_PX, CAMERAS, FRAMES, SEED = (12.0, 16.0, 24.0, 36.0, 60.0), 4, 6, 1
 

@@ -31,7 +31,7 @@ from skyherd.messages import Detections
 from skyherd.vision.detectors.accuracy import load_bias
 from skyherd.vision.detectors.corners import detections_of_corners, opencv_corners
 from skyherd.vision.grey import check_grey
-from skyherd.vision.photometric.plane import squeeze_design_matrix
+from skyherd.vision.photometric.fitting.plane import squeeze_design_matrix
 
 REFINEMENTS = {
     "opencv": cv2.aruco.CORNER_REFINE_NONE,
@@ -137,7 +137,7 @@ def headings_in_plane(corners_px: Array) -> Array:
     """Return headings (N,), rad, of markers with corners (N, 4, 2) in one plane, which may be tilted.
 
     Seen at a slant, a marker with arm m at p has the squeeze `k = (α - p λ / 2) m̄` to first order
-    (`skyherd.vision.photometric.plane`); α and λ follow from all markers by least squares without weights,
+    (`vision/photometric/fitting/plane.py`); α and λ follow from all markers by least squares without weights,
     since corners come without covariances. Forward, z = -i of the marker, is then along `-i (m - k)`. Fewer
     than `TILT_MIN_MARKERS` markers are taken as seen from straight above.
     """

@@ -9,11 +9,11 @@ Each image passes through these stages.
    markers of the dictionary; nothing is refused for a doubtful bit yet. Where no marker is found there is a
    second look (`skyherd.vision.search.second_look`), which also has what OpenCV's detector finds.
 3. *Fit*: the known pattern of each marker is fitted to the image's own pixels
-   (`skyherd.vision.photometric.fit`), under whatever blur it has
+   (`fitting.fit`), under whatever blur it has
    (`skyherd.vision.photometric.unknown_blur`); large markers in a shrunk image.
 4. *Verify*: a fit counts only if it shows its marker's bits and leaves little else
    (`skyherd.vision.photometric.verify`). A marker that something seems to cover is fitted once more to its
-   visible pixels (`skyherd.vision.photometric.occlusion`), and one that does not lie on the others' plane
+   visible pixels (`fitting.occlusion`), and one that does not lie on the others' plane
    with a perspective of its own.
 5. *Learn*: if markers are followed, the unit's blur, noise and plane are where the next image's fits begin.
 """
@@ -36,12 +36,12 @@ from skyherd.geometry import (
 from skyherd.markers.dictionary import cells_per_side, code_distance
 from skyherd.messages import Detections
 from skyherd.vision.grey import Image, check_grey
-from skyherd.vision.photometric.fit import MAX_STEPS_FROM_PREDICTION, USUAL_NOISE, image_middle
-from skyherd.vision.photometric.fit_result import FitResults, no_fit_results, weighted_median
+from skyherd.vision.photometric.fitting.fit import MAX_STEPS_FROM_PREDICTION, USUAL_NOISE, image_middle
+from skyherd.vision.photometric.fitting.fit_result import FitResults, no_fit_results, weighted_median
+from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
+from skyherd.vision.photometric.fitting.plane import Plane
 from skyherd.vision.photometric.image_estimates import ImageEstimates
-from skyherd.vision.photometric.local_homography import LocalHomographies
 from skyherd.vision.photometric.look import Look
-from skyherd.vision.photometric.plane import Plane
 from skyherd.vision.photometric.scales import fit_visible_all_sizes
 from skyherd.vision.photometric.tracks import in_view
 from skyherd.vision.photometric.unknown_blur import (

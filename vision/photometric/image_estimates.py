@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass, field
 
-from skyherd.vision.photometric.correlated_noise import PooledRatios
-from skyherd.vision.photometric.plane import Plane
+from skyherd.vision.photometric.fitting.correlated_noise import PooledRatios
+from skyherd.vision.photometric.fitting.plane import Plane
 from skyherd.vision.photometric.tracks import Tracks, no_tracks
 
 

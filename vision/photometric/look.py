@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from skyherd.geometry import Array, BoolArray
-from skyherd.vision.photometric.fit_result import FitResults, no_fit_results
+from skyherd.vision.photometric.fitting.fit_result import FitResults, no_fit_results
 from skyherd.vision.search.decode import DecodedQuads, no_decoded_quads
 
 

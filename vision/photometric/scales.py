@@ -13,11 +13,11 @@ import numpy as np
 
 from skyherd.geometry import UNIFORM_VARIANCE, Array, IntArray
 from skyherd.vision.grey import Image, block_means
-from skyherd.vision.photometric.fit import MAX_STEPS, fit_markers
-from skyherd.vision.photometric.fit_result import FitResults
-from skyherd.vision.photometric.local_homography import LocalHomographies
-from skyherd.vision.photometric.occlusion import fit_visible
-from skyherd.vision.photometric.plane import Plane
+from skyherd.vision.photometric.fitting.fit import MAX_STEPS, fit_markers
+from skyherd.vision.photometric.fitting.fit_result import FitResults
+from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
+from skyherd.vision.photometric.fitting.occlusion import fit_visible
+from skyherd.vision.photometric.fitting.plane import Plane
 
 LARGEST_SIDE_PX = 144.0
 """Side, px, above which a marker is fitted in an image shrunk by 2, 4, 8 and so on, so that its side there is

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from skyherd.geometry import Array, BoolArray, ComplexArray, IntArray
-from skyherd.vision.photometric.local_homography import LocalHomographies
+from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
 
 
 @dataclass(frozen=True)

@@ -12,10 +12,10 @@ import numpy as np
 
 from skyherd.geometry import Array, BoolArray, IntArray
 from skyherd.vision.grey import Image
-from skyherd.vision.photometric.fit import MAX_STEPS, USUAL_NOISE
-from skyherd.vision.photometric.fit_result import FitResults, weighted_median
-from skyherd.vision.photometric.local_homography import LocalHomographies
-from skyherd.vision.photometric.plane import Plane
+from skyherd.vision.photometric.fitting.fit import MAX_STEPS, USUAL_NOISE
+from skyherd.vision.photometric.fitting.fit_result import FitResults, weighted_median
+from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
+from skyherd.vision.photometric.fitting.plane import Plane
 from skyherd.vision.photometric.scales import LARGEST_SIDE_PX, fit_all_sizes
 from skyherd.vision.photometric.verify import MIN_MARKER_CONTRAST
 

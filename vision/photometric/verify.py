@@ -23,8 +23,8 @@ from scipy.special import ndtr
 
 from skyherd.geometry import MEDIAN_PER_SIGMA, UNIFORM_VARIANCE, Array, BoolArray
 from skyherd.vision.grey import Image
-from skyherd.vision.photometric.fit import has_outlier_pixels
-from skyherd.vision.photometric.fit_result import FitResults, weighted_median
+from skyherd.vision.photometric.fitting.fit import has_outlier_pixels
+from skyherd.vision.photometric.fitting.fit_result import FitResults, weighted_median
 
 WRONG_CELL_SHARE, WRONG_CELL_SIGMAS, WRONG_CELL_LIMIT = 0.2, 4.0, 0.4
 """A cell is wrong if its mean residual exceeds the first share of what a wrong colour would leave plus so
@@ -199,7 +199,7 @@ def may_be_occluded(fits: FitResults, noise: float) -> BoolArray:
     """Return which fits (N,) leave more than noise of some pixel, and yet show most of their marker.
 
     `noise` is the standard deviation of a pixel, grey levels. Such a marker is worth another fit without the
-    pixels that something covers (`skyherd.vision.photometric.occlusion`).
+    pixels that something covers (`fitting.occlusion`).
     """
     wrong = WrongCellResiduals.of(fits)
     is_wrong = np.abs(fits.cell_means) > WRONG_CELL_LIMIT * wrong.means[:, None, None]

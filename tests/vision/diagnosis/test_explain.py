@@ -18,8 +18,8 @@ from skyherd.vision.diagnosis.reasons import OF_QUANTITY, Reason, Suspect, faile
 from skyherd.vision.diagnosis.suggestions import suggest
 from skyherd.vision.diagnosis.templates import load_templates
 from skyherd.vision.diagnosis.wording import describe
-from skyherd.vision.photometric.fit_result import FitResults
-from skyherd.vision.photometric.local_homography import LocalHomographies
+from skyherd.vision.photometric.fitting.fit_result import FitResults
+from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
 from skyherd.vision.photometric.verify import (
     Quantity,
     WrongCellResiduals,

@@ -10,9 +10,9 @@ from skyherd.markers.blur_model import total_sigma_px
 from skyherd.markers.dictionary import card_side, code_distance, pose_of_corners
 from skyherd.render import Camera, CameraPose, Ground, Renderer, Sensor, project_markers
 from skyherd.vision import PhotometricDetector
-from skyherd.vision.photometric.fit import fit_markers
-from skyherd.vision.photometric.local_homography import LocalHomographies
-from skyherd.vision.photometric.plane import Plane
+from skyherd.vision.photometric.fitting.fit import fit_markers
+from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
+from skyherd.vision.photometric.fitting.plane import Plane
 from skyherd.vision.photometric.verify import verified
 from skyherd.vision.search.decode import decode_quads
 from skyherd.vision.search.quads import find_quads

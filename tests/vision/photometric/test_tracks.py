@@ -12,9 +12,9 @@ import pytest
 
 from skyherd.markers.dictionary import marker_cells
 from skyherd.vision import PhotometricDetector
-from skyherd.vision.photometric.fit import fit_markers
-from skyherd.vision.photometric.local_homography import LocalHomographies
-from skyherd.vision.photometric.plane import Plane
+from skyherd.vision.photometric.fitting.fit import fit_markers
+from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
+from skyherd.vision.photometric.fitting.plane import Plane
 from skyherd.vision.photometric.tracks import in_view, no_tracks
 
 DICTIONARY, SIZE = "4X4_50", (400, 320)

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from skyherd.vision.photometric.fit import fit_markers
-from skyherd.vision.photometric.local_homography import LocalHomographies
-from skyherd.vision.photometric.plane import Plane
+from skyherd.vision.photometric.fitting.fit import fit_markers
+from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
+from skyherd.vision.photometric.fitting.plane import Plane
 from skyherd.vision.photometric.scales import fit_all_sizes
 from skyherd.vision.photometric.verify import ROUNDING_NOISE, bits_are_right, image_noise, verified
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from skyherd.geometry import SQUARE_CORNERS, to_complex, to_points
-from skyherd.vision.photometric.local_homography import LocalHomographies
+from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
 from skyherd.vision.search.quads import MIN_QUAD_SIDE_PX, SHRINKS, find_quads
 
 HEADINGS = {"upright": 0.0, "a little turned": 0.02, "diagonal": np.pi / 4, "any": None}

@@ -11,11 +11,19 @@ from collections.abc import Callable
 import numpy as np
 
 from skyherd.geometry import Array, BoolArray, ComplexArray
-from skyherd.vision.photometric.design_matrix import BLACK, LEAN, LIGHT, MIDDLE_GREY, SQUEEZE, TONE, UNKNOWNS
-from skyherd.vision.photometric.fit_result import print_contrasts, weighted_median
-from skyherd.vision.photometric.least_squares import LeastSquaresSolution
-from skyherd.vision.photometric.local_homography import LocalHomographies
-from skyherd.vision.photometric.plane import (
+from skyherd.vision.photometric.fitting.design_matrix import (
+    BLACK,
+    LEAN,
+    LIGHT,
+    MIDDLE_GREY,
+    SQUEEZE,
+    TONE,
+    UNKNOWNS,
+)
+from skyherd.vision.photometric.fitting.fit_result import print_contrasts, weighted_median
+from skyherd.vision.photometric.fitting.least_squares import LeastSquaresSolution
+from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
+from skyherd.vision.photometric.fitting.plane import (
     MIN_MARKERS_ON_PLANE,
     MIN_SHARE_ON_PLANE,
     Plane,

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from skyherd.vision.photometric.design_matrix import (
+from skyherd.vision.photometric.fitting.design_matrix import (
     BLACK,
     CONTRAST,
     GROUND,
@@ -12,7 +12,7 @@ from skyherd.vision.photometric.design_matrix import (
     SQUEEZE,
     UNKNOWNS,
 )
-from skyherd.vision.photometric.least_squares import (
+from skyherd.vision.photometric.fitting.least_squares import (
     GROUND_RIDGE,
     MIN_CONTRAST,
     SINGLE_PRECISION,

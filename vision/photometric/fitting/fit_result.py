@@ -6,10 +6,17 @@ import numpy as np
 
 from skyherd.geometry import Array, IntArray
 from skyherd.markers.dictionary import cells_per_side
-from skyherd.vision.photometric import design_matrix
-from skyherd.vision.photometric.design_matrix import BLACK, BLUR, CONTRAST, MIDDLE_GREY, SQUEEZE, UNKNOWNS
-from skyherd.vision.photometric.least_squares import LeastSquaresSolution
-from skyherd.vision.photometric.local_homography import LocalHomographies
+from skyherd.vision.photometric.fitting import design_matrix
+from skyherd.vision.photometric.fitting.design_matrix import (
+    BLACK,
+    BLUR,
+    CONTRAST,
+    MIDDLE_GREY,
+    SQUEEZE,
+    UNKNOWNS,
+)
+from skyherd.vision.photometric.fitting.least_squares import LeastSquaresSolution
+from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
 from skyherd.vision.row_record import RowRecord
 
 MAX_LOG_BLUR = 0.5
@@ -35,7 +42,7 @@ class FitResults(RowRecord):
         cell_means: (N, n, n) mean residual over each cell, grey levels.
         peaks: (N,) largest absolute residual of a pixel, grey levels.
         moved_px: (N,) how far the last step moved the middles of the sides, px.
-        variance_ratios: (N, 2) of positions and headings; see `skyherd.vision.photometric.correlated_noise`.
+        variance_ratios: (N, 2) of positions and headings; see `correlated_noise`.
         boxes: (N,) number of boxes that the ratios are of; 0 for a marker without.
     """
 

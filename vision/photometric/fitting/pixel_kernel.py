@@ -1,6 +1,6 @@
 """Compiled loops over the pixels of markers: the columns of the linear model, their products, and residuals.
 
-The formulas are those of `skyherd.vision.photometric.design_matrix`. In marker coordinates z = x + iy, in
+The formulas are those of `design_matrix`. In marker coordinates z = x + iy, in
 sides, with black as 0 and white as 1, a marker on an endless white ground seen under a Gaussian of standard
 deviation σ separates (`skyherd.markers.blur_model`):
 
@@ -29,7 +29,7 @@ from numba import float32, float64, from_dtype, int32, int64, njit, uint8, void
 from numba.core import types
 from scipy.special import ndtr
 
-from skyherd.vision.photometric.design_matrix import (
+from skyherd.vision.photometric.fitting.design_matrix import (
     BLACK,
     BLUR,
     CONTRAST,

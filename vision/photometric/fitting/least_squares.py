@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from skyherd.geometry import Array
-from skyherd.vision.photometric.design_matrix import CONTRAST, GROUND, PIXEL_ROW, UNKNOWNS
+from skyherd.vision.photometric.fitting.design_matrix import CONTRAST, GROUND, PIXEL_ROW, UNKNOWNS
 
 GROUND_RIDGE = 3e-4
 """Added to the ground's diagonal element of the normal matrix, since there may be no ground to be seen: a
@@ -48,7 +48,7 @@ class LeastSquaresSolution:
     """Least-squares solutions for N markers.
 
     Attributes:
-        values: (N, 15) the unknowns, in the order of `skyherd.vision.photometric.design_matrix`.
+        values: (N, 15) the unknowns, in the order of `design_matrix`.
         inverse_normals: (N, 15, 15) inverse normal matrices C; rows and columns of held unknowns are zero.
         residual_squares: (N,) sums of squared weighted residuals, grey levels squared.
         pixels: (N,) number of pixels used.

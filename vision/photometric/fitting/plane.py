@@ -3,7 +3,7 @@
 Seen by a camera whose axis is tilted or whose pixels are oblong, squares become parallelograms that shrink
 towards the horizon. With image points p = u + iv from the image's centre, the plane's map to the image is,
 but for a similarity, `p = A q / (1 + l·q)` with A squeezing by α; a marker at p is then squeezed, in image
-axes (`skyherd.vision.photometric.local_homography`), by
+axes (`local_homography`), by
 
     ε(p) = (α (1 - p λ̄ / 2) - p λ / 2) / (1 - p̄ λ / 2 - p̄ λ̄ α / 2) ≈ α - p λ / 2,
 

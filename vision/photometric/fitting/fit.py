@@ -1,9 +1,9 @@
 """Markers fitted to pixels, as well as the noise allows.
 
 Each step is a Gauss-Newton step in all of a marker's unknowns at once
-(`skyherd.vision.photometric.design_matrix`). Two hypotheses are tried on all markers of the image together,
+(`design_matrix`). Two hypotheses are tried on all markers of the image together,
 since they are then better tested than on one marker: that light does not change over the markers, and that
-the squeezes are those of one plane (`skyherd.vision.photometric.plane`). Where they hold, the unknowns
+the squeezes are those of one plane (`plane`). Where they hold, the unknowns
 concerned are held, which leaves fewer to be estimated. The error after a step is of third order in the step,
 so that one step is enough from a good prediction. The covariance is `σ_n² (JᵀJ)⁻¹`, with the standard
 deviation of the noise σ_n from the residuals themselves.
@@ -16,11 +16,11 @@ import numpy as np
 from skyherd.geometry import Array, BoolArray, IntArray
 from skyherd.markers.dictionary import cells_per_side
 from skyherd.vision.grey import Image
-from skyherd.vision.photometric import design_matrix
-from skyherd.vision.photometric.appearance import MarkerAppearances, appearances_of
-from skyherd.vision.photometric.common_unknowns import hold_common_unknowns
-from skyherd.vision.photometric.correlated_noise import BOX_PX, MOST_MARKERS, box_ratios
-from skyherd.vision.photometric.design_matrix import (
+from skyherd.vision.photometric.fitting import design_matrix
+from skyherd.vision.photometric.fitting.appearance import MarkerAppearances, appearances_of
+from skyherd.vision.photometric.fitting.common_unknowns import hold_common_unknowns
+from skyherd.vision.photometric.fitting.correlated_noise import BOX_PX, MOST_MARKERS, box_ratios
+from skyherd.vision.photometric.fitting.design_matrix import (
     BLACK,
     LEAN,
     MIDDLE_GREY,
@@ -28,10 +28,10 @@ from skyherd.vision.photometric.design_matrix import (
     UNKNOWNS,
     DesignMatrices,
 )
-from skyherd.vision.photometric.fit_result import FitResults, fit_results_of, pose_influences
-from skyherd.vision.photometric.least_squares import LeastSquaresSolution
-from skyherd.vision.photometric.local_homography import LocalHomographies
-from skyherd.vision.photometric.plane import Plane
+from skyherd.vision.photometric.fitting.fit_result import FitResults, fit_results_of, pose_influences
+from skyherd.vision.photometric.fitting.least_squares import LeastSquaresSolution
+from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
+from skyherd.vision.photometric.fitting.plane import Plane
 
 MAX_STEPS = 6
 """Most steps from the place at which a quadrilateral was found. Chosen: what has not settled by then is
@@ -143,7 +143,7 @@ class PixelSamples:
 
         Returns:
             The ratios (N, 2) of positions and of headings, and the numbers (N,) of boxes that they are of, 0
-            for markers that were not looked at (`skyherd.vision.photometric.correlated_noise`).
+            for markers that were not looked at (`correlated_noise`).
         """
         rows = np.flatnonzero(right)[:: max(1, -(-np.count_nonzero(right) // MOST_MARKERS))]
         ratios, numbers = np.ones((right.size, 2)), np.zeros(right.size)

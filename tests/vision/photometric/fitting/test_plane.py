@@ -5,8 +5,8 @@ import pytest
 from scipy.special import bdtrik, chdtrc
 
 from skyherd.geometry import SQUARE_CORNERS
-from skyherd.vision.photometric.local_homography import LocalHomographies
-from skyherd.vision.photometric.plane import SIGNIFICANT, Plane, fit_plane
+from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
+from skyherd.vision.photometric.fitting.plane import SIGNIFICANT, Plane, fit_plane
 
 POINTS = np.random.default_rng(0).uniform(-400, 400, (2, 16)).T @ np.array([1, 1j])
 

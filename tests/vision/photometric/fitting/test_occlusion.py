@@ -10,10 +10,10 @@ from skyherd.markers.blur_model import total_sigma_px
 from skyherd.markers.dictionary import card_side, code_distance
 from skyherd.render import Camera, CameraPose, Disc, Ground, Renderer, Sensor, project_markers
 from skyherd.vision import PhotometricDetector, create_detector
-from skyherd.vision.photometric.fit import fit_markers
-from skyherd.vision.photometric.local_homography import LocalHomographies
-from skyherd.vision.photometric.occlusion import fit_visible
-from skyherd.vision.photometric.plane import Plane
+from skyherd.vision.photometric.fitting.fit import fit_markers
+from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
+from skyherd.vision.photometric.fitting.occlusion import fit_visible
+from skyherd.vision.photometric.fitting.plane import Plane
 from skyherd.vision.photometric.verify import may_be_occluded, verified
 
 DICTIONARY, SIDE_PX, NOISE, SIGMA_PX = "4X4_50", 30.0, 3.0, total_sigma_px(0.8)

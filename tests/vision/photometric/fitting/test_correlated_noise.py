@@ -7,8 +7,9 @@ import pytest
 from skyherd.bench.detectors.design import Cell
 from skyherd.bench.detectors.frames import rendered_frames
 from skyherd.geometry import to_complex
-from skyherd.vision.photometric import common_unknowns
-from skyherd.vision.photometric.correlated_noise import (
+from skyherd.vision.photometric.detector import PhotometricDetector
+from skyherd.vision.photometric.fitting import common_unknowns
+from skyherd.vision.photometric.fitting.correlated_noise import (
     FORGOTTEN,
     MAX_RATIO,
     RATIO_ERROR,
@@ -16,8 +17,7 @@ from skyherd.vision.photometric.correlated_noise import (
     PooledRatios,
     box_ratios,
 )
-from skyherd.vision.photometric.design_matrix import BLACK, UNKNOWNS, DesignMatrices
-from skyherd.vision.photometric.detector import PhotometricDetector
+from skyherd.vision.photometric.fitting.design_matrix import BLACK, UNKNOWNS, DesignMatrices
 
 DICTIONARY, NOISE = "4X4_50", 5.0
 

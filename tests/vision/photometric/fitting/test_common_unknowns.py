@@ -5,8 +5,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from skyherd.vision.photometric.common_unknowns import _print_inliers
-from skyherd.vision.photometric.design_matrix import BLACK, MIDDLE_GREY
+from skyherd.vision.photometric.fitting.common_unknowns import _print_inliers
+from skyherd.vision.photometric.fitting.design_matrix import BLACK, MIDDLE_GREY
 
 
 def solution_of(shares):

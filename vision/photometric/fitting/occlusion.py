@@ -16,12 +16,12 @@ import numpy as np
 from skyherd.geometry import Array
 from skyherd.markers.dictionary import border_cells, cells_per_side
 from skyherd.vision.grey import Image
-from skyherd.vision.photometric.appearance import appearances_of
-from skyherd.vision.photometric.common_unknowns import on_common_plane, with_common_tone
-from skyherd.vision.photometric.design_matrix import BLACK, CONTRAST, MIDDLE_GREY, POSE, UNKNOWNS
-from skyherd.vision.photometric.fit import PixelSamples, image_middle, stepped
-from skyherd.vision.photometric.fit_result import FitResults, fit_results_of
-from skyherd.vision.photometric.plane import Plane
+from skyherd.vision.photometric.fitting.appearance import appearances_of
+from skyherd.vision.photometric.fitting.common_unknowns import on_common_plane, with_common_tone
+from skyherd.vision.photometric.fitting.design_matrix import BLACK, CONTRAST, MIDDLE_GREY, POSE, UNKNOWNS
+from skyherd.vision.photometric.fitting.fit import PixelSamples, image_middle, stepped
+from skyherd.vision.photometric.fitting.fit_result import FitResults, fit_results_of
+from skyherd.vision.photometric.fitting.plane import Plane
 
 INLIER_SIGMAS = 4.0
 """Residual beyond which a pixel is left out in the last rounds, standard deviations of the noise. Derived:

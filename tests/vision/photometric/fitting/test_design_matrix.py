@@ -11,8 +11,8 @@ from pixel_reference import columns_of, draw
 from scipy.ndimage import gaussian_filter
 
 from skyherd.markers.dictionary import cells_per_side, marker_cells
-from skyherd.vision.photometric.appearance import MarkerAppearances
-from skyherd.vision.photometric.design_matrix import (
+from skyherd.vision.photometric.fitting.appearance import MarkerAppearances
+from skyherd.vision.photometric.fitting.design_matrix import (
     BLACK,
     BLUR,
     CONTRAST,
@@ -30,7 +30,7 @@ from skyherd.vision.photometric.design_matrix import (
     UNKNOWNS,
     DesignMatrices,
 )
-from skyherd.vision.photometric.local_homography import LocalHomographies
+from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
 
 DICTIONARY, MARKER, SIGMA = "4X4_50", 11, 0.03
 DICTIONARIES = [

@@ -2,7 +2,7 @@
 
 A card is narrow, and blur lets the ground beyond it into the marker's pixels. Whether any of it is seen is
 decided here; its level is an unknown of the fit, and its texture counts as noise
-(`skyherd.vision.photometric.design_matrix`).
+(`design_matrix`).
 """
 
 from dataclasses import dataclass, replace
@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from skyherd.geometry import Array, BoolArray, IntArray
 from skyherd.markers.dictionary import card_side, cells_per_side, marker_cells
-from skyherd.vision.photometric.plane import Plane
+from skyherd.vision.photometric.fitting.plane import Plane
 
 OUTSIDE_SIGMAS = 2.5
 """Pixels are read up to this many standard deviations of the blur beyond the black square, where the edge is

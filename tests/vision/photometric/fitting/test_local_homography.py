@@ -5,7 +5,7 @@ import pytest
 
 from skyherd.geometry import SQUARE_CORNERS, to_points
 from skyherd.markers.dictionary import corners_of_pose
-from skyherd.vision.photometric.local_homography import LocalHomographies
+from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
 
 COUNT = 40
 POINTS = np.concatenate([SQUARE_CORNERS, [0j, 0.3 - 0.1j, 1.4 + 0.8j]])

@@ -1,6 +1,6 @@
 """The linear model of a marker's pixels around a pose: its design matrix, drawn at the image's own pixels.
 
-With T what a blurred marker looks like (`skyherd.vision.photometric.pixel_kernel`) at marker coordinates
+With T what a blurred marker looks like (`pixel_kernel`) at marker coordinates
 z = z(p) = x + iy, the grey level of pixel p is
 
     I(p) ≈ a + b T + b (T_z · δz + T_log σ δ log σ) + g (1 - A) + (l_x x + l_y y) (r + T) + c T (1 - T),
@@ -12,7 +12,7 @@ and a bend c of the tone curve, by which a camera's gamma shifts edges towards b
 pixels depend on is thus an unknown of one linear model, 15 in all; eight of them make up a homography.
 
 The marker and its derivatives are computed *at the image's own pixels*
-(`skyherd.vision.photometric.pixel_kernel`); the image itself is never resampled, so that its noise stays
+(`pixel_kernel`); the image itself is never resampled, so that its noise stays
 white.
 
 Blur that is round in the image is not round in the coordinates of a marker that is squeezed. A squeeze
@@ -35,8 +35,8 @@ import numpy.typing as npt
 
 from skyherd.geometry import Array, BoolArray, IntArray
 from skyherd.vision.grey import Image
-from skyherd.vision.photometric.appearance import MarkerAppearances
-from skyherd.vision.photometric.local_homography import LocalHomographies
+from skyherd.vision.photometric.fitting.appearance import MarkerAppearances
+from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
 
 Floats = npt.NDArray[np.float32]
 
@@ -74,7 +74,7 @@ marker can be read under: a thousandth of a cell, and ten thousand markers."""
 @cache
 def _kernel() -> ModuleType:
     """The compiled loops, which are loaded, in about a second, when pixels are first read."""
-    return import_module("skyherd.vision.photometric.pixel_kernel")
+    return import_module("skyherd.vision.photometric.fitting.pixel_kernel")
 
 
 class DesignMatrices:

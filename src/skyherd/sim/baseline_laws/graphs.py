@@ -17,18 +17,30 @@ LEAST_DISTANCE_M = 1e-12
 is then 0 instead of 0 / 0."""
 
 
+LEAST_HEIGHT = 1e-6
+"""Triangles that are lower than this share of their longest side are left out. Chosen: far above the rounding
+of coordinates, 1e-16, by which points along a line make triangles, and far below the triangles of any shape
+that robots with bodies could form."""
+
+
 def triangles(shape: ComplexArray) -> IntArray:
-    """Corners (T, 3) of the Delaunay triangles of a shape (N,).
+    """Corners (T, 3) of the Delaunay triangles of a shape (N,), but for those that are flat by rounding.
 
     Raises:
         InputError: the points lie in a line.
     """
     try:
-        return np.asarray(Delaunay(np.column_stack([shape.real, shape.imag])).simplices, dtype=np.int64)
+        corners = np.asarray(Delaunay(np.column_stack([shape.real, shape.imag])).simplices, dtype=np.int64)
     except (QhullError, ValueError):
+        corners = np.zeros((0, 3), dtype=np.int64)
+    sides = shape[np.roll(corners, -1, axis=1)] - shape[corners]
+    height = np.abs((sides[:, 0].conj() * sides[:, 1]).imag) / np.maximum(np.abs(sides).max(axis=1), 1e-300)
+    corners = corners[height > LEAST_HEIGHT * np.abs(sides).max(axis=1)]
+    if not corners.size:
         raise InputError(
             "control.method", "the shape's points lie in a line", "a shape that has triangles, or similarity"
-        ) from None
+        )
+    return corners
 
 
 def neighbors(shape: ComplexArray) -> IntArray:

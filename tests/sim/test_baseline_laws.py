@@ -268,7 +268,9 @@ def test_points_along_a_line_make_no_triangles_by_rounding() -> None:
     points = points + 1e-9 * cloud(np.random.default_rng(12), 15)
     corners = triangles(points)
     a, b, c = points[corners].T
-    assert len(corners) == 13  # of any triangulation: 2 N - 2 - all points of the hull, which are on the sides
+    assert (
+        len(corners) == 13
+    )  # of any triangulation: 2 N - 2 - all points of the hull, which are on the sides
     assert (np.abs(((b - a).conj() * (c - b)).imag) > 1e-3).all()
 
 

@@ -1,4 +1,4 @@
-"""What methods are compared by: affine images, the shortest way, places on the way, and what had to be told."""
+"""What methods are compared by: affine images, the shortest way, waypoints, and what had to be told."""
 
 from dataclasses import replace
 

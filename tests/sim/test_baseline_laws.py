@@ -23,8 +23,8 @@ SIMILAR, AFFINE = ("complex-laplacian", "matrix-weighted"), ("affine-modules", "
 BEARINGS = ("bearing-only", "bearings-with-ranges")
 LINEAR = (*SIMILAR, *AFFINE, "bearings-with-ranges")
 FREE = dict.fromkeys(SIMILAR, 4) | dict.fromkeys(AFFINE, 6) | dict.fromkeys((*BEARINGS, "distances"), 3)
-"""Dimensions of the shapes that a law takes for formed: similar ones; affine ones; translated and larger ones;
-translated and turned ones."""
+"""Dimensions of the shapes that a law takes for formed: similar ones; affine ones; translated and larger
+ones; translated and turned ones."""
 
 
 def cloud(rng: np.random.Generator, count: int) -> np.ndarray:
@@ -54,12 +54,12 @@ MAPS = {
     "sheared": SHEAR,
     "mirrored": MIRROR,
 }
-ADMITTED = (
-    dict.fromkeys(SIMILAR, {"translated", "larger", "turned"})
-    | dict.fromkeys(AFFINE, set(MAPS))
-    | dict.fromkeys(BEARINGS, {"translated", "larger"})
-    | {"distances": {"translated", "turned", "mirrored"}}
-)
+ADMITTED = {
+    **{method: {"translated", "larger", "turned"} for method in SIMILAR},
+    **{method: set(MAPS) for method in AFFINE},
+    **{method: {"translated", "larger"} for method in BEARINGS},
+    "distances": {"translated", "turned", "mirrored"},
+}
 """Maps that take the shape to one that a law takes for formed, and how a law is the same in another frame."""
 
 
@@ -97,7 +97,7 @@ def test_what_a_law_takes_for_formed_stands_still_and_nothing_else(method, name)
 
 @pytest.mark.parametrize("method", LAWS)
 def test_the_fastest_mode_has_the_rate_k_and_all_but_the_free_ones_die_out(method) -> None:
-    """The linearisation at the shape; differences of 1e-6 err by 1e-10, a triangular matrix by much more."""
+    """The linearisation at the shape; differences err by 1e-10, values of a triangular matrix by more."""
     shape = cloud(np.random.default_rng(4), 9)
     values = np.sort(np.linalg.eigvals(jacobian(LAWS[method].make(shape, GAIN), shape)).real)
     assert np.abs(values[-FREE[method] :]).max() < 1e-6
@@ -118,7 +118,7 @@ def test_every_mode_of_followers_has_the_rate_k() -> None:
 @pytest.mark.parametrize("name", MAPS)
 @pytest.mark.parametrize("method", LAWS)
 def test_in_another_frame_a_law_is_the_same_where_its_paper_says_so(method, name) -> None:
-    """Bearings alone tell no lengths: robots are as fast as the formation is large, since m follows from it."""
+    """Bearings tell no lengths: robots are as fast as the formation is large, since m follows from it."""
     rng = np.random.default_rng(6)
     shape, places = cloud(rng, 10), cloud(rng, 10)
     law, matrix = LAWS[method].make(shape, GAIN), MAPS[name]
@@ -207,7 +207,7 @@ def distance_cost(shape: np.ndarray, places: np.ndarray) -> float:
 
 @pytest.mark.parametrize(("method", "cost"), [("affine-modules", module_cost), ("distances", distance_cost)])
 def test_a_gradient_law_descends_the_cost_of_its_paper(method, cost) -> None:
-    """In direction and sign; the factor is the rate's."""
+    """In direction and sign; the factor follows from the rate."""
     rng = np.random.default_rng(9)
     shape, places = cloud(rng, 9), cloud(rng, 9)
     slope = []
@@ -238,7 +238,7 @@ def test_modules_are_interlaced_so_that_affine_images_alone_cost_nothing(count) 
 
 
 def test_stress_weights_are_the_best_of_their_kind() -> None:
-    """Of an A-optimal design: no weight's share in the trace is above the trace, and the slowest is faster."""
+    """Of an A-optimal design: no weight's part in the trace is above it; and the slowest mode is faster."""
     shape = cloud(np.random.default_rng(10), 12)
     rows, matrix = module_rows(shape), stress_matrix(shape)
     assert np.trace(matrix) == pytest.approx(1.0)
@@ -371,7 +371,7 @@ def test_a_law_of_ones_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
 
 
 def test_a_law_that_nobody_knows_is_refused_with_the_names_of_all() -> None:
-    with pytest.raises(InputError, match="affine-stress.*module:factory") as refusal:
+    with pytest.raises(InputError, match=r"affine-stress.*module:factory") as refusal:
         load_mission("crowd", ["control.method=affine"])
     assert "\n" not in str(refusal.value)
 

@@ -67,7 +67,7 @@ def test_a_robot_without_news_drives_on_as_it_did_and_then_stops() -> None:
 
 
 def test_nobody_moves_who_is_never_told_anything() -> None:
-    team, world = team_of(lambda places: 1.0 + 0 * places, loss=1.0)
+    team, _ = team_of(lambda places: 1.0 + 0 * places, loss=1.0)
     orders = team.decide(0.0, [])
     assert not orders.command.v_mps.any() and not orders.command.omega_radps.any()
     assert orders.commanded_ids.size == 0

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 from operator import attrgetter
 
 import numpy as np
@@ -18,8 +19,8 @@ from skyherd.messages import TIME_TOLERANCE_S
 from skyherd.sim.truth_metrics import affine_error
 
 WAYPOINTS = 61
-"""Most places of each robot that `History.waypoints_m` has. Chosen: paths of a minute look as they do in full,
-and a study of thousands of runs can keep them."""
+"""Most places of each robot that `History.waypoints_m` has. Chosen: paths of a minute look as they do in
+full, and a study of thousands of runs can keep them."""
 
 
 @dataclass(frozen=True)
@@ -106,23 +107,30 @@ class History:
     false_detections: int
     traffic: Traffic
 
-    @property
+    @cached_property
     def affine_error(self) -> Array:
-        """How far (T,) the formation is from the nearest affine image of its shape, as `affine_error` has it."""
-        shapes = (
-            self.mission.shape_at(float(time_s), roles).points_of(self.ids).conj()
-            for time_s, roles in zip(self.times_s, self.roles, strict=True)
-        )
-        places = to_complex(self.positions_m)
-        return np.array([affine_error(shape, place) for shape, place in zip(shapes, places, strict=True)])
+        """How far (T,) the formation is from the nearest affine image of its shape; see `affine_error`."""
+        places, errors = to_complex(self.positions_m), np.empty(len(self.times_s))
+        rows_of: dict[bytes, list[int]] = {}
+        for row, (time_s, roles) in enumerate(zip(self.times_s.tolist(), self.roles, strict=True)):
+            points = self.mission.schedule.at(time_s).points_px[roles]
+            rows_of.setdefault(points.tobytes(), []).append(row)
+        for rows in rows_of.values():
+            shape = self.mission.shape_at(float(self.times_s[rows[0]]), self.roles[rows[0]])
+            errors[rows] = affine_error(shape.points_of(self.ids).conj(), places[rows])
+        return errors
 
     @property
     def affine_reached_s(self) -> float:
-        """Since when, s, that error stayed under `goal.shape_error`; NaN unless for `goal.hold_s` to the end."""
+        """Since when, s, `affine_error` stayed under `goal.shape_error`.
+
+        NaN unless it did so for the last `goal.hold_s` of the run.
+        """
         goal = self.mission.scenario.goal
         above = np.flatnonzero(~(self.affine_error < goal.shape_error))
-        since_s = [*self.times_s.tolist(), np.inf][int(above[-1]) + 1 if above.size else 0]
-        return since_s if since_s <= self.times_s[-1] - goal.hold_s + TIME_TOLERANCE_S else np.nan
+        since_s = float(np.append(self.times_s, np.inf)[above[-1] + 1 if above.size else 0])
+        held = since_s <= self.times_s[-1] - goal.hold_s + TIME_TOLERANCE_S
+        return since_s if held else np.nan
 
     @property
     def least_path_m(self) -> float:

@@ -1,9 +1,9 @@
 """What robots and units had to be told in a run: counted, or derived from what a law needs to know.
 
-Under skyherd's own law these are the messages that units sent, counted as they left them: the goals of each
-robot that is addressed are one message, and so are all bodies near it, and each report of a unit to the
-others, with all that is in it. Under a law from the literature a robot measures its neighbours, or is told of them, at every step:
-each of its links is one message, and the numbers in it follow from the law
+Under skyherd's own law these are the messages that units sent, counted as they left them: the goal of each
+robot that is addressed is one message, and so are all bodies near it, and each report of a unit to the
+others, with all that is in it. Under a law from the literature a robot measures its neighbours, or is told of
+them, at every step: each of its links is one message, and the numbers in it follow from the law
 (`skyherd.sim.baseline_laws.BaselineLaw`). When messages to robots were sent, and the ids in them, are not
 counted: every method needs those.
 """
@@ -28,7 +28,7 @@ PAIR_NUMBERS = 4
 
 @dataclass(frozen=True)
 class Traffic:
-    """Messages of a whole run, and the numbers in them; both NaN where nobody knows, of a law of one's own."""
+    """Messages of a whole run, and the numbers in them; NaN of a law of one's own, of which nobody knows."""
 
     messages: float
     numbers: float

@@ -63,8 +63,8 @@ def fit_shape(template_ground: np.ndarray, positions: np.ndarray) -> ShapeFit:
     )
 
 
-def affine_error(template_ground: np.ndarray, positions: np.ndarray) -> float:
-    """How far a formation is from the nearest affine image of its template: stretched and sheared ones too.
+def affine_error(template_ground: np.ndarray, positions: np.ndarray) -> np.ndarray:
+    """How far formations are from the nearest affine image of their template: stretched and sheared ones too.
 
     RMS distance of the robots to the image over the RMS radius of the formation, as `ShapeFit.error` has it
     for similar images, and never more than that. With `1, Re p, Im p` for columns of A, the images are the
@@ -72,12 +72,15 @@ def affine_error(template_ground: np.ndarray, positions: np.ndarray) -> float:
 
     Args:
         template_ground: (N,) template points p, complex.
-        positions: (N,) positions z of the robots, complex, m.
+        positions: (..., N) positions z of the robots, complex, m, of one or more formations.
+
+    Returns:
+        (...) one number a formation.
     """
     columns = np.stack([np.ones(template_ground.size), template_ground.real, template_ground.imag], axis=1)
-    image = columns @ np.linalg.lstsq(columns, np.stack([positions.real, positions.imag], axis=1))[0]
-    residual = positions - (image[:, 0] + 1j * image[:, 1])
-    return float(np.linalg.norm(residual) / np.linalg.norm(positions - positions.mean()))
+    residual = positions - positions @ (columns @ np.linalg.pinv(columns)).T
+    spread = positions - positions.mean(axis=-1, keepdims=True)
+    return np.asarray(np.linalg.norm(residual, axis=-1) / np.linalg.norm(spread, axis=-1))
 
 
 @dataclass(frozen=True)

@@ -35,7 +35,7 @@ def triangles(shape: ComplexArray) -> IntArray:
         corners = np.zeros((0, 3), dtype=np.int64)
     sides = shape[np.roll(corners, -1, axis=1)] - shape[corners]
     height = np.abs((sides[:, 0].conj() * sides[:, 1]).imag) / np.maximum(np.abs(sides).max(axis=1), 1e-300)
-    corners = corners[height > LEAST_HEIGHT * np.abs(sides).max(axis=1)]
+    corners = np.asarray(corners[height > LEAST_HEIGHT * np.abs(sides).max(axis=1)])
     if not corners.size:
         raise InputError(
             "control.method", "the shape's points lie in a line", "a shape that has triangles, or similarity"

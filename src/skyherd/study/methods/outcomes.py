@@ -4,8 +4,8 @@
 place of the robots' own. Such a team (`skyherd.sim.oracle_team`) reads the true places of the robots from the
 world and drives the same wheels; it stands outside `skyherd.control`, which therefore never imports anything
 of the simulation. The study `methods` runs each law on the same tasks from the same starts, and this package
-compares the outcomes: `outcomes.py` reads the study's table, `plots.py` draws them, `paths.py` the ways of the
-robots, `page.py` writes them down.
+compares the outcomes: `outcomes.py` reads the study's table, `plots.py` draws them, `paths.py` draws the ways
+of the robots, `page.py` writes them down.
 """
 
 from collections.abc import Mapping, Sequence

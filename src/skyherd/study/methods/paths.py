@@ -45,10 +45,9 @@ def draw_paths(task: str, methods: Sequence[Method], bodies: Mapping[str, Any]) 
     rows = -(-len(shown) // COLUMNS)
     figure = new_figure(2.75 * rows + 0.3, 2.45 * COLUMNS)
     panels = figure.subplots(rows, COLUMNS, squeeze=False)
-    middle, reach = _frame([places for _, _, places in shown if places is not None])
+    middle, reach = _frame([places for _, _, places in shown])
     for axes, (name, runs, places) in zip(panels.flat, shown, strict=False):
-        if places is not None:
-            _draw_ways(axes, places, bodies)
+        _draw_ways(axes, places, bodies)
         axes.set_title(f"{plain(name)}\n{_result(runs)}", fontsize="small")
         axes.set_xlim(middle[0] - reach, middle[0] + reach)
         axes.set_ylim(middle[1] - reach, middle[1] + reach)

@@ -1,4 +1,4 @@
-"""The figure of a study of formation controllers: a row a method, a column a task, and a number in each cell."""
+"""The figure of a study of formation controllers: a row a method, a column a task, a number in each cell."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -9,19 +9,18 @@ from matplotlib.colors import LinearSegmentedColormap, LogNorm, Normalize
 from matplotlib.figure import Figure
 
 from skyherd.drawing.palette import INK, MUTED, PAPER
-from skyherd.geometry import Array
+from skyherd.geometry import Array, BoolArray
 from skyherd.plots.style import new_figure, plain
 from skyherd.study.methods.outcomes import Method, Outcomes
 
 GOOD = LinearSegmentedColormap.from_list("good", [PAPER, "#9fd3bd"])
 BAD = LinearSegmentedColormap.from_list("bad", [PAPER, "#f0b48a"])
-"""Colours of cells: the more of something good, the greener; the more of something bad, the more orange. Ink
-can be read on all of both."""
+"""Colours of cells: the more of something good, the greener; the more of something bad, the more orange."""
 
 
 @dataclass(frozen=True)
 class Board:
-    """One quantity for all methods and tasks: its title, its value for a cell, how it is written and shaded."""
+    """One quantity of all methods and tasks: its title, value, how a cell is written and shaded."""
 
     title: str
     value: Callable[[Outcomes], float]
@@ -75,7 +74,7 @@ def _draw_board(axes: Axes, board: Board, values: Array) -> None:
     axes.tick_params(which="both", length=0)
 
 
-def share(yes: Array) -> float:
+def share(yes: BoolArray) -> float:
     """How many of them, per cent; NaN of none."""
     return 100 * float(np.mean(yes)) if yes.size else np.nan
 

@@ -12,7 +12,7 @@ from study_runs import conduct_here
 from skyherd.errors import InputError
 from skyherd.plots.style import drawing_style
 from skyherd.study.methods.outcomes import make_methods
-from skyherd.study.methods.page import HEAD, markdown
+from skyherd.study.methods.page import HEAD, glance, markdown
 from skyherd.study.methods.paths import draw_paths
 from skyherd.study.methods.plots import BOARDS, draw_methods
 from skyherd.study.plan import make_plan
@@ -111,6 +111,12 @@ def test_who_stops_at_an_affine_image_formed_that_and_not_the_shape(write_study:
     assert (said["way over the shortest"], said["affine error at the end"]) == ("1.25", "0.001")
 
 
+def test_at_a_glance_the_wait_for_units_counts(write_study: Any) -> None:
+    _, (ours, theirs) = some_methods(write_study)
+    assert glance(ours, "anywhere") == "2 of 3, 12 s"  # 4 + 6 and 6 + 8
+    assert (glance(theirs, "anywhere"), glance(theirs, "near")) == ("1 of 1, 10 s", "0 of 2")
+
+
 def test_a_grid_makes_a_method_of_each_of_its_values(write_study: Any) -> None:
     text = STUDY.replace('about = "images"', 'about = "images"\ngrid = { control.k = [0.6, 1.2] }')
     study = load_study(str(write_study(text)))
@@ -154,7 +160,7 @@ def test_the_study_is_run_and_its_page_stands_alone(
     table, _ = conduct_here(write_study(STUDY), tmp_path / "out")
     assert table["task"].to_pylist() == ["anywhere", "near"] * 2
     page = (tmp_path / "out" / "methods.html").read_text("utf-8")
-    assert page.count("<table>") == 2 and page.count('src="data:image/png') == 3
+    assert page.count("<table>") == 3 and page.count('src="data:image/png') == 3
     assert "http" not in page.replace("http://www.w3.org", "") and "version 3" in page
     assert "ours" in (tmp_path / "out" / "table.md").read_text("utf-8")
 

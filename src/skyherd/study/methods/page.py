@@ -17,7 +17,7 @@ from skyherd.report.pages import figure_card, render_page
 from skyherd.study.figures import MARKDOWN, complaints
 from skyherd.study.methods.outcomes import Method, make_methods
 from skyherd.study.methods.paths import draw_paths
-from skyherd.study.methods.plots import draw_methods
+from skyherd.study.methods.plots import draw_methods, median
 from skyherd.study.plan import study_source
 from skyherd.study.spec import Study, TaskModel
 from skyherd.version import __version__
@@ -42,6 +42,9 @@ HEAD = (
     "numbers a robot and second",
 )
 """Columns of the tables, in the order of `cells`."""
+
+OVERVIEW = "of the runs formed the shape, and the median time that they took, with the wait for units."
+"""What the cells of the first table are, after the number of runs."""
 
 CAPTION = (
     "A row a method, a column a task. Times, ways and numbers are medians; times count from when robots may"
@@ -95,6 +98,9 @@ def write_methods(study: Study, table: pa.Table, folder: Path) -> list[Path]:
         title="Methods",
         description=study.spec.description,
         tasks_version=study.spec.tasks_version,
+        overview_head=["method", *(task.name for task in tasks)],
+        overview=[[method.name, *(glance(method, task.name) for task in tasks)] for method in methods],
+        overview_caption=OVERVIEW,
         figures=[figures["methods"]],
         methods=methods,
         head=HEAD,
@@ -113,6 +119,13 @@ def write_methods(study: Study, table: pa.Table, folder: Path) -> list[Path]:
     parts = [*head, *(markdown(task, methods) for task in tasks)]
     text = "\n\n".join([*parts, *complaints(table)]) + "\n"
     return [write_text(folder / PAGE, page), write_text(folder / MARKDOWN, text)]
+
+
+def glance(method: Method, task: str) -> str:
+    """How many runs formed the shape, and the median time of these from the start, as `3 of 4, 12 s`."""
+    runs = method.outcomes[task]
+    time_s = median(runs.begun_s + runs.times_s)
+    return _count(runs.converged) + (f", {time_s:.3g} s" if np.isfinite(time_s) else "")
 
 
 def cells(method: Method, task: str) -> list[str]:

@@ -13,8 +13,8 @@ from skyherd.geometry import Array
 from skyherd.plots.style import new_figure, plain, robot_colors
 from skyherd.study.methods.outcomes import Method, Outcomes
 
-COLUMNS = 4
-"""Panels in a row. Chosen: with five they are too small to see single ways, with three the figure of ten
+COLUMNS = 5
+"""Panels in a row. Chosen: with seven they are too small to see single ways, with three the figure of ten
 methods is higher than a screen."""
 
 MOST_ZOOM = 2.2
@@ -55,8 +55,6 @@ def draw_paths(task: str, methods: Sequence[Method], bodies: Mapping[str, Any]) 
         axes.set_aspect("equal")
         axes.set_xticks([])
         axes.set_yticks([])
-        axes.grid(visible=False)
-    for axes in panels.flat[len(shown) :]:
         axes.set_axis_off()
     _draw_scale(panels.flat[0], middle, reach)
     return figure

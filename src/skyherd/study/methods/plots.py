@@ -43,7 +43,7 @@ BOARDS = (
 def draw_methods(methods: Sequence[Method]) -> Figure:
     """Draw boards with a row a method and a column a task. A dash stands where no run has a value."""
     tasks = list(methods[0].outcomes)
-    figure = new_figure(1.6 + 0.56 * (len(methods) + 4), 15.0)
+    figure = new_figure(1.6 + 0.56 * (len(methods) + 4), 12.5)
     panels = figure.subplots(2, 3, sharex=True, sharey=True)
     for axes, board in zip(panels.flat, BOARDS, strict=True):
         values = np.array([[board.value(method.outcomes[task]) for task in tasks] for method in methods])

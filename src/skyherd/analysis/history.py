@@ -146,7 +146,7 @@ class History:
     def waypoints_m(self) -> Array:
         """Positions (W, N, 2) at `WAYPOINTS` instants from start to end, or at all if there are fewer; mm."""
         rows = np.linspace(0, len(self.times_s) - 1, min(WAYPOINTS, len(self.times_s))).round().astype(int)
-        return np.round(self.positions_m[rows], 3)
+        return np.asarray(np.round(self.positions_m[rows], 3))
 
     @property
     def messages_per_robot_s(self) -> float:

@@ -27,7 +27,14 @@ from skyherd.datasets.configuration.mission import (
     scenario_names,
     scenario_text,
 )
-from skyherd.datasets.configuration.models import AutopilotModel, NetworkModel, Scenario, SelectionModel
+from skyherd.datasets.configuration.models import (
+    METHODS,
+    OWN_METHOD,
+    AutopilotModel,
+    NetworkModel,
+    Scenario,
+    SelectionModel,
+)
 from skyherd.datasets.configuration.robot_models import DriveModel, RobotsModel, ScatterModel
 from skyherd.datasets.configuration.toml_files import (
     built_in_names,
@@ -82,6 +89,8 @@ else:
 __all__ = [
     "BODY_SIDES",
     "CAMERAS",
+    "METHODS",
+    "OWN_METHOD",
     "SHAPES",
     "SHAPE_SPACING",
     "AutopilotModel",

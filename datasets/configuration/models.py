@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from typing import Annotated, Literal, Self
 
 import numpy as np
-from pydantic import Field, FiniteFloat, model_validator
+from pydantic import AfterValidator, Field, FiniteFloat, model_validator
 
 from skyherd.bodies import Bodies
 from skyherd.datasets.configuration.body_models import AvoidanceModel, RolesModel, SizeModel
@@ -59,15 +59,40 @@ class TemplateModel(ShapeModel):
     then: list[LaterModel] = Field([], max_length=100, description="later shapes, their times ascending")
 
 
-Method = Literal["similarity", "complex-laplacian", "bearing-only"]
-"""Laws that move the robots: skyherd's, and two from the literature to compare it with."""
+METHODS = (
+    "similarity",
+    "complex-laplacian",
+    "matrix-weighted",
+    "affine-modules",
+    "affine-stress",
+    "bearing-only",
+    "bearings-with-ranges",
+    "distances",
+)
+"""Laws that move the robots: skyherd's, and those from the literature (`skyherd.sim.baseline_laws`)."""
+
+OWN_METHOD = ":"
+"""What a name of a law has in it that is given as `module:factory`."""
+
+
+def _check_method(method: str) -> str:
+    if method not in METHODS and OWN_METHOD not in method:
+        raise ValueError(f"no law {method!r}; one of {', '.join(METHODS)}, or module:factory")
+    return method
 
 
 class ControlModel(Model):
     """The law that moves the robots, and its gains."""
 
-    method: Method = Field(
-        "similarity", description="skyherd's law, or one from the literature that is given the true positions"
+    method: Annotated[str, AfterValidator(_check_method)] = Field(
+        "similarity",
+        description="skyherd's law, `similarity`; or a law that is given the true positions: from the "
+        f"literature ({', '.join(METHODS[1:])}), or your own as `module:factory`",
+    )
+    told_noise_m: NotNegative = Field(
+        0.0,
+        description="m; standard deviation of the error, along x and along y and drawn anew at each step, of "
+        "the positions that a law other than `similarity` is given",
     )
     gains: Literal["marker", "pixel"] = Field(
         "marker", description="unit of image distances in the law: marker sides, or pixels as in the paper"

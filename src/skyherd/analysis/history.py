@@ -2,16 +2,25 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 from operator import attrgetter
 
 import numpy as np
 
 from skyherd.analysis.goal_points import goal_error_m
+from skyherd.analysis.shortest_paths import shortest_path
+from skyherd.analysis.traffic import Traffic, count_traffic
 from skyherd.analysis.tree_snapshot import TreeHistory, TreeSnapshot
 from skyherd.control import Template, control_matrix
 from skyherd.datasets import Mission, SizeModel
 from skyherd.geometry import Array, BoolArray, IntArray, to_complex
 from skyherd.loop import Step, dead_units
+from skyherd.messages import TIME_TOLERANCE_S
+from skyherd.sim.truth_metrics import affine_error
+
+WAYPOINTS = 61
+"""Most places of each robot that `History.waypoints_m` has. Chosen: paths of a minute look as they do in
+full, and a study of thousands of runs can keep them."""
 
 
 @dataclass(frozen=True)
@@ -63,6 +72,7 @@ class History:
         whole: markers whose card was whole in an image, over all images.
         found: those of them detected.
         false_detections: detections of no robot.
+        traffic: what robots and units had to be told.
     """
 
     mission: Mission
@@ -95,6 +105,62 @@ class History:
     whole: int
     found: int
     false_detections: int
+    traffic: Traffic
+
+    @cached_property
+    def affine_error(self) -> Array:
+        """How far (T,) the formation is from the nearest affine image of its shape; see `affine_error`."""
+        places, errors = to_complex(self.positions_m), np.empty(len(self.times_s))
+        rows_of: dict[bytes, list[int]] = {}
+        for row, (time_s, roles) in enumerate(zip(self.times_s.tolist(), self.roles, strict=True)):
+            points = self.mission.schedule.at(time_s).points_px[roles]
+            rows_of.setdefault(points.tobytes(), []).append(row)
+        for rows in rows_of.values():
+            shape = self.mission.shape_at(float(self.times_s[rows[0]]), self.roles[rows[0]])
+            errors[rows] = affine_error(shape.points_of(self.ids).conj(), places[rows])
+        return errors
+
+    @property
+    def affine_reached_s(self) -> float:
+        """Since when, s, `affine_error` stayed under `goal.shape_error`.
+
+        NaN unless it did so for the last `goal.hold_s` of the run.
+        """
+        goal = self.mission.scenario.goal
+        above = np.flatnonzero(~(self.affine_error < goal.shape_error))
+        since_s = float(np.append(self.times_s, np.inf)[above[-1] + 1 if above.size else 0])
+        held = since_s <= self.times_s[-1] - goal.hold_s + TIME_TOLERANCE_S
+        return since_s if held else np.nan
+
+    @property
+    def least_path_m(self) -> float:
+        """Least sum of straight ways, m, from the start into the shape: any place, rotation, size and roles.
+
+        It is what `shortest_path` finds with no bound on the size, whatever the mission allows: one lower
+        bound for all methods that form a similar shape from one start.
+        """
+        template = self.mission.template.points_of(self.ids).conj()
+        return shortest_path(template, to_complex(self.positions_m[0])).length
+
+    @property
+    def waypoints_m(self) -> Array:
+        """Positions (W, N, 2) at `WAYPOINTS` instants from start to end, or at all if there are fewer; mm."""
+        rows = np.linspace(0, len(self.times_s) - 1, min(WAYPOINTS, len(self.times_s))).round().astype(int)
+        return np.asarray(np.round(self.positions_m[rows], 3))
+
+    @property
+    def messages_per_robot_s(self) -> float:
+        """Messages for each robot and second of the run, as `Traffic` counts them; NaN where nobody knows."""
+        return self.traffic.messages / self.ids.size / self._duration_s
+
+    @property
+    def numbers_per_robot_s(self) -> float:
+        """Numbers in those messages, for each robot and second of the run."""
+        return self.traffic.numbers / self.ids.size / self._duration_s
+
+    @property
+    def _duration_s(self) -> float:
+        return len(self.times_s) * self.mission.scenario.step_s
 
     @property
     def ids(self) -> IntArray:
@@ -137,8 +203,20 @@ _COLUMNS = {
 }
 """Fields of the history that are stacked from the steps, and where a step has them."""
 
-CURVES = (*_COLUMNS, "goal_errors_m", "conditions", "controlled", "commanded")
-"""Names of the fields of the history that are arrays over time, for studies that keep some."""
+CURVES = (
+    *_COLUMNS,
+    "goal_errors_m",
+    "conditions",
+    "controlled",
+    "commanded",
+    "affine_error",
+    "affine_reached_s",
+    "least_path_m",
+    "waypoints_m",
+    "messages_per_robot_s",
+    "numbers_per_robot_s",
+)
+"""Names of what studies can keep of a history: arrays over time, and some numbers."""
 
 
 def make_history(mission: Mission, steps: Iterable[Step]) -> History:
@@ -168,6 +246,7 @@ def make_history(mission: Mission, steps: Iterable[Step]) -> History:
         whole=sum(frame.sight.whole_ids.size for frame in frames),
         found=sum(frame.sight.found_ids.size for frame in frames),
         false_detections=sum(frame.sight.false_detections for frame in frames),
+        traffic=count_traffic(mission, steps),
     )
 
 

@@ -1,6 +1,6 @@
 """The robots of a scenario, as its file asks for them: what they know of themselves, and their law."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 
 import numpy as np
 
@@ -19,19 +19,14 @@ from skyherd.control import (
     Wheels,
 )
 from skyherd.datasets import Mission, Scenario
+from skyherd.errors import InputError
 from skyherd.geometry import ComplexArray
-from skyherd.sim.baseline_laws import Law, bearing_only_law, complex_laplacian_law
+from skyherd.random_streams import RunStream, generator
+from skyherd.sim.baseline_laws import find_law
 from skyherd.sim.delays import least_message_delay_s, most_message_delay_s, whole_steps
-from skyherd.sim.oracle_team import OracleTeam
+from skyherd.sim.oracle_team import News, OracleTeam
 from skyherd.sim.physics import make_robot_clocks
 from skyherd.sim.world import World
-
-LAWS: Mapping[str, Callable[[ComplexArray, float], Law]] = {
-    "complex-laplacian": complex_laplacian_law,
-    "bearing-only": bearing_only_law,
-}
-"""Laws from the literature by the names of `control.method`, made from the shape on the ground and the
-gain."""
 
 SLIP_DEVIATIONS = 3.0
 """Standard deviations of slip that robots allow for. Chosen: a robot slips more in one step of 370."""
@@ -52,9 +47,7 @@ def make_team(mission: Mission, world: World) -> RobotTeam:
     """The robots: they follow the units' goals, or a law from the literature, which is given the world."""
     scenario, gains, wheels = mission.scenario, make_gains(mission.scenario), make_wheels(mission.scenario)
     if scenario.control.method != "similarity":
-        shape = mission.template.points_of(mission.ids).conj()
-        law = LAWS[scenario.control.method](shape, scenario.control.k)
-        return OracleTeam(world, law, gains, wheels)
+        return _make_oracle_team(mission, world, gains, wheels)
     units = np.arange(len(scenario.units))
     inboxes = GoalInboxes(mission.ids, units, scenario.robots.timeout_s, distances=gains.needs_distances)
     motion = make_dead_reckoning(scenario, mission.ids.size)
@@ -72,6 +65,30 @@ def make_team(mission: Mission, world: World) -> RobotTeam:
         motion=motion,
         clocks=clocks,
     )
+
+
+def _make_oracle_team(mission: Mission, world: World, gains: RobotLaw, wheels: Wheels) -> OracleTeam:
+    """Robots that follow a law from the literature, or one's own.
+
+    Raises:
+        InputError: the law cannot be had, or needs a size of the shape and gets none.
+    """
+    scenario = mission.scenario
+    method, found = scenario.control.method, find_law(scenario.control.method)
+    if found.needs_size and scenario.size.unit_m is None:
+        raise InputError(f"control.method {method}", "the shape has no size", "size.unit_m, in metres")
+    news = News(
+        noise_m=scenario.control.told_noise_m,
+        loss=scenario.network.message_loss,
+        lifetime_s=scenario.robots.timeout_s,
+        rng=generator(scenario.seed, RunStream.TOLD_POSITIONS),
+    )
+    return OracleTeam(world, found.make(shape_m(mission), scenario.control.k), gains, wheels, news)
+
+
+def shape_m(mission: Mission) -> ComplexArray:
+    """The shape (N,) on the ground, in metres where `size.unit_m` tells its size, else in template units."""
+    return mission.template.points_of(mission.ids).conj() * (mission.scenario.size.unit_m or 1.0)
 
 
 def make_clocks(scenario: Scenario, count: int) -> RobotClocks | None:

@@ -63,6 +63,26 @@ def fit_shape(template_ground: np.ndarray, positions: np.ndarray) -> ShapeFit:
     )
 
 
+def affine_error(template_ground: np.ndarray, positions: np.ndarray) -> np.ndarray:
+    """How far formations are from the nearest affine image of their template: stretched and sheared ones too.
+
+    RMS distance of the robots to the image over the RMS radius of the formation, as `ShapeFit.error` has it
+    for similar images, and never more than that. With `1, Re p, Im p` for columns of A, the images are the
+    range of A, and the residual is `z - A A⁺ z`.
+
+    Args:
+        template_ground: (N,) template points p, complex.
+        positions: (..., N) positions z of the robots, complex, m, of one or more formations.
+
+    Returns:
+        (...) one number a formation.
+    """
+    columns = np.stack([np.ones(template_ground.size), template_ground.real, template_ground.imag], axis=1)
+    residual = positions - positions @ (columns @ np.linalg.pinv(columns)).T
+    spread = positions - positions.mean(axis=-1, keepdims=True)
+    return np.asarray(np.linalg.norm(residual, axis=-1) / np.linalg.norm(spread, axis=-1))
+
+
 @dataclass(frozen=True)
 class TruthMetrics:
     """The true state of a mission at one instant.

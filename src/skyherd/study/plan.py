@@ -23,7 +23,7 @@ from skyherd.datasets import (
 )
 from skyherd.errors import InputError
 from skyherd.files.reading import is_regular
-from skyherd.study.spec import DrawModel, RandomModel, Study, SweepModel
+from skyherd.study.spec import DrawModel, RandomModel, Study, SweepModel, TaskModel
 from skyherd.version import __version__
 
 Settings = dict[str, Any]
@@ -32,6 +32,9 @@ Settings = dict[str, Any]
 MOST_RUNS = 1_000_000
 """Runs of the largest study, in all its sweeps. *Chosen*: a day's work for a large cluster; a grid of twenty
 keys with three values each has three thousand times as many."""
+
+NO_TASK = TaskModel.model_construct(name="", about="", set={})
+"""What every sweep of a study without tasks is run on: the scenario as it is."""
 
 SHOWN_VALUE = 40
 """Most characters of a value that are shown in a line about a run."""
@@ -43,12 +46,14 @@ class Run:
 
     Attributes:
         sweep: the sweep it belongs to.
+        task: the task that it is a run of; empty where the study has none.
         settings: values that replace those of the scenario, by dotted key.
         parameters: the scenario's values at all keys that vary in the study.
         key: hash of everything that its outcome depends on.
     """
 
     sweep: str
+    task: str
     settings: Settings
     parameters: Settings
     key: str
@@ -56,12 +61,12 @@ class Run:
     def text(self) -> str:
         """What makes the run differ from the others of its study, in a line."""
         values = ", ".join(f"{key}={_short(value)}" for key, value in self.parameters.items())
-        return f"{self.sweep}: {values}" if self.sweep else values or "as the scenario has it"
+        return ": ".join(filter(None, (self.sweep, self.task, values))) or "as the scenario has it"
 
 
 @dataclass(frozen=True)
 class Plan:
-    """All runs of a study: sweep by sweep, draw by draw, and the last key of the grid changes fastest."""
+    """All runs of a study: sweep by sweep, task by task, draw by draw, the last key of the grid fastest."""
 
     study: Study
     source: ScenarioSource
@@ -78,17 +83,18 @@ def make_plan(study: Study) -> Plan:
     Raises:
         InputError: in one line, the file, the key, the value, and what is allowed.
     """
-    source = _source(study)
+    source = study_source(study)
     _check_count(study)
     runs = []
-    for sweep in study.spec.all_sweeps:
-        for settings in sweep_settings(sweep):
-            named = ", ".join(f"{key}={_short(settings[key])}" for key in settings if key not in sweep.set)
-            where = ": ".join(filter(None, (study.where, sweep.name, named)))
+    for sweep, task in product(study.spec.all_sweeps, study.spec.tasks or [NO_TASK]):
+        for own in sweep_settings(sweep):
+            settings = {**own, **task.set}
+            named = ", ".join(f"{key}={_short(settings[key])}" for key in own if key not in sweep.set)
+            where = ": ".join(filter(None, (study.where, sweep.name, task.name, named)))
             mission = _mission(source, settings, where)
             dump = mission.scenario.model_dump(mode="json")
             values = {key: _value(dump, key) for key in study.spec.parameters}
-            runs.append(Run(sweep=sweep.name, settings=settings, parameters=values, key=mission_key(mission)))
+            runs.append(Run(sweep.name, task.name, settings, values, mission_key(mission)))
     return Plan(study, source, runs)
 
 
@@ -98,7 +104,7 @@ def _check_count(study: Study) -> None:
     Raises:
         InputError: the study has too many runs.
     """
-    count = sum(
+    count = max(1, len(study.spec.tasks)) * sum(
         (sweep.random.runs if sweep.random else 1) * math.prod(map(len, sweep.grid.values()))
         for sweep in study.spec.all_sweeps
     )
@@ -161,7 +167,8 @@ def draw_value(model: DrawModel, rng: np.random.Generator) -> Any:
     return draw_number(rng, model.uniform)
 
 
-def _source(study: Study) -> ScenarioSource:
+def study_source(study: Study) -> ScenarioSource:
+    """The scenario of a study, beside its file or built in; InputError if it is missing or no good."""
     name = study.spec.scenario
     beside = study.folder / name
     try:

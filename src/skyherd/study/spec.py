@@ -25,11 +25,23 @@ RUN_KEYS = ("perception", "control.rectify", "seed")
 """Keys of the grid of a study of cameras that are no parameters of the camera."""
 
 INVARIANCE_KEEPS = ("goal_error_m", "shape_error", f"{CURVE}positions_m")
-METHODS_KEEPS = ("reached_s", "ready_s", "path_length_m", "min_gap_m", "collisions", "converged")
+METHODS_KEEPS = (
+    "reached_s",
+    "ready_s",
+    "simulated_s",
+    "path_length_m",
+    "min_gap_m",
+    "collisions",
+    "converged",
+    "shape_error",
+    f"{CURVE}affine_error",
+    f"{CURVE}affine_reached_s",
+    f"{CURVE}least_path_m",
+    f"{CURVE}waypoints_m",
+    f"{CURVE}messages_per_robot_s",
+    f"{CURVE}numbers_per_robot_s",
+)
 """Fields that studies with pages of the kinds `invariance` and `methods` must keep."""
-
-METHODS_START = "robots.scatter"
-"""The one key of the grid of a study with pages of the kind `methods`: how robots start."""
 
 SUMMARY_FIELDS = {field.key: field for group in GROUPS.values() for field in group if field.kind != "ids"}
 """Fields of the summary that a study can keep, by key."""
@@ -130,6 +142,16 @@ class SweepModel(Parts):
         )
 
 
+class TaskModel(Model):
+    """One task of a set: every sweep does it, with its own keys beside those of the task."""
+
+    name: str = Field(min_length=1, description="what tables call it")
+    about: str = Field("", description="what it is, as pages say it")
+    set: Annotated[dict[str, Any], BeforeValidator(_keys)] = Field(
+        {}, description="one value a key of the scenario"
+    )
+
+
 class FigureModel(Model):
     """A figure of the table: medians with their range over the runs, or a dot a run where x is drawn."""
 
@@ -152,6 +174,10 @@ class StudySpec(Parts):
     description: str = Field("", description="what it is for")
     scenario: str = Field(description="a built-in scenario, or a TOML file beside the study")
     sweeps: list[SweepModel] = Field([], description="series of runs; if left out, the study is one")
+    tasks_version: Annotated[int, Field(ge=1, lt=1000)] | None = Field(
+        None, description="of the tasks: another number wherever a task changed, so that results can be cited"
+    )
+    tasks: list[TaskModel] = Field([], description="what every sweep is run on")
     keep: list[str] = Field(
         min_length=1, description=f"fields of summary.json, or {CURVE}NAME for an array over time"
     )
@@ -175,6 +201,7 @@ class StudySpec(Parts):
         names = [sweep.name for sweep in self.sweeps]
         if len(set(names)) < len(names):
             raise ValueError("sweeps: give each its own name")
+        self._check_tasks()
         varying = f"what does: {', '.join(self.parameters) or 'nothing'}"
         for figure in self.figures:
             for key in filter(None, (figure.x, figure.lines)):
@@ -211,12 +238,21 @@ class StudySpec(Parts):
             raise ValueError(f"keep: pages of methods need {', '.join(missing)} too")
         if not self.sweeps:
             raise ValueError("pages of methods need a sweep for each method")
-        for sweep in self.all_sweeps:
-            if list(sweep.grid) != [METHODS_START]:
-                raise ValueError(
-                    f"sweep {sweep.name!r}: pages of methods need {METHODS_START} alone in the grid"
-                )
+        if not self.tasks:
+            raise ValueError("pages of methods need tasks, and the tasks_version")
         return self
+
+    def _check_tasks(self) -> None:
+        """Each task has its own name, and keys that no sweep has; together they have a version."""
+        names = [task.name for task in self.tasks]
+        if len(set(names)) < len(names):
+            raise ValueError("tasks: give each its own name")
+        if (self.tasks_version is None) != (not self.tasks):
+            raise ValueError("tasks_version: give it with tasks, and only with them")
+        taken = {key for sweep in self.all_sweeps for key in sweep.keys}
+        for task in self.tasks:
+            if twice := sorted(taken.intersection(task.set)):
+                raise ValueError(f"task {task.name!r}: {', '.join(twice)} is given by a sweep or above it")
 
     @property
     def fields(self) -> list[str]:
@@ -236,7 +272,8 @@ class StudySpec(Parts):
     @property
     def parameters(self) -> list[str]:
         """Every key that may differ between runs, in the order given."""
-        own = [key for sweep in self.sweeps for key in sweep.keys]
+        own = [key for part in self.sweeps for key in part.keys]
+        own += [key for task in self.tasks for key in task.set]
         drawn = self.random.draw if self.random else {}
         return list(dict.fromkeys([*self.grid, *drawn, *own]))
 

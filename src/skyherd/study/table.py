@@ -18,6 +18,9 @@ TABLE = "table.parquet"
 SWEEP = "sweep"
 """Column of the sweep's name, in tables of studies that have sweeps."""
 
+TASK = "task"
+"""Column of the task's name, in tables of studies that have tasks."""
+
 Row = dict[str, Any]
 """A row of the table, by column."""
 
@@ -30,13 +33,14 @@ def make_table(plan: Plan, outcomes: pa.Table) -> pa.Table:
         outcomes: one row for each of them, in any order; others are left out.
 
     Returns:
-        a table with the columns `sweep` (if the study has sweeps), every parameter, every field kept,
-        `error`, `key`.
+        a table with the columns `sweep` (if the study has sweeps), `task` (if it has tasks), every parameter,
+        every field kept, `error`, `key`.
     """
     place = {key: row for row, key in enumerate(outcomes[KEY].to_pylist())}
     rows = outcomes.take([place[run.key] for run in plan.runs])
     spec = plan.study.spec
     columns = {SWEEP: _column([run.sweep for run in plan.runs])} if spec.sweeps else {}
+    columns |= {TASK: _column([run.task for run in plan.runs])} if spec.tasks else {}
     columns |= {key: _column([run.parameters[key] for run in plan.runs]) for key in spec.parameters}
     for name in (*spec.keep, ERROR, KEY):
         there = name in rows.column_names

@@ -14,7 +14,13 @@ from skyherd.datasets.labelled.spec import load_spec, make_spec
 from skyherd.errors import InputError
 from skyherd.loop import run_steps
 
-ANYTHING = {("Parts", "set"), ("Parts", "grid"), ("DrawModel", "choice"), ("StudySpec", "quick")}
+ANYTHING = {
+    ("Parts", "set"),
+    ("Parts", "grid"),
+    ("DrawModel", "choice"),
+    ("TaskModel", "set"),
+    ("StudySpec", "quick"),
+}
 """Keys whose values have any type."""
 
 

@@ -1,29 +1,25 @@
-"""What a study of formation controllers measured, method by method and start by start.
+"""What a study of formation controllers measured, method by method and task by task.
 
 `control.method` of a scenario puts a control law from the literature (`skyherd.sim.baseline_laws`) in the
 place of the robots' own. Such a team (`skyherd.sim.oracle_team`) reads the true places of the robots from the
 world and drives the same wheels; it stands outside `skyherd.control`, which therefore never imports anything
-of the simulation. The study `methods` runs each law from the same starts, and this package compares the
-outcomes: `outcomes.py` reads the study's table, `plots.py` draws them, `page.py` writes them down.
-
-The complex Laplacian that one of the laws uses is a sum over the triangles of the shape. It is Hermitian and
-positive semidefinite, so that the law is stable without the diagonal stabilising matrix that other choices of
-weights need.
+of the simulation. The study `methods` runs each law on the same tasks from the same starts, and this package
+compares the outcomes: `outcomes.py` reads the study's table, `plots.py` draws them, `paths.py` draws the ways
+of the robots, `page.py` writes them down.
 """
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 
-from skyherd.datasets import ScatterModel
 from skyherd.geometry import Array, BoolArray
-from skyherd.study.spec import METHODS_START, Study
+from skyherd.study.spec import CURVE, Study, SweepModel
 from skyherd.study.store import ERROR
-from skyherd.study.table import SWEEP
+from skyherd.study.table import SWEEP, TASK
 
 METHOD, UNITS_LAW = "control.method", "similarity"
 """Key of a scenario's control law, and its value where the aerial units control the robots from their
@@ -35,31 +31,48 @@ Row = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class Outcomes:
-    """All runs of one method from one kind of start. R of them finished without an error.
+    """All runs of one method on one task. R of them finished without an error.
 
     Attributes:
         begun_s: (R,) when robots may begin to move. Robots of the units' law wait for the tree of units to be
             complete; robots that know the true places begin at once.
-        converged: (R,) whether the shape was formed, and held to the end.
+        converged: (R,) whether the shape was formed, in any place, rotation and size, and held to the end.
+        affine: (R,) whether an affine image of the shape was formed, stretched and sheared ones too, and held
+            to the end.
         times_s: (R,) time from `begun_s` until the shape error stays under its goal; NaN if it does not.
+        affine_times_s: (R,) the same for the nearest affine image.
+        errors: (R,) shape error at the end.
+        affine_errors: (R,) distance from the nearest affine image at the end, over the same radius.
         paths_m: (R,) length of the paths of all robots together.
+        detours: (R,) that length over the least that any method needs to form the shape from this start.
         gaps_m: (R,) least distance between the edges of two bodies; negative where they overlapped.
         collided: (R,) whether bodies overlapped at any time.
+        messages_ps: (R,) messages a robot and second.
+        numbers_ps: (R,) numbers in them, a robot and second.
+        waypoints_m: (W, N, 2) robots' places from start to end in the first of the runs; None without any.
         failed: number of runs that ended with an error.
     """
 
     begun_s: Array
     converged: BoolArray
+    affine: BoolArray
     times_s: Array
+    affine_times_s: Array
+    errors: Array
+    affine_errors: Array
     paths_m: Array
+    detours: Array
     gaps_m: Array
     collided: BoolArray
+    messages_ps: Array
+    numbers_ps: Array
+    waypoints_m: Array | None
     failed: int
 
 
 @dataclass(frozen=True)
 class Method:
-    """One formation controller: its name, what it needs to know, and its outcomes by label of the start."""
+    """One formation controller: its name, what it needs to know, and its outcomes by the task's name."""
 
     name: str
     needs: str
@@ -69,37 +82,33 @@ class Method:
 def make_methods(study: Study, table: pa.Table) -> list[Method]:
     """The methods of a study and their outcomes, in the order of the study's sweeps, from the study's table.
 
-    The table needs the columns that `skyherd.study.spec.METHODS_KEEPS` names.
+    A sweep is a method; one with a grid is a method for each of its combinations, such as of gains. The table
+    needs the columns that `skyherd.study.spec.METHODS_KEEPS` names.
     """
     rows = table.to_pylist()
     return [
         Method(
-            sweep.name,
+            ", ".join([sweep.name, *(f"{key.rpartition('.')[2]} = {value:g}" for key, value in own.items())]),
             sweep.about,
-            {
-                start_label(start): _outcomes(
-                    [row for row in rows if row[SWEEP] == sweep.name and _start_of(row) == start]
-                )
-                for start in map(ScatterModel.model_validate, sweep.grid[METHODS_START])
-            },
+            {task.name: _outcomes(_rows_of(rows, sweep, task.name, own)) for task in study.spec.tasks},
         )
         for sweep in study.spec.all_sweeps
+        for own in _combinations(sweep)
     ]
 
 
-def start_label(scatter: ScatterModel) -> str:
-    """A kind of start in words: robots anywhere, or each near its own place in the shape.
-
-    Robots start at the shape, enlarged to `scale_m` metres a template unit, each moved by up to `jitter_m`
-    along x and along y. Where that is more than twice `scale_m`, nothing of the shape is left: `anywhere`.
-    """
-    if scatter.scale_m < scatter.jitter_m / 2:
-        return f"anywhere within {scatter.jitter_m:g} m"
-    return f"near its place, {scatter.scale_m:g} m a unit"
+def _combinations(sweep: SweepModel) -> list[dict[str, Any]]:
+    return [dict(zip(sweep.grid, values, strict=True)) for values in product(*sweep.grid.values())]
 
 
-def _start_of(row: Row) -> ScatterModel:
-    return ScatterModel.model_validate(json.loads(row[METHODS_START]))
+def _rows_of(rows: Sequence[Row], sweep: SweepModel, task: str, own: Mapping[str, Any]) -> list[Row]:
+    return [
+        row
+        for row in rows
+        if row[SWEEP] == sweep.name
+        and row[TASK] == task
+        and all(row[key] == value for key, value in own.items())
+    ]
 
 
 def _outcomes(rows: Sequence[Row]) -> Outcomes:
@@ -110,13 +119,21 @@ def _outcomes(rows: Sequence[Row]) -> Outcomes:
 
     waits = np.array([row.get(METHOD, UNITS_LAW) == UNITS_LAW for row in good], dtype=bool)
     begun_s = np.where(waits, np.nan_to_num(column("ready_s")), 0.0)
-    converged = column("converged") > 0
+    converged, affine_s = column("converged") > 0, column(f"{CURVE}affine_reached_s")
     return Outcomes(
         begun_s=begun_s,
         converged=converged,
+        affine=np.isfinite(affine_s),
         times_s=np.where(converged, column("reached_s") - begun_s, np.nan),
+        affine_times_s=np.maximum(affine_s - begun_s, 0.0),
+        errors=column("shape_error"),
+        affine_errors=np.array([row[f"{CURVE}affine_error"][-1] for row in good], dtype=float),
         paths_m=column("path_length_m"),
+        detours=column("path_length_m") / column(f"{CURVE}least_path_m"),
         gaps_m=column("min_gap_m"),
         collided=column("collisions") > 0,
+        messages_ps=column(f"{CURVE}messages_per_robot_s"),
+        numbers_ps=column(f"{CURVE}numbers_per_robot_s"),
+        waypoints_m=np.array(good[0][f"{CURVE}waypoints_m"]) if good else None,
         failed=len(rows) - len(good),
     )

@@ -1,44 +1,74 @@
 """Page and Markdown of a study of formation controllers: `methods.html` and `table.md`."""
 
+import re
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
 
+from skyherd.datasets import get_value
 from skyherd.files.atomic import write_text
 from skyherd.geometry import Array, BoolArray
 from skyherd.plots.panels import Panel, write_panels
 from skyherd.report.pages import figure_card, render_page
 from skyherd.study.figures import MARKDOWN, complaints
 from skyherd.study.methods.outcomes import Method, make_methods
-from skyherd.study.methods.plots import draw_methods
-from skyherd.study.spec import Study
+from skyherd.study.methods.paths import draw_paths
+from skyherd.study.methods.plots import draw_methods, median
+from skyherd.study.plan import study_source
+from skyherd.study.spec import Study, TaskModel
 from skyherd.version import __version__
 
 PAGE = "methods.html"
 """File name of the page, in the study's folder."""
 
-HEAD = ("method", "formed", "collided", "robots wait (s)", "time to 1 % (s)", "way (m)", "least gap (m)")
+HEAD = (
+    "method",
+    "formed",
+    "affine image formed",
+    "collided",
+    "robots wait (s)",
+    "time to 1 % (s)",
+    "time to 1 % of an affine image (s)",
+    "way over the shortest",
+    "way (m)",
+    "least gap (m)",
+    "shape error at the end",
+    "affine error at the end",
+    "messages a robot and second",
+    "numbers a robot and second",
+)
 """Columns of the tables, in the order of `cells`."""
 
+OVERVIEW = "of the runs formed the shape, and the median time that they took, with the wait for units."
+"""What the cells of the first table are, after the number of runs."""
+
 CAPTION = (
-    "Median of each kind of start, and a line from the least to the greatest. Times count from when robots"
-    " may move, and are those of runs that formed the shape. Gaps are between bodies."
+    "A row a method, a column a task. Times, ways and numbers are medians; times count from when robots may"
+    " move, and are those of runs that formed the shape. The shortest way is the least sum of straight lines"
+    " from the start into the shape, in any place, rotation, size and roles; whoever stops at an affine image"
+    " may need less."
 )
 """Caption of the figure."""
+
+PATHS_CAPTION = "The first start. Dots: where robots stood; circles: their bodies at the end."
+"""Caption of the figures of paths."""
 
 UNKNOWN = "–"
 """What a table has where no run has a value."""
 
 
 def methods_names(study: Study) -> list[str]:
-    """Names of the files that `write_methods` writes into the study's folder."""
-    return [PAGE, MARKDOWN, "figures/methods.png", "figures/methods.svg"]
+    """Names of the files that `write_methods` may write into the study's folder."""
+    figures = ["methods", *(_figure_name(task.name) for task in study.spec.tasks)]
+    return [PAGE, MARKDOWN, *(f"figures/{name}{kind}" for name in figures for kind in (".png", ".svg"))]
 
 
 def write_methods(study: Study, table: pa.Table, folder: Path) -> list[Path]:
-    """Write page, Markdown and figure of a study of methods into its folder.
+    """Write page, Markdown and figures of a study of methods into its folder.
 
     Returns:
         the page and the Markdown file.
@@ -46,48 +76,112 @@ def write_methods(study: Study, table: pa.Table, folder: Path) -> list[Path]:
     Raises:
         OutputError: a file could not be written.
     """
-    methods = make_methods(study, table)
-    panel = Panel("methods", "On the same starts", CAPTION, draw_methods)
-    figures = write_panels([panel], methods, folder / "figures")
-    starts = list(methods[0].outcomes)
+    methods, tasks = make_methods(study, table), study.spec.tasks
+    panels = [
+        Panel("methods", "On the same starts", CAPTION, draw_methods),
+        *(
+            Panel(
+                _figure_name(task.name),
+                f"Paths: {task.name}",
+                PATHS_CAPTION,
+                partial(draw_paths, task.name, bodies=_bodies(study, task)),
+            )
+            for task in tasks
+        ),
+    ]
+    figures = {
+        figure.name: figure_card(figure) for figure in write_panels(panels, methods, folder / "figures")
+    }
     page = render_page(
         "skyherd.study",
         PAGE,
         title="Methods",
         description=study.spec.description,
-        figures=[figure_card(figure) for figure in figures],
+        tasks_version=study.spec.tasks_version,
+        overview_head=["method", *(task.name for task in tasks)],
+        overview=[[method.name, *(glance(method, task.name) for task in tasks)] for method in methods],
+        overview_caption=OVERVIEW,
+        figures=[figures["methods"]],
         methods=methods,
         head=HEAD,
-        tables=[{"start": start, "rows": [cells(method, start) for method in methods]} for start in starts],
+        tables=[
+            {
+                "name": task.name,
+                "about": task.about,
+                "rows": [cells(method, task.name) for method in methods],
+                "figures": [figures[name]] if (name := _figure_name(task.name)) in figures else [],
+            }
+            for task in tasks
+        ],
         version=__version__,
     )
-    parts = [f"# {study.name}", study.spec.description, *(markdown(start, methods) for start in starts)]
+    head = [f"# {study.name}", study.spec.description, f"Tasks, version {study.spec.tasks_version}."]
+    parts = [*head, *(markdown(task, methods) for task in tasks)]
     text = "\n\n".join([*parts, *complaints(table)]) + "\n"
     return [write_text(folder / PAGE, page), write_text(folder / MARKDOWN, text)]
 
 
-def cells(method: Method, start: str) -> list[str]:
-    """A method's row of the table of one start, in the order of `HEAD`.
+def glance(method: Method, task: str) -> str:
+    """How many runs formed the shape, and the median time of these from the start, as `3 of 4, 12 s`."""
+    runs = method.outcomes[task]
+    time_s = median(runs.begun_s + runs.times_s)
+    return _count(runs.converged) + (f", {time_s:.3g} s" if np.isfinite(time_s) else "")
+
+
+def cells(method: Method, task: str) -> list[str]:
+    """A method's row of the table of one task, in the order of `HEAD`.
 
     Shares are written as `3 of 4`, times and lengths as the median and the range, such as `7 (6 to 8)`.
     """
-    runs = method.outcomes[start]
+    runs = method.outcomes[task]
     return [
         method.name,
         _count(runs.converged),
+        _count(runs.affine),
         _count(runs.collided),
         _spread(runs.begun_s),
         _spread(runs.times_s),
+        _spread(runs.affine_times_s),
+        _spread(runs.detours),
         _spread(runs.paths_m),
         _spread(runs.gaps_m),
+        _spread(runs.errors),
+        _spread(runs.affine_errors),
+        _spread(runs.messages_ps),
+        _spread(runs.numbers_ps),
     ]
 
 
-def markdown(start: str, methods: Sequence[Method]) -> str:
-    """The table of one start in Markdown, a row a method."""
-    lines = [list(HEAD), ["---"] * len(HEAD), *(cells(method, start) for method in methods)]
+def markdown(task: TaskModel, methods: Sequence[Method]) -> str:
+    """The table of one task in Markdown, a row a method."""
+    lines = [list(HEAD), ["---"] * len(HEAD), *(cells(method, task.name) for method in methods)]
     rows = "\n".join(f"| {' | '.join(line)} |" for line in lines)
-    return f"Each robot {start}:\n\n{rows}"
+    return f"## {task.name}\n\n{task.about}\n\n{rows}"
+
+
+def _figure_name(task: str) -> str:
+    return "paths-" + re.sub(r"\W+", "-", task)
+
+
+def _bodies(study: Study, task: TaskModel) -> dict[str, Any]:
+    """Radius of the robots' bodies, and the obstacles, as `draw_paths` takes them."""
+    tree = study_source(study).tree
+
+    def value(key: str, default: Any) -> Any:
+        if key in task.set:
+            return task.set[key]
+        try:
+            return get_value(tree, key)
+        except (KeyError, IndexError, TypeError, ValueError):
+            return default
+
+    side_m = value("marker.side_m", 0.0)
+    return {
+        "radius_m": side_m * value("robots.body_radius_sides", 0.0),
+        "obstacles": [
+            (*one["position_m"], side_m * one.get("radius_sides", 1.0)) for one in value("obstacles", [])
+        ],
+    }
 
 
 def _count(yes: BoolArray) -> str:

@@ -1,0 +1,65 @@
+"""The laws by the names of `control.method`, what each needs to know, and laws of one's own."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+from skyherd.datasets import OWN_METHOD
+from skyherd.geometry import ComplexArray, IntArray
+from skyherd.plugins import import_factory
+from skyherd.sim.baseline_laws.affine import affine_modules_law, affine_stress_law
+from skyherd.sim.baseline_laws.bearings import bearing_only_law, bearings_with_ranges_law
+from skyherd.sim.baseline_laws.distances import distance_law
+from skyherd.sim.baseline_laws.graphs import Law, both_ways, modules, neighbors, within
+from skyherd.sim.baseline_laws.laplacians import complex_laplacian_law, follower_links, matrix_weighted_law
+
+
+@dataclass(frozen=True)
+class BaselineLaw:
+    """A law from the literature.
+
+    Attributes:
+        make: from the shape on the ground, (N,) complex, and the rate k, 1/s, to the law. The shape is in
+            metres where the scenario's `size.unit_m` tells its size, and in template units otherwise.
+        links: from the shape to links (L, 2): a robot, and whom it has to know of at every instant; None
+            where nobody told, of a law of one's own.
+        numbers: how many numbers a robot needs for each of its links at every instant.
+        needs_size: whether the law needs the size of the shape.
+    """
+
+    make: Callable[[ComplexArray, float], Law]
+    links: Callable[[ComplexArray], IntArray] | None = None
+    numbers: int = 0
+    needs_size: bool = False
+
+
+def _between_neighbors(shape: ComplexArray) -> IntArray:
+    return both_ways(neighbors(shape))
+
+
+def _within_modules(shape: ComplexArray) -> IntArray:
+    return within(modules(shape))
+
+
+LAWS: Mapping[str, BaselineLaw] = {
+    "complex-laplacian": BaselineLaw(complex_laplacian_law, _between_neighbors, 2),
+    "matrix-weighted": BaselineLaw(matrix_weighted_law, follower_links, 2),
+    "affine-modules": BaselineLaw(affine_modules_law, _within_modules, 2),
+    "affine-stress": BaselineLaw(affine_stress_law, _within_modules, 2),
+    "bearing-only": BaselineLaw(bearing_only_law, _between_neighbors, 1),
+    "bearings-with-ranges": BaselineLaw(bearings_with_ranges_law, _between_neighbors, 2),
+    "distances": BaselineLaw(distance_law, _between_neighbors, 2, needs_size=True),
+}
+"""Laws from the literature by the names of `control.method`; those of `skyherd.datasets.METHODS` but the
+first, which is skyherd's own."""
+
+
+def find_law(method: str) -> BaselineLaw:
+    """The law that `control.method` names: one of `LAWS`, or one's own as `module:factory`.
+
+    Raises:
+        InputError: the factory cannot be imported.
+    """
+    if OWN_METHOD not in method:
+        return LAWS[method]
+    allowed = "a function from the shape and the rate to a law, which takes positions to velocities"
+    return BaselineLaw(import_factory(method, f"control.method {method}", allowed))

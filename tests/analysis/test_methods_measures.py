@@ -1,0 +1,136 @@
+"""What methods are compared by: affine images, the shortest way, waypoints, and what had to be told."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from skyherd.analysis.history import WAYPOINTS, make_history
+from skyherd.analysis.shortest_paths import shortest_path
+from skyherd.control import AerialController, GoalFollowers
+from skyherd.datasets import load_mission
+from skyherd.loop import run_steps
+from skyherd.sim.baseline_laws import LAWS
+from skyherd.sim.truth_metrics import affine_error, fit_shape
+
+LAW = [
+    "perception=ideal",
+    "roles.exchange=false",
+    "avoidance.on=false",
+    "size.least_spacing_sides=0",
+    "units.*.frame_rate_hz=1",
+    "step_s=0.2",
+]
+
+
+def cloud(rng: np.random.Generator, count: int) -> np.ndarray:
+    return rng.standard_normal(count) + 1j * rng.standard_normal(count)
+
+
+def test_stretched_and_sheared_images_are_no_error() -> None:
+    rng = np.random.default_rng(1)
+    shape = cloud(rng, 9)
+    image = 2.0 + shape.real * (0.3 + 1j) + shape.imag * (2.0 - 0.1j)
+    assert affine_error(shape, image) < 1e-14
+    assert fit_shape(shape, image).error > 0.3
+
+
+def test_the_nearest_affine_image_is_nearer_than_any_other_and_than_the_similar_one() -> None:
+    rng = np.random.default_rng(2)
+    shape, places = cloud(rng, 9), cloud(rng, 9)
+    error, radius = affine_error(shape, places), np.linalg.norm(places - places.mean())
+    for _ in range(200):
+        a, b, c = cloud(rng, 3)
+        other = np.linalg.norm(places - (a + shape.real * b + shape.imag * c)) / radius
+        assert error < other
+    assert error <= fit_shape(shape, places).error
+    assert error == pytest.approx(affine_error(shape, 3.0 + 2j * places), rel=1e-12)
+
+
+@pytest.fixture(scope="module")
+def history():
+    mission = load_mission("crowd", [*LAW, "control.method=affine-modules", "duration_s=20", "control.k=4.8"])
+    return make_history(mission, run_steps(mission))
+
+
+def test_the_time_of_an_affine_image_counts_to_the_end_and_only_if_it_was_held(history) -> None:
+    errors, times_s = history.affine_error, history.times_s
+    assert errors.shape == times_s.shape
+    for limit in (errors[60], errors[-1] * 0.5, errors[-12]):
+        goal = history.mission.scenario.goal.model_copy(update={"shape_error": float(limit), "hold_s": 5.0})
+        scenario = history.mission.scenario.model_copy(update={"goal": goal})
+        reached_s = replace(history, mission=replace(history.mission, scenario=scenario)).affine_reached_s
+        under = [row for row in range(len(times_s)) if (errors[row:] < limit).all()]
+        held = bool(under) and times_s[under[0]] <= times_s[-1] - 5.0
+        assert np.isnan(reached_s) if not held else reached_s == times_s[under[0]]
+
+
+def test_waypoints_go_from_start_to_end(history) -> None:
+    places = history.waypoints_m
+    assert places.shape == (WAYPOINTS, 16, 2)
+    np.testing.assert_allclose(places[[0, -1]], history.positions_m[[0, -1]], atol=0.0006)
+
+
+def test_the_shortest_way_is_of_the_start_alone_and_below_that_of_fixed_roles(history) -> None:
+    template = history.mission.template.points_of(history.ids).conj()
+    start = history.positions_m[0] @ np.array([1, 1j])
+    fixed = shortest_path(template, start, classes=np.arange(16)).length
+    assert 0 < history.least_path_m <= fixed
+    other = replace(history, positions_m=history.positions_m[:1])
+    assert other.least_path_m == history.least_path_m
+
+
+@pytest.mark.parametrize("method", LAWS)
+def test_what_a_law_needs_is_counted_link_by_link_and_step_by_step(method) -> None:
+    """By hand: five steps of 0.2 s are a second."""
+    settings = [*LAW, f"control.method={method}", "duration_s=0.8", "size.unit_m=4"]
+    mission = load_mission("crowd", settings)
+    history = make_history(mission, run_steps(mission))
+    shape = mission.template.points_of(mission.ids).conj() * 4
+    links = len(LAWS[method].links(shape))
+    assert history.messages_per_robot_s == pytest.approx(5 * links / 16)
+    assert history.numbers_per_robot_s == pytest.approx(5 * links * LAWS[method].numbers / 16)
+
+
+def test_of_a_law_of_ones_own_nobody_knows(tmp_path, monkeypatch) -> None:
+    (tmp_path / "still_law.py").write_text(
+        "def still(shape, gain_ps):\n    return lambda places: 0 * places\n"
+    )
+    monkeypatch.syspath_prepend(str(tmp_path))
+    mission = load_mission("crowd", [*LAW, "control.method=still_law:still", "duration_s=0.4"])
+    history = make_history(mission, run_steps(mission))
+    assert np.isnan([history.messages_per_robot_s, history.numbers_per_robot_s]).all()
+
+
+def test_messages_of_units_are_counted_as_robots_and_units_receive_them(monkeypatch) -> None:
+    """Beside the loop: each robot's own part of goals and of bodies near it, and each report of a unit."""
+    received, reports = [], []
+    decide, step = GoalFollowers.decide, AerialController.step
+
+    def listening(team, time_s, delivered):
+        received.extend(delivery.message for delivery in delivered)
+        return decide(team, time_s, delivered)
+
+    def reporting(controller, *arguments):
+        decision = step(controller, *arguments)
+        reports.append(decision.report)
+        return decision
+
+    monkeypatch.setattr(GoalFollowers, "decide", listening)
+    monkeypatch.setattr(AerialController, "step", reporting)
+    mission = load_mission(
+        "crowd", ["perception=ideal", "duration_s=6", "step_s=0.2", "units.*.frame_rate_hz=5"]
+    )
+    history = make_history(mission, run_steps(mission))
+    assert len(received) > 50 and len(reports) == history.frames
+    assert history.traffic.messages == sum(map(len, received)) + len(reports)
+    values = 0
+    for message in received:
+        if hasattr(message, "rho_px"):
+            parts = [message.for_robot(robot) for robot in message.ids.tolist()]
+            values += sum(3 + part.neighbor_ids.size for part in parts)
+        else:
+            values += 4 * message.robot_ids.size
+    in_reports = history.traffic.numbers - values
+    points = sum(report.points_px.size + report.ids.size for report in reports)
+    assert points < in_reports < 12 * points

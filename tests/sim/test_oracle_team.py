@@ -1,0 +1,73 @@
+"""Robots that are told where they are: with errors, and not always."""
+
+import numpy as np
+import pytest
+
+from skyherd.control import MarkerGains, Wheels
+from skyherd.datasets import load_mission
+from skyherd.sim.oracle_team import News, OracleTeam
+from skyherd.sim.physics import make_world
+
+STEP_S = 0.2
+
+
+def team_of(law, *, noise_m=0.0, loss=0.0, lifetime_s=0.5):
+    """Robots that turn as fast as they drive, and the world that they are in."""
+    world = make_world(load_mission("crowd"))
+    news = News(noise_m, loss, lifetime_s, np.random.default_rng(3))
+    gains = MarkerGains(k=0.6, k_omega=2.4, b_th=0.0, side_m=0.4)
+    return OracleTeam(world, law, gains, Wheels(10.0, 10.0), news), world
+
+
+def ahead(world):
+    """Half a metre a second straight ahead, for each robot."""
+    return lambda places: 0.5 * np.exp(1j * world.headings_rad)
+
+
+def test_a_robot_that_faces_the_right_way_drives_as_fast_as_the_law_wants() -> None:
+    told = []
+    team, world = team_of(lambda places: told.append(places) or 0.5 * np.exp(1j * world.headings_rad))
+    orders = team.decide(0.0, [])
+    np.testing.assert_allclose(orders.command.v_mps, 0.5, atol=1e-12)
+    np.testing.assert_allclose(orders.command.omega_radps, 0.0, atol=1e-12)
+    np.testing.assert_array_equal(told[0], world.positions_m @ np.array([1, 1j]))
+    np.testing.assert_array_equal(orders.commanded_ids, world.ids)
+
+
+def test_errors_of_what_robots_are_told_are_normal_and_new_at_each_step() -> None:
+    told = []
+    team, world = team_of(lambda places: told.append(places) or 0 * places, noise_m=0.05)
+    for tick in range(400):
+        team.decide(tick * STEP_S, [])
+    errors = np.array(told) - world.positions_m @ np.array([1, 1j])
+    parts = np.stack([errors.real, errors.imag])
+    assert np.std(parts) == pytest.approx(0.05, rel=0.03)  # of 12800 draws: 0.6 %
+    assert abs(parts.mean()) < 5 * 0.05 / np.sqrt(parts.size)
+    neighbours = [np.mean(parts[:, 1:] * parts[:, :-1]), np.mean(parts[0] * parts[1])]
+    assert np.abs(neighbours).max() < 6 * 0.05**2 / np.sqrt(parts.size / 2)
+
+
+def test_a_robot_without_news_drives_on_as_it_did_and_then_stops() -> None:
+    """News come with a chance of 30 %: one that had none for more than 0.5 s stands."""
+    speed = {"now": 0.1}
+    team, world = team_of(lambda places: speed["now"] * np.exp(1j * world.headings_rad), loss=0.7)
+    last_s, last_mps = np.full(16, -np.inf), np.zeros(16)
+    shares = []
+    for tick in range(300):
+        speed["now"] = 0.1 + 0.001 * tick
+        orders = team.decide(tick * STEP_S, [])
+        told = np.isclose(orders.command.v_mps, speed["now"], atol=1e-9)
+        last_s[told], last_mps[told] = tick * STEP_S, speed["now"]
+        old = tick * STEP_S - last_s > 0.5 + 1e-6
+        np.testing.assert_allclose(orders.command.v_mps, np.where(old, 0.0, last_mps), atol=1e-9)
+        np.testing.assert_array_equal(orders.commanded_ids, world.ids[~old])
+        shares.append(told.mean())
+    assert np.mean(shares) == pytest.approx(0.3, abs=0.03)
+    assert (np.array(shares) < 1).all()
+
+
+def test_nobody_moves_who_is_never_told_anything() -> None:
+    team, _ = team_of(lambda places: 1.0 + 0 * places, loss=1.0)
+    orders = team.decide(0.0, [])
+    assert not orders.command.v_mps.any() and not orders.command.omega_radps.any()
+    assert orders.commanded_ids.size == 0

@@ -45,9 +45,7 @@ def test_a_place_that_cannot_be_written_to_is_refused_at_once(steps, tmp_path, b
 
 
 @pytest.mark.parametrize("beside", [False, True])
-def test_an_error_while_frames_are_made_leaves_nothing(
-    steps, tmp_path, beside, monkeypatch
-):
+def test_an_error_while_frames_are_made_leaves_nothing(steps, tmp_path, beside, monkeypatch):
     def fail(self, step):
         raise OutputError("the disk is full")
 

@@ -42,9 +42,9 @@ class VideoRecorder(ExitStack):
 
     def __init__(self, mission: Mission, path: Path, *, beside: bool = False) -> None:
         super().__init__()
-        self._film: _Film | _FilmBeside = self.enter_context(
-            _FilmBeside(mission, path) if beside and can_help() else _Film(mission, path)
-        )
+        self._film: _Film | _FilmBeside
+        self._film = _FilmBeside(mission, path) if beside and can_help() else _Film(mission, path)
+        self.enter_context(self._film)
         self._next_s = 0.0
 
     def write(self, step: Step) -> None:

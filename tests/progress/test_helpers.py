@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from skyherd.errors import InputError, OutputError
+from skyherd.files.folder_lock import FolderLock
 from skyherd.progress import helpers
 from skyherd.progress.helpers import Helper, can_help, cores, one_thread, shared
 
@@ -153,6 +154,19 @@ def test_one_that_hangs_is_killed_when_it_is_closed(monkeypatch):
     helper.close()
     assert not helper._process.is_alive()
     helper.close()  # twice does nothing
+
+
+def test_a_helper_does_not_hold_its_makers_folder(tmp_path):
+    """Who is killed gives its folder up at once, though its helpers need a moment to end."""
+    ours, theirs = FolderLock(), FolderLock()
+    assert ours.acquire(tmp_path, 0.0)
+    with Helper(Adder().add, GONE) as helper:
+        helper.ask(1)
+        assert helper.answer()[0] == 1  # it is there, and has been forked with the lock
+        assert not theirs.acquire(tmp_path, 0.0)  # it has not given up what its maker still holds
+        ours.release()
+        assert theirs.acquire(tmp_path, 0.0)
+    theirs.release()
 
 
 @pytest.mark.parametrize("jobs", [1, 2, 5])

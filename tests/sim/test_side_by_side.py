@@ -13,6 +13,7 @@ from skyherd.progress.helpers import can_help
 from skyherd.runner import run_mission
 from skyherd.sim.perception import RenderedPerception, make_run_perception
 from skyherd.sim.side_by_side import SideBySide
+from skyherd.vision import create_detector
 
 pytestmark = pytest.mark.skipif(not can_help(), reason="processes are forked on Linux only")
 
@@ -87,12 +88,29 @@ def test_a_helper_that_is_killed_ends_the_run_in_one_line():
                 pass
 
 
-def test_a_perception_without_images_and_a_single_camera_stay_in_their_process():
-    for settings in (["perception=ideal"], ["sensor.processing.h264_crf=23"]):
-        mission = load_mission("star", [*SMALL, "duration_s=0.2", *settings])
-        with SideBySide(make_run_perception(mission), 4) as perception:
-            assert len(list(run_steps(mission, perception))) == 3
-            assert not perception._helpers
+def make_detector(dictionary):
+    """A detector of a user's own."""
+    return create_detector("opencv", dictionary=dictionary)
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [["perception=ideal"], ["sensor.processing.h264_crf=23"], [f"detector={__name__}:make_detector"]],
+    ids=["no images", "a video", "a detector of one's own"],
+)
+def test_what_cannot_be_forked_stays_in_its_process(settings):
+    mission = load_mission("star", [*SMALL, "duration_s=0.2", *settings])
+    with SideBySide(make_run_perception(mission), 4) as perception:
+        assert len(list(run_steps(mission, perception))) == 3
+        assert not perception._helpers
+
+
+def test_a_single_camera_stays_in_its_process():
+    mission = load_mission("triangle", ["duration_s=0.2"])
+    assert len(mission.scenario.units) == 1
+    with SideBySide(make_run_perception(mission), 4) as perception:
+        assert len(list(run_steps(mission, perception))) == 3
+        assert not perception._helpers
 
 
 def test_images_are_ones_own():

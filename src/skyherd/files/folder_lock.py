@@ -60,7 +60,7 @@ _locks: WeakSet[FolderLock] = WeakSet()
 
 
 def _release_copies() -> None:
-    """Close a forked process's copies of its maker's locks, which would hold folders after the maker's end."""
+    """Close a forked process's copies of its maker's locks, which would hold folders after the maker ends."""
     for lock in _locks:
         lock.release()
 

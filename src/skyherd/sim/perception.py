@@ -142,7 +142,14 @@ class Scene:
 
 
 class RenderedPerception(Perception):
-    """Draws each unit's camera image with `skyherd.render`, and runs the scenario's detector on it."""
+    """Draws each unit's camera image with `skyherd.render`, and runs the scenario's detector on it.
+
+    Attributes:
+        renderer: draws.
+        detector: detects.
+        can_fork: whether a fork of this process can go on with both: not with a video's encoder, whose
+            threads are lost, nor with a detector of the user's own, which may have threads or a graphics card.
+    """
 
     def __init__(self, mission: Mission, rng: np.random.Generator) -> None:
         scenario = mission.scenario
@@ -152,6 +159,7 @@ class RenderedPerception(Perception):
         self.renderer = make_renderer(mission, rng)
         self._occluders = [occluder.make() for occluder in scenario.occluders]
         self._moves = self.renderer.shutter != Shutter()
+        self.can_fork = ":" not in scenario.detector and not self.renderer.sensor.is_video
 
     def look(self, world: World, units: Sequence[int], time_s: float) -> list[Sight]:
         """Render each unit's image and detect the markers in it."""

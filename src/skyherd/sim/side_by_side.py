@@ -34,13 +34,12 @@ GONE = OutputError(
 class SideBySide(Perception):
     """The cameras of another perception, side by side; use it in a `with` block, which ends the helpers.
 
-    What it cannot spread over processes it leaves to the other perception: all but rendered images, images
-    that are one video (its encoder's threads do not survive a fork), and all where processes cannot be
-    forked.
+    What it cannot spread over processes it leaves to the other perception: all but rendered images, what
+    would not survive a fork (`RenderedPerception.can_fork`), and all where processes cannot be forked.
 
     Args:
         perception: what to spread.
-        jobs: how many cameras are drawn at a time, at most; 1 for none beside each other.
+        jobs: number of cores to use; with 1, cameras are drawn one after the other.
     """
 
     def __init__(self, perception: Perception, jobs: int) -> None:
@@ -48,13 +47,14 @@ class SideBySide(Perception):
         self._stack, self._helpers = ExitStack(), list[Helper]()
         self._images: dict[int, Image] = {}
         self._begun = False
-        self._spreads = jobs > 1 and can_help() and _can_be_spread(perception)
+        self._spreads = jobs > 1 and can_help()
 
     def look(self, world: World, units: Sequence[int], time_s: float) -> list[Sight]:
         """What each of the given units sees now, of several at a time; see `Perception.look`."""
-        perception, several = self._perception, len(world.cameras) > 1
-        if not (isinstance(perception, RenderedPerception) and self._begun and self._spreads and several):
-            self._begun = self._begun or bool(units)
+        perception = self._perception
+        begun, self._begun = self._begun, self._begun or bool(units)
+        spreads = self._spreads and begun and len(world.cameras) > 1
+        if not (spreads and isinstance(perception, RenderedPerception) and perception.can_fork):
             return perception.look(world, units, time_s)
         if not self._helpers:
             self._fork(perception, [camera.size_px for camera in world.cameras])
@@ -90,11 +90,6 @@ class SideBySide(Perception):
     ) -> None:
         self._stack.close()
         self._helpers.clear()
-
-
-def _can_be_spread(perception: Perception) -> bool:
-    """Whether a perception renders images of which none needs those of before but to detect markers."""
-    return isinstance(perception, RenderedPerception) and not perception.renderer.sensor.is_video
 
 
 class _Photographer:

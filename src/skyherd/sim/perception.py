@@ -148,7 +148,7 @@ class RenderedPerception(Perception):
         renderer: draws.
         detector: detects.
         can_fork: whether a fork of this process can go on with both: not with a video's encoder, whose
-            threads are lost, nor with a detector of the user's own, which may have threads or a graphics card.
+            threads are lost, nor with a detector of the user's own, which may have threads too.
     """
 
     def __init__(self, mission: Mission, rng: np.random.Generator) -> None:

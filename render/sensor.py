@@ -141,6 +141,11 @@ class Sensor:
         untouched = not self.shot and self.gain == 1 and self.illumination.even
         return untouched and not self.processing.develops
 
+    @property
+    def is_video(self) -> bool:
+        """Whether images are those of a video, whose encoder goes on from one to the next."""
+        return self.processing.h264_crf is not None
+
     def expose(self, light: Image | Light, stream: int = 0) -> Image:
         """Make an image (height, width) of light (height, width), whose array it may change.
 
@@ -157,6 +162,16 @@ class Sensor:
         if self.processing.h264_crf is None:
             return image
         return self._video(stream, image.shape, self.processing.h264_crf).send(image)
+
+    def skip(self, size_px: tuple[int, int]) -> None:
+        """Draw the random numbers of `expose` for an image of `size_px` (width, height), and no image.
+
+        Sensors with equal generators that each expose some of a sequence of images and skip the others make
+        the images that one sensor makes of all of them.
+        """
+        width, height = size_px
+        if self.noise > 0 or self.shot:
+            self._window(self._deviates_of(height, width), height, width)
 
     def _video(self, stream: int, shape: tuple[int, ...], crf: int) -> "VideoStream":
         """The video of a camera; PyAV is loaded with the first one, for it takes long."""

@@ -20,7 +20,6 @@ from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
-from scipy.interpolate import make_interp_spline
 
 from skyherd.errors import InputError
 from skyherd.geometry import Array, apply_homography, inverse
@@ -199,6 +198,9 @@ def lens_field(camera: Camera, zoom: float) -> LensField | None:
 @lru_cache(maxsize=16)
 def _spline(length: int) -> tuple[Array, Array]:
     """Knots (K,) along a side of so many pixels, and weights (length, K) of values there at each pixel."""
+    # Imported with the first lens: it takes long, and cameras without a lens do not need it.
+    from scipy.interpolate import make_interp_spline
+
     knots = np.linspace(-0.5, length - 0.5, max(LEAST_KNOTS, length // KNOT_PX))
     weights = make_interp_spline(knots, np.eye(knots.size), k=5)(np.arange(length))
     return knots, np.asarray(weights)

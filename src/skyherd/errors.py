@@ -33,6 +33,10 @@ class InputError(SkyherdError, ValueError):
         self.where, self.what, self.allowed = _fitted(where, " ".join(what.split("\n")), allowed)
         super().__init__(f"{self.where}: {self.what}; {self.allowed}")
 
+    def __reduce__(self) -> tuple[type["InputError"], tuple[str, str, str], dict[str, object]]:
+        """How it is pickled, on its way between processes: by its three parts, and with its notes."""
+        return type(self), (self.where, self.what, self.allowed), vars(self)
+
 
 def _fitted(*parts: str) -> list[str]:
     """The parts, the longest of them shortened to one length, so that all have `MOST_CHARACTERS` together."""

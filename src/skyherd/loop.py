@@ -12,7 +12,7 @@ from skyherd.geometry import IntArray
 from skyherd.messages import FlightCommand, VelocityCommand
 from skyherd.random_streams import RunStream, generator
 from skyherd.sim.agents import ControllerFactory, UnitAgents, make_controller
-from skyherd.sim.perception import Perception, Sight, make_perception
+from skyherd.sim.perception import Perception, Sight, make_run_perception
 from skyherd.sim.physics import make_network, make_world
 from skyherd.sim.robot_teams import TeamFactory, make_team
 from skyherd.sim.truth_metrics import TruthMetrics, TruthObserver
@@ -93,7 +93,7 @@ def run_steps(
     scenario = mission.scenario
     frame_rng = generator(scenario.seed, RunStream.LOST_FRAMES)
     world, observer = make_world(mission), TruthObserver(mission.template, mission.ids)
-    perception = perception or make_perception(mission, generator(scenario.seed, RunStream.PERCEPTION))
+    perception = perception or make_run_perception(mission)
     network = make_network(scenario, generator(scenario.seed, RunStream.MESSAGES))
     agents, team = UnitAgents(mission, controller_for), team_for(mission, world)
     for tick in range(round(scenario.duration_s / scenario.step_s) + 1):

@@ -31,6 +31,8 @@ from skyherd.recording.reader import Recording, read_recording, read_steps
 from skyherd.recording.survey import describe_flaws
 from skyherd.recording.writer import McapRecorder, Recorder
 from skyherd.report.run_page import PAGE, VIDEO, write_page
+from skyherd.sim.perception import make_run_perception
+from skyherd.sim.side_by_side import SideBySide
 from skyherd.video.recorder import VideoRecorder
 
 RECORDING, SUMMARY, FIGURES = "run.mcap", "summary.json", "figures"
@@ -67,6 +69,7 @@ def run_mission(
     force: bool = False,
     video: bool = True,
     record_images: bool = False,
+    jobs: int = 1,
     recorders: Sequence[Recorder] = (),
     progress: Progress = NO_PROGRESS,
     on_step: Callable[[Step], None] = lambda step: None,
@@ -83,6 +86,9 @@ def run_mission(
         force: write into a folder that exists, and remove what an earlier run left there, and nothing else.
         video: make a video.
         record_images: keep the cameras' images in the recording, as JPEG.
+        jobs: number of cores to use, where processes can be forked. With more than one, cameras are drawn
+            side by side, the video is made beside the loop and figures beside each other. Results are the
+            same.
         recorders: further ones beside the recording and the video; they are entered and left here.
         progress: is told the simulated time, and as the state V and how many markers were detected.
         on_step: called with every step after it is recorded.
@@ -98,7 +104,8 @@ def run_mission(
     output = OutputFolder(folder, VERB, output_names(), force=force)
     output.check()
     started_s = perf_counter()
-    steps = run_steps(mission)
+    perception = SideBySide(make_run_perception(mission), jobs)
+    steps = run_steps(mission, perception)
     first = next(steps)
     _check_free_space(folder)
     with output:
@@ -106,8 +113,9 @@ def run_mission(
             recording = McapRecorder(folder / RECORDING, mission, images=record_images)
             with ExitStack() as stack:
                 stack.enter_context(recording)
-                films = [VideoRecorder(mission, folder / VIDEO)] if video else []
+                films = [VideoRecorder(mission, folder / VIDEO, beside=jobs > 1)] if video else []
                 entered: list[Recorder] = [recording, *map(stack.enter_context, (*films, *recorders))]
+                stack.enter_context(perception)
                 for step in chain([first], steps):
                     for recorder in entered:
                         recorder.write(step)
@@ -115,7 +123,7 @@ def run_mission(
                     on_step(step)
                     _report_step(progress, mission, step)
                 recording.finish(step.time_s, perf_counter() - started_s)
-            return _write_report(folder, read_recording(folder / RECORDING))
+            return _write_report(folder, read_recording(folder / RECORDING), jobs)
         except InputError:
             output.discard()
             raise
@@ -138,7 +146,7 @@ def _report_step(progress: Progress, mission: Mission, step: Step) -> None:
     progress.update(name, step.time_s, duration_s, state)
 
 
-def make_report(folder: Path, *, film: bool = True) -> dict[str, Any]:
+def make_report(folder: Path, *, film: bool = True, jobs: int = 1) -> dict[str, Any]:
     """Make figures, summary and page from the recording in a folder, and return the summary.
 
     Its key `recording` says what the recording lacks, if it is not whole.
@@ -146,6 +154,7 @@ def make_report(folder: Path, *, film: bool = True) -> dict[str, Any]:
     Args:
         folder: a run's folder.
         film: make the video anew as well, if the recording has the cameras' images.
+        jobs: number of cores to use, as in `run_mission`.
 
     Raises:
         InputError: the folder holds no readable recording, or a file that the report would replace and that
@@ -158,20 +167,20 @@ def make_report(folder: Path, *, film: bool = True) -> dict[str, Any]:
     output = OutputFolder(folder, VERB, [*names, *([VIDEO] if filmed else [])], resume=True)
     with output:
         if filmed:
-            with VideoRecorder(recording.mission, folder / VIDEO) as recorder:
+            with VideoRecorder(recording.mission, folder / VIDEO, beside=jobs > 1) as recorder:
                 for step in read_steps(folder / RECORDING):
                     recorder.write(step)
-        return _write_report(folder, recording)
+        return _write_report(folder, recording, jobs)
 
 
-def _write_report(folder: Path, recording: Recording) -> dict[str, Any]:
+def _write_report(folder: Path, recording: Recording, jobs: int) -> dict[str, Any]:
     """Write figures, summary and page of a recording into its folder, and return the summary."""
     history = make_history(recording.mission, recording.steps)
     summary = summarize(history, recording.wall_s)
     if recording.flaws:
         summary["recording"] = describe_flaws(recording.flaws)
     (folder / FIGURES).mkdir(exist_ok=True)
-    figures = write_figures(history, folder / FIGURES)
+    figures = write_figures(history, folder / FIGURES, jobs=jobs)
     write_text(folder / SUMMARY, json.dumps(summary, indent=2) + "\n")
     scenario = json.dumps(recording.mission.scenario.model_dump(mode="json", exclude_none=True), indent=2)
     write_page(

@@ -82,6 +82,13 @@ def test_what_the_check_of_loaded_modules_sees():
     assert {"numpy", "scipy"} <= loaded_by("import skyherd; skyherd.Template")[0]
 
 
+def test_what_sees_and_flies_loads_no_figures():
+    """A live process is started on small computers, and Matplotlib is for figures alone."""
+    datasets, unit = loaded_by("import skyherd.datasets", "import skyherd.live.unit_process")
+    assert "numpy" in datasets
+    assert "matplotlib" not in datasets | unit
+
+
 def top_imports(path: Path) -> set[str]:
     """Modules that a file imports when it is loaded, those under `if TYPE_CHECKING` left out."""
     found = set()

@@ -50,7 +50,7 @@ def killed_after(folder, clock, wait_s):
 
 
 def check_killed(tmp_path, wait_s, capsys, monkeypatch):
-    monkeypatch.setattr("skyherd.runner.write_figures", lambda history, folder: [])
+    monkeypatch.setattr("skyherd.runner.write_figures", lambda history, folder, jobs: [])
     folder, clock = tmp_path / "run", tmp_path / "clock.txt"
     reached_s = killed_after(folder, clock, wait_s)
     monkeypatch.setattr(sys, "argv", ["skyherd", "report", str(folder)])

@@ -50,7 +50,7 @@ class Reported:
 def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
     """Runs half a second of a mission; figures and page are left out."""
     monkeypatch.setattr(runner, "make_report", lambda folder, film: {"folder": folder})
-    monkeypatch.setattr(runner, "write_figures", lambda history, folder: [])
+    monkeypatch.setattr(runner, "write_figures", lambda history, folder, jobs: [])
     mission = load_mission("triangle", ["perception=ideal", "duration_s=0.5"])
     return lambda **options: run_mission(mission, tmp_path / "run", video=False, **options)
 

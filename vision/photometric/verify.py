@@ -19,6 +19,7 @@ from enum import Enum
 from functools import lru_cache
 
 import numpy as np
+import numpy.typing as npt
 from scipy.special import ndtr
 
 from skyherd.geometry import MEDIAN_PER_SIGMA, UNIFORM_VARIANCE, Array, BoolArray
@@ -286,13 +287,22 @@ def image_noise(image: Image) -> float:
     texture and edges take up less than half of the image. Every fourth line and column is read, and no
     saturated pixel; the result is that of rounding, `sqrt(1 / 12)`, if too few are left.
     """
-    lines = image[::4].astype(np.int16)
-    before, here, after = lines[:, :-2:4], lines[:, 1:-1:4], lines[:, 2::4]
+    lines = image[::4]
+    before, here, after = (
+        part.astype(np.int16) for part in (lines[:, :-2:4], lines[:, 1:-1:4], lines[:, 2::4])
+    )
     usable = (here > SATURATION_MARGIN) & (here < 255 - SATURATION_MARGIN)
     differences = np.abs(before - 2 * here + after)[usable]
     if differences.size < MIN_UNSATURATED_PIXELS:
         return ROUNDING_NOISE
-    return max(float(np.median(differences)) / (MEDIAN_PER_SIGMA * 6**0.5), ROUNDING_NOISE)
+    return max(_median_of_levels(differences) / (MEDIAN_PER_SIGMA * 6**0.5), ROUNDING_NOISE)
+
+
+def _median_of_levels(values: npt.NDArray[np.int16]) -> float:
+    """The median of whole numbers from 0 to some hundreds, by counting them, which is faster than sorting."""
+    ends = np.bincount(values).cumsum()
+    low, high = (values.size - 1) // 2, values.size // 2
+    return float(np.searchsorted(ends, [low, high], side="right").mean())
 
 
 @dataclass(frozen=True)

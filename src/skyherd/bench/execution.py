@@ -1,15 +1,13 @@
 """The measurement of accuracy: every detector on the same frames, cell by cell, on several processes."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from multiprocessing import get_context
 from time import perf_counter
 from typing import Any
 
-import cv2
 import numpy as np
 
 from skyherd.bench.detectors.design import Cell
@@ -19,6 +17,7 @@ from skyherd.bench.entrants import EntrantError, dictionary_for, make_entrant
 from skyherd.errors import SkyherdError
 from skyherd.messages import Detections
 from skyherd.progress import NO_PROGRESS, Progress
+from skyherd.progress.helpers import one_thread
 from skyherd.vision import Detector
 
 Row = dict[str, Any]
@@ -152,14 +151,3 @@ def time_row(times_ms: Sequence[float]) -> Row:
     if not times_ms:
         return {"ms_median": None, "ms_p99": None}
     return {"ms_median": float(np.median(times_ms)), "ms_p99": float(np.percentile(times_ms, 99))}
-
-
-@contextmanager
-def one_thread() -> Iterator[None]:
-    """Let OpenCV use one thread only while the context lasts, so that times are those of one core."""
-    before = cv2.getNumThreads()
-    cv2.setNumThreads(1)
-    try:
-        yield
-    finally:
-        cv2.setNumThreads(before)

@@ -20,6 +20,7 @@ def report(
     The video of a simulated run is made again too if the recording has images.
     """
     from skyherd.live.review import make_live_report, recorded_files
+    from skyherd.progress.helpers import cores
     from skyherd.report.run_page import PAGE
     from skyherd.runner import RECORDING, make_report
 
@@ -27,7 +28,7 @@ def report(
     if not is_simulated and not recorded_files(folder):
         what = f"no {RECORDING} in it, and no recordings of units or robots"
         raise InputError(str(folder), what, "the output folder of `skyherd run` or `skyherd live run`")
-    summary = make_report(folder) if is_simulated else make_live_report(folder)
+    summary = make_report(folder, jobs=cores()) if is_simulated else make_live_report(folder)
     if "recording" in summary:
         where = folder / RECORDING if is_simulated else folder
         warn(f"{where}: {summary['recording']}; the report is of what can be read")

@@ -8,6 +8,7 @@ import typer
 from skyherd.cli.choices import complete_perception, complete_scenario
 from skyherd.cli.console import ProgressReporter, say, warn
 from skyherd.cli.interrupts import NOTHING_LEFT, telling_of_interrupts
+from skyherd.errors import InputError
 
 if TYPE_CHECKING:
     from skyherd.datasets import Mission
@@ -37,6 +38,9 @@ def run(
     record_images: Annotated[
         bool, typer.Option("--record-images", help="Keep the cameras' images in the recording, as JPEG.")
     ] = False,
+    jobs: Annotated[
+        int | None, typer.Option(help="Cores to use; all if left out. Results are the same.")
+    ] = None,
     force: Annotated[bool, typer.Option("--force", help="Write an existing folder anew.")] = False,
 ) -> int:
     """Run a scenario, and leave recording, video, figures, summary and page.
@@ -44,8 +48,11 @@ def run(
     Exit code 0 if the shape was reached, 1 if not, 2 for bad input.
     """
     from skyherd.datasets import load_mission
+    from skyherd.progress.helpers import cores
     from skyherd.runner import run_mission
 
+    if jobs is not None and jobs < 1:
+        raise InputError("--jobs", str(jobs), "1 or more")
     chosen = [*(settings or []), *([f"perception={perception}"] if perception else [])]
     mission = load_mission(scenario, chosen, seed=seed)
     folder = out_dir or Path("runs") / mission.scenario.name
@@ -61,6 +68,7 @@ def run(
             force=force,
             video=not no_video,
             record_images=record_images,
+            jobs=jobs or cores(),
             progress=progress,
             on_step=_FirstImages(mission).check,
         )

@@ -4,6 +4,7 @@ import os
 import sys
 import time
 from pathlib import Path
+from weakref import WeakSet
 
 if sys.platform != "win32":  # which has no such locks: there two processes must not be given one folder
     import fcntl
@@ -17,6 +18,7 @@ class FolderLock:
 
     def __init__(self) -> None:
         self._open: int | None = None
+        _locks.add(self)
 
     def acquire(self, folder: Path, wait_s: float) -> bool:
         """Lock a folder, and return whether that went well: another process may hold it for longer.
@@ -51,3 +53,17 @@ class FolderLock:
         if self._open is not None:
             os.close(self._open)
             self._open = None
+
+
+_locks: WeakSet[FolderLock] = WeakSet()
+"""All locks of this process."""
+
+
+def _release_copies() -> None:
+    """Close a forked process's copies of its maker's locks, which would hold folders after the maker ends."""
+    for lock in _locks:
+        lock.release()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_release_copies)

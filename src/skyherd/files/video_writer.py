@@ -106,7 +106,8 @@ class VideoSink:
                 f"{self.path}: frame {self.frames} is {frame.shape} {frame.dtype}, "
                 f"expected {(height, width, 3)} uint8"
             )
-        rgb = av.VideoFrame.from_ndarray(np.ascontiguousarray(frame), format="rgb24")
+        # It is converted at once and need not be copied, unless its rows do not follow each other.
+        rgb = av.VideoFrame.from_numpy_buffer(np.ascontiguousarray(frame), format="rgb24")
         picture = rgb.reformat(format="yuv420p", dst_colorspace=BT709, dst_color_range=STUDIO_RANGE)
         picture.pts, picture.time_base = self._pts(time_s), TICK_S if self.timed else 1 / self.rate_hz
         self._mux(picture)

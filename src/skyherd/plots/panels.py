@@ -9,11 +9,13 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from skyherd.analysis.history import History
+from skyherd.errors import OutputError
 from skyherd.files.atomic import write_whole
 from skyherd.plots import curves, maps
 from skyherd.plots.graph import draw_graph
 from skyherd.plots.style import DPI, drawing_style
 from skyherd.plots.topology import draw_topology
+from skyherd.progress.helpers import shared
 
 
 @dataclass(frozen=True)
@@ -148,15 +150,23 @@ PANELS: tuple[Panel[History], ...] = (
 """The figures of a run's page, in the order shown."""
 
 
-def write_figures(history: History, folder: Path) -> list[FigureFile]:
+def write_figures(history: History, folder: Path, *, jobs: int = 1) -> list[FigureFile]:
     """Draw all panels of a run into a folder, as `write_panels` does."""
-    return write_panels(PANELS, history, folder)
+    return write_panels(PANELS, history, folder, jobs=jobs)
 
 
-def write_panels(panels: Iterable[Panel[Shown]], shown: Shown, folder: Path) -> list[FigureFile]:
+def write_panels(
+    panels: Iterable[Panel[Shown]], shown: Shown, folder: Path, *, jobs: int = 1
+) -> list[FigureFile]:
     """Draw panels of something into a folder, which is made if need be, as PNG and SVG.
 
     The same input gives the same bytes. Matplotlib's style is changed while this lasts and restored after it.
+
+    Args:
+        panels: what to draw.
+        shown: of what.
+        folder: where the files go.
+        jobs: how many panels are drawn side by side, by processes of their own, where these can be forked.
 
     Returns:
         the files, in the order of the panels, without those that have nothing to show.
@@ -165,12 +175,19 @@ def write_panels(panels: Iterable[Panel[Shown]], shown: Shown, folder: Path) -> 
         OutputError: a file could not be written.
     """
     folder.mkdir(parents=True, exist_ok=True)
+    drawn = tuple(panels)
+
+    def write(row: int) -> FigureFile | None:
+        panel = drawn[row]
+        figure = panel.draw(shown)
+        return None if figure is None else save_figure(figure, folder, panel.name, panel.title, panel.caption)
+
     with drawing_style():
-        return [
-            save_figure(figure, folder, panel.name, panel.title, panel.caption)
-            for panel in panels
-            if (figure := panel.draw(shown)) is not None
-        ]
+        gone = OutputError(
+            f"{folder}: a process that drew figures has ended by itself; is there enough memory?"
+        )
+        files = shared(write, range(len(drawn)), jobs, gone)
+    return [file for file in files if file is not None]
 
 
 def save_figure(figure: Figure, folder: Path, name: str, title: str, caption: str) -> FigureFile:

@@ -12,7 +12,10 @@ from skyherd.errors import InputError
 from skyherd.geometry import Array, BoolArray, IntArray, to_complex
 from skyherd.markers.dictionary import card_side
 from skyherd.messages import Detections
+from skyherd.random_streams import RunStream, generator
 from skyherd.render import (
+    Camera,
+    CameraPose,
     FrameTruth,
     Motion,
     Renderer,
@@ -20,7 +23,7 @@ from skyherd.render import (
     TeamImage,
     project_team,
 )
-from skyherd.sim.world import World
+from skyherd.sim.world import Markers, World
 from skyherd.vision import DetectorAccuracy, create_detector, explain_mirrored, load_accuracy
 
 Image = npt.NDArray[np.uint8]
@@ -86,6 +89,11 @@ def make_perception(mission: Mission, rng: np.random.Generator) -> Perception:
     return RenderedPerception(mission, rng)
 
 
+def make_run_perception(mission: Mission) -> Perception:
+    """The perception a scenario asks for, with the random numbers of its runs."""
+    return make_perception(mission, generator(mission.scenario.seed, RunStream.PERCEPTION))
+
+
 def make_renderer(mission: Mission, rng: np.random.Generator) -> Renderer:
     """The renderer a scenario asks for."""
     scenario = mission.scenario
@@ -101,8 +109,47 @@ def make_renderer(mission: Mission, rng: np.random.Generator) -> Renderer:
     )
 
 
+@dataclass(frozen=True)
+class CameraView:
+    """One camera at the moment that it takes an image.
+
+    Attributes:
+        unit: whose camera it is.
+        camera: its intrinsics and lens.
+        pose: where it is.
+        motion: velocities of camera and markers; still where the shutter takes no time.
+    """
+
+    unit: int
+    camera: Camera
+    pose: CameraPose
+    motion: Motion
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What the images of one instant are made of, apart from what is the same in all of a run.
+
+    Attributes:
+        time_s: when they are taken.
+        markers: of robots and obstacles.
+        views: the cameras that take an image, ascending by unit.
+    """
+
+    time_s: float
+    markers: Markers
+    views: list[CameraView]
+
+
 class RenderedPerception(Perception):
-    """Draws each unit's camera image with `skyherd.render`, and runs the scenario's detector on it."""
+    """Draws each unit's camera image with `skyherd.render`, and runs the scenario's detector on it.
+
+    Attributes:
+        renderer: draws.
+        detector: detects.
+        can_fork: whether a fork of this process can go on with both: not with a video's encoder, whose
+            threads are lost, nor with a detector of the user's own, which may have threads too.
+    """
 
     def __init__(self, mission: Mission, rng: np.random.Generator) -> None:
         scenario = mission.scenario
@@ -112,27 +159,45 @@ class RenderedPerception(Perception):
         self.renderer = make_renderer(mission, rng)
         self._occluders = [occluder.make() for occluder in scenario.occluders]
         self._moves = self.renderer.shutter != Shutter()
+        self.can_fork = ":" not in scenario.detector and not self.renderer.sensor.is_video
 
     def look(self, world: World, units: Sequence[int], time_s: float) -> list[Sight]:
         """Render each unit's image and detect the markers in it."""
-        return [self._look(world, unit, time_s) for unit in units]
+        scene = self.scene(world, units, time_s)
+        return [self.take(scene, view) for view in scene.views]
 
-    def _look(self, world: World, unit: int, time_s: float) -> Sight:
-        camera, pose = world.cameras[unit], world.camera_pose(unit)
-        markers = world.markers
-        team = markers.ids, markers.positions_m, markers.headings_rad
-        motion = world.motion(unit) if self._moves else Motion()
+    def scene(self, world: World, units: Sequence[int], time_s: float) -> Scene:
+        """What `take` needs to know of the world, for the images of the given units now."""
+        views = [
+            CameraView(
+                unit,
+                world.cameras[unit],
+                world.camera_pose(unit),
+                world.motion(unit) if self._moves else Motion(),
+            )
+            for unit in units
+        ]
+        return Scene(time_s, world.markers, views)
+
+    def take(self, scene: Scene, view: CameraView) -> Sight:
+        """Render the image of one of a scene's cameras and detect the markers in it."""
+        camera, pose, motion = view.camera, view.pose, view.motion
+        team = scene.markers.ids, scene.markers.positions_m, scene.markers.headings_rad
         image = self.renderer.render(
-            camera, pose, *team, motion=motion, occluders=self._occluders, stream=unit
+            camera, pose, *team, motion=motion, occluders=self._occluders, stream=view.unit
         )
         truth = self.renderer.truth(camera, pose, *team, motion=motion, occluders=self._occluders)
-        detections = self.detector.detect(image, time_s=time_s, unit_id=unit)
+        detections = self.detector.detect(image, time_s=scene.time_s, unit_id=view.unit)
         whole_ids = truth.ids[truth.whole]
-        if unit in self._unproven:
-            self._prove_unmirrored(unit, image, len(detections))
+        if view.unit in self._unproven:
+            self._prove_unmirrored(view.unit, image, len(detections))
         right = _right(detections, truth)
         found_ids = whole_ids[(whole_ids[:, None] == detections.ids[right]).any(axis=1)]
         return Sight(detections, whole_ids, found_ids, int((~right).sum()), image)
+
+    def skip(self, view: CameraView) -> None:
+        """Leave out an image that another process makes; the noise of those that follow is as after it."""
+        self.renderer.sensor.skip(view.camera.size_px)
 
     def _prove_unmirrored(self, unit: int, image: Image, found: int) -> None:
         """Refuse a mirrored stream; asked of each unit's images until one shows something."""

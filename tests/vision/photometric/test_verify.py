@@ -9,7 +9,13 @@ from skyherd.vision.photometric.fitting.fit import fit_markers
 from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
 from skyherd.vision.photometric.fitting.plane import Plane
 from skyherd.vision.photometric.scales import fit_all_sizes
-from skyherd.vision.photometric.verify import ROUNDING_NOISE, bits_are_right, image_noise, verified
+from skyherd.vision.photometric.verify import (
+    ROUNDING_NOISE,
+    _median_of_levels,
+    bits_are_right,
+    image_noise,
+    verified,
+)
 
 DICTIONARY, SIGMA_PX, DISTANCE = "4X4_50", 0.85, 4
 
@@ -176,3 +182,12 @@ def test_what_a_wrong_bit_leaves_does_not_depend_on_the_shrinking(place_markers,
         verified(fits, 5.0, DISTANCE)[0]
         and not verified(replace(fits, pixels=fits.pixels / 4), 5.0, DISTANCE)[0]
     )
+
+
+@pytest.mark.parametrize("count", [1, 2, 7, 1000, 1001])
+def test_the_median_of_levels_is_that_of_sorting(count):
+    """Of even numbers of values too, where it is the mean of two that may differ."""
+    rng = np.random.default_rng(count)
+    for most in (2, 1021):
+        values = rng.integers(0, most, count).astype(np.int16)
+        assert _median_of_levels(values) == np.median(values)

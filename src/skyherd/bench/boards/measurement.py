@@ -20,7 +20,6 @@ from skyherd.bench.boards.image_noise import immerkaer_noise
 from skyherd.bench.boards.layout import BoardModel, board_corners
 from skyherd.bench.boards.lens_degree import choose_degrees, fit_images
 from skyherd.bench.entrants import REFERENCE
-from skyherd.bench.execution import one_thread
 from skyherd.bench.image_sets import ImageSet
 from skyherd.bench.photographs.confirmation import judge
 from skyherd.bench.photographs.sightings import Reader, Sightings, make_readers
@@ -28,6 +27,7 @@ from skyherd.bench.result import Row
 from skyherd.errors import InputError
 from skyherd.geometry import MEDIAN_PER_SIGMA
 from skyherd.progress import NO_PROGRESS, Progress
+from skyherd.progress.helpers import one_thread
 
 ADDED_NOISE = 5.0
 """Standard deviation of the noise added to images, grey levels. Chosen: moves detections by several times

@@ -7,13 +7,13 @@ import numpy as np
 import numpy.typing as npt
 
 from skyherd.bench.entrants import REFERENCE
-from skyherd.bench.execution import one_thread
 from skyherd.bench.image_sets import ImageSet
 from skyherd.bench.photographs.confirmation import Judged, Place, judge
 from skyherd.bench.photographs.contact_sheet import PlaceTile, cut_tile
 from skyherd.bench.photographs.sightings import Reader, make_readers
 from skyherd.bench.result import Row
 from skyherd.progress import NO_PROGRESS, Progress
+from skyherd.progress.helpers import one_thread
 
 JUDGES = ("opencv", "apriltag3", "locus-tag", "photometric")
 """Names of the detectors by which markers are confirmed, whichever are reported: at least one of each family

@@ -1,0 +1,156 @@
+"""`skyherd bench loop`: its arithmetic, the version that it unpacks, what it refuses, its tables and JSON."""
+
+import json
+import subprocess
+from contextlib import nullcontext
+
+import pytest
+from command_line import call
+
+from skyherd.bench import against, loop_result
+from skyherd.bench.against import compare, measure_pairs, same_places, unpacked
+from skyherd.bench.loop_parts import account
+from skyherd.errors import InputError
+
+
+def test_ratios_are_taken_in_each_round_and_not_of_medians():
+    """A machine that is three times as slow in one round changes the medians, and no ratio."""
+    pairs = [
+        ({"step": 2.0, "places": "a"}, {"step": 4.0, "places": "a"}),
+        ({"step": 6.0, "places": "a"}, {"step": 12.0, "places": "a"}),
+        ({"step": 2.2, "places": "a"}, {"step": 4.0, "places": "a"}),
+    ]
+    (ratio,) = compare(pairs)
+    assert (ratio.name, ratio.this, ratio.other) == ("step", 2.2, 4.0)
+    assert (ratio.ratio, ratio.least, ratio.greatest) == pytest.approx((0.5, 0.5, 0.55))
+    assert ratio.cells() == ("step", "2.20", "4.00", "0.50", "0.50 to 0.55")
+    assert same_places(pairs)
+    assert not same_places([*pairs, (pairs[0][0], {"step": 4.0, "places": "b"})])
+
+
+def test_the_parts_of_a_step_add_up():
+    calls_s = {"render": [0.1, 0.3], "detect": [0.2, 0.2], "control": [0.05, 0.05], "record": [0.1]}
+    row = account([0.5, 1.5], calls_s, plain_s=0.4)
+    assert row["steps_per_s"] == 1.0 and row["frames"] == 2
+    assert row["step_ms_median"] == 1000.0
+    assert row["share"] == pytest.approx(
+        {"render": 0.2, "detect": 0.2, "control": 0.05, "record": 0.05, "rest": 0.5}
+    )
+    assert row["ratio_to_plain_aruco"] == pytest.approx(2.0)  # OpenCV takes twice as long
+
+
+def test_versions_alternate_and_the_order_changes(monkeypatch, tmp_path):
+    called = []
+
+    def measured(version, name, duration_s, *, whole):
+        called.append(version)
+        return {"step": 1.0 if version is None else 2.0, "number": float(len(called))}
+
+    monkeypatch.setattr(against, "_measure", measured)
+    pairs = measure_pairs("star", 1.0, tmp_path, 3)
+    assert called == [None, tmp_path, tmp_path, None, None, tmp_path]
+    assert [(this["step"], other["step"]) for this, other in pairs] == [(1.0, 2.0)] * 3
+    assert [this["number"] for this, _ in pairs] == [1.0, 4.0, 5.0]
+
+
+@pytest.fixture
+def repository(tmp_path):
+    """A repository with a version `old` of a package skyherd, part of it elsewhere, and a version without."""
+    folder = tmp_path / "repository"
+
+    def git(*words):
+        who = ["-c", "user.name=n", "-c", "user.email=e", "-c", "commit.gpgsign=false"]
+        subprocess.run(["git", "-C", folder, *who, *words], check=True, capture_output=True)
+
+    folder.mkdir()
+    git("init", "-q")
+    (folder / "readme").write_text("nothing else")
+    git("add", ".")
+    git("commit", "-qm", "none")
+    git("tag", "none")
+    for place, code in {
+        "pyproject.toml": '[tool.setuptools.package-dir]\nskyherd = "src/skyherd"\n"skyherd.loop" = "loop"\n',
+        "src/skyherd/__init__.py": "",
+        "src/skyherd/datasets.py": "def load_mission(name, settings): return name, settings\n",
+        "loop/__init__.py": """
+import types
+class Places:
+    def tobytes(self): return b"here"
+def run_steps(mission):
+    name, settings = mission
+    assert settings == ["duration_s=2.0", "perception=rendered"], settings
+    if name != "star": raise KeyError(name)
+    for _ in range(4): yield types.SimpleNamespace(positions_m=Places())
+""",
+    }.items():
+        (folder / place).parent.mkdir(parents=True, exist_ok=True)
+        (folder / place).write_text(code)
+    git("add", ".")
+    git("commit", "-qm", "old")
+    git("tag", "old")
+    (folder / "src" / "skyherd" / "__init__.py").write_text("raise RuntimeError('of the working folder')")
+    return folder
+
+
+def test_another_version_is_unpacked_run_and_removed(repository):
+    """The working folder, which is another version still, is neither used nor changed."""
+    before = sorted(path for path in repository.rglob("*") if path.is_file())
+    with unpacked("old", repository) as folder:
+        row = against._measure(folder, "star", 2.0, whole=False)
+        with pytest.raises(InputError, match=r"grid in the other version: does not run: KeyError: 'grid'"):
+            against._measure(folder, "grid", 2.0, whole=False)
+    assert row["step: clock, ms"] >= 0 and row["start: processor, s"] > 0
+    assert len(row["places"]) == 64
+    assert not folder.exists()
+    assert sorted(path for path in repository.rglob("*") if path.is_file()) == before
+
+
+@pytest.mark.parametrize(
+    ("reference", "said"),
+    [
+        ("never", "not a valid object name"),
+        ("none", "has no package skyherd"),
+        ("--help", "begins with a hyphen"),
+    ],
+)
+def test_a_version_that_is_not_there_is_refused(repository, reference, said):
+    with pytest.raises(InputError, match=said), unpacked(reference, repository):
+        pass
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--duration", "0"], "--duration: 0; from 0.5 to 100000"),
+        (["--rounds", "0"], "--rounds: 0; 1 or more"),
+        (["--whole"], "--whole: given without --against; both or none"),
+        (["nonsense"], "nonsense"),
+        (["--against", "v1", "--repository", "/"], "--against v1: fatal: not a git repository"),
+    ],
+)
+def test_bad_options_are_refused_in_one_line(tmp_path, monkeypatch, capsys, words, said):
+    monkeypatch.chdir(tmp_path)
+    code, _, err = call(capsys, "bench", "loop", *words)
+    assert code == 2 and said in err and len(err.splitlines()) == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_command_leaves_tables_and_json(tmp_path, monkeypatch, capsys):
+    """With another version that is a stand-in: it takes half as long."""
+    row = {"step: clock, ms": 8.0, "step: processor, ms": 6.0, "places": "p"}
+    monkeypatch.setattr(
+        against, "_measure", lambda version, *_, **__: {
+            name: value / 2 if version and name != "places" else value for name, value in row.items()
+        }
+    )  # fmt: skip
+    monkeypatch.setattr(loop_result, "unpacked", lambda reference, repository: nullcontext(tmp_path))
+    out = tmp_path / "out"
+    code, said, _ = call(
+        capsys, "bench", "loop", "--duration", "0.5", "--against", "old", "--rounds", "2", "--out", out
+    )
+    assert code == 0
+    assert "star against old" in said and "2.00 to 2.00" in said and "the same places" in said
+    content = json.loads((out / "loop.json").read_text())
+    assert content["comparisons"][0]["ratios"][0]["ratio"] == 2.0
+    assert content["scenarios"][0]["steps"] == 6
+    assert sum(content["scenarios"][0]["share"].values()) == pytest.approx(1.0)

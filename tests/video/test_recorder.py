@@ -1,0 +1,87 @@
+"""The video beside the loop is the one in its process; whatever happens, half of one is never left."""
+
+import os
+import signal
+from pathlib import Path
+
+import pytest
+
+from skyherd.datasets import load_mission
+from skyherd.errors import OutputError
+from skyherd.files.video_writer import count_frames
+from skyherd.loop import run_steps
+from skyherd.progress.helpers import can_help
+from skyherd.video import recorder
+from skyherd.video.composer import Composer
+from skyherd.video.recorder import VideoRecorder
+
+pytestmark = pytest.mark.skipif(not can_help(), reason="processes are forked on Linux only")
+
+
+@pytest.fixture(scope="module")
+def steps():
+    mission = load_mission("star", ["duration_s=1.2", "units.*.camera.size_px=[320, 240]"])
+    return mission, list(run_steps(mission))
+
+
+def film(steps, path: Path, *, beside: bool):
+    with VideoRecorder(steps[0], path, beside=beside) as writer:
+        for step in steps[1]:
+            writer.write(step)
+    return path
+
+
+def test_beside_the_loop_it_is_the_same_file(steps, tmp_path):
+    here, there = (film(steps, tmp_path / f"{beside}.mp4", beside=beside) for beside in (False, True))
+    assert here.read_bytes() == there.read_bytes()
+    assert count_frames(here) == 7  # every second of 13 steps
+    assert len(list(tmp_path.iterdir())) == 2
+
+
+@pytest.mark.parametrize("beside", [False, True])
+def test_a_place_that_cannot_be_written_to_is_refused_at_once(steps, tmp_path, beside):
+    with pytest.raises(OutputError, match="no folder"):
+        VideoRecorder(steps[0], tmp_path / "none" / "video.mp4", beside=beside)
+
+
+@pytest.mark.parametrize("beside", [False, True])
+def test_an_error_while_frames_are_made_leaves_nothing(steps, tmp_path, beside, monkeypatch):
+    def fail(self, step):
+        raise OutputError("the disk is full")
+
+    monkeypatch.setattr(Composer, "compose", fail)
+    with pytest.raises(OutputError, match="the disk is full"):
+        film(steps, tmp_path / "video.mp4", beside=beside)
+    assert not list(tmp_path.iterdir())
+
+
+def test_after_an_interrupt_nothing_is_left(steps, tmp_path):
+    (tmp_path / "video.mp4").write_bytes(b"an older one")
+    with (
+        pytest.raises(KeyboardInterrupt),
+        VideoRecorder(steps[0], tmp_path / "video.mp4", beside=True) as writer,
+    ):
+        writer.write(steps[1][0])
+        assert len(list(tmp_path.iterdir())) == 2
+        raise KeyboardInterrupt
+    assert [path.read_bytes() for path in tmp_path.iterdir()] == [b"an older one"]
+
+
+def test_if_its_process_is_killed_that_is_told_and_nothing_is_left(steps, tmp_path):
+    with (
+        pytest.raises(OutputError, match=r"video\.mp4: the process that made it has ended"),
+        VideoRecorder(steps[0], tmp_path / "video.mp4", beside=True) as writer,
+    ):
+        writer.write(steps[1][0])
+        os.kill(writer._film._helper._process.pid, signal.SIGKILL)
+        for step in steps[1][1:]:
+            writer.write(step)
+    assert not list(tmp_path.iterdir())
+
+
+def test_frames_that_are_not_shown_are_not_sent(steps, tmp_path, monkeypatch):
+    sent = []
+    monkeypatch.setattr(recorder._FilmBeside, "add", lambda self, step: sent.append(step.time_s))
+    with pytest.raises(OutputError, match="no frames"):
+        film(steps, tmp_path / "video.mp4", beside=True)
+    assert sent == pytest.approx([0, 0.2, 0.4, 0.6, 0.8, 1.0, 1.2])

@@ -7,7 +7,8 @@ Each image passes through these stages.
 2. *Search*: the whole image is searched for dark quadrilaterals (`skyherd.vision.search`), in every tenth
    image, and at once when a followed marker is missing or none is known. Their cells are compared with all
    markers of the dictionary; nothing is refused for a doubtful bit yet. Where no marker is found there is a
-   second look (`skyherd.vision.search.second_look`), which also has what OpenCV's detector finds.
+   second look (`skyherd.vision.search.second_look`), which also has what OpenCV's detector finds; less often
+   while markers are followed and it finds nothing.
 3. *Fit*: the known pattern of each marker is fitted to the image's own pixels
    (`fitting.fit`), under whatever blur it has
    (`skyherd.vision.photometric.unknown_blur`); large markers in a shrunk image.
@@ -75,6 +76,12 @@ SEARCH_INTERVAL = 10
 """While all markers are followed, the whole image is searched in every image of this number. Chosen: a new
 marker waits this long at most; a smaller value costs time, which the search takes most of."""
 
+SECOND_LOOK_INTERVAL = 5
+"""While all markers are followed and the last second look found nothing new, there is one at every search of
+this number. Chosen: it takes 45 ms of a core where the first look takes 8, and finds what is small or
+blurred, of which there is more where there was some; a marker that it alone can find waits 50 images at
+most."""
+
 CLEAR_CORRELATION = 0.8
 """Smallest correlation of a quadrilateral's cells with a marker's at the second look. Measured: markers that
 only the second look finds have 0.83 to 0.99; at 0.6 photographs of clutter take twice the time, for fits of
@@ -130,8 +137,9 @@ class PhotometricDetector:
         known = self.estimates[unit_id]
         found, lost = self._follow(image, known, time_s)
         known.unsearched += 1
-        if lost or not len(found.ids) or self._is_due(known):
-            found = found.joined(self._search(image, known, found.homographies))
+        is_amiss = lost or not len(found.ids)
+        if is_amiss or self._is_due(known):
+            found = found.joined(self._search(image, known, found.homographies, thoroughly=is_amiss))
             found = found.take(np.argsort(found.ids, kind="stable")) if self.repeats else _unambiguous(found)
             known.unsearched = 0
         self._learn(known, found, time_s)
@@ -184,9 +192,18 @@ class PhotometricDetector:
         ]
         return reduce(Look.joined, looks, Look.of_nothing(self.dictionary))
 
-    def _search(self, image: Image, known: ImageEstimates, followed: LocalHomographies) -> FitResults:
-        """Verified markers anywhere in the image but where markers are followed already."""
+    def _search(
+        self, image: Image, known: ImageEstimates, followed: LocalHomographies, *, thoroughly: bool
+    ) -> FitResults:
+        """Verified markers anywhere in the image but where markers are followed already.
+
+        If it is not to be done thoroughly, the second look may be left out.
+        """
+        known.first_looks += 1
+        if not thoroughly and known.first_looks < SECOND_LOOK_INTERVAL and not known.is_second_look_worth_it:
+            return self._look(image, known, find_quads(image), followed, MIN_CORRELATION).found
         first, second = self._looks(image, known, followed)
+        known.first_looks, known.is_second_look_worth_it = 0, bool(second.good.any())
         return first.found.joined(second.found)
 
     def _looks(self, image: Image, known: ImageEstimates, followed: LocalHomographies) -> tuple[Look, Look]:

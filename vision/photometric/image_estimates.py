@@ -18,7 +18,8 @@ class ImageEstimates:
         plane: that the markers lie on.
         tracks: the markers being followed.
         unsearched: number of images since the whole image was searched.
-        found: number of markers in the last image.
+        first_looks: number of searches since the last that had a second look.
+        is_second_look_worth_it: whether that second look found a marker.
         ratios: of the markers' variances to those that independent noise would give.
     """
 
@@ -27,5 +28,6 @@ class ImageEstimates:
     plane: Plane = field(default_factory=Plane)
     tracks: Tracks = field(default_factory=no_tracks)
     unsearched: int = 0
-    found: int = 0
+    first_looks: int = 0
+    is_second_look_worth_it: bool = True
     ratios: PooledRatios = field(default_factory=PooledRatios)

@@ -76,3 +76,60 @@ def test_every_marker_that_opencv_finds_is_found(cell):
             patch.setattr(stages, "find_overlooked_quads", lambda *_: np.zeros((0, 4, 2)))
             first_alone += len(set(theirs.ids) - set(create_detector().detect(frame.image).ids))
     assert first_alone > 0, "the cells are such that the second look has something to find"
+
+
+class Counted:
+    """The second look, and the numbers of the images that had one."""
+
+    def __init__(self, monkeypatch):
+        self.image, self.images = 0, []
+        look = stages.find_overlooked_quads
+
+        def counted(*args):
+            self.images.append(self.image)
+            return look(*args)
+
+        monkeypatch.setattr(stages, "find_overlooked_quads", counted)
+
+    def follow(self, images):
+        """Ids found in each image by a detector that follows markers."""
+        detector, found = create_detector("tracking", dictionary=DICTIONARY), []
+        for self.image, image in enumerate(images):
+            found.append(set(detector.detect(image, time_s=0.1 * self.image).ids.tolist()))
+        return found
+
+
+def without(image, middle):
+    """The image with the marker around a middle painted over."""
+    left, top = np.round(middle - STEP_PX / 2).astype(int)
+    size, covered = round(STEP_PX), image.copy()
+    covered[top : top + size, left : left + size] = 140
+    return covered
+
+
+def test_while_all_are_followed_there_is_a_second_look_at_every_fifth_search(monkeypatch):
+    """Searches are every tenth image; at first nothing is known, and the second look finds some of these."""
+    counted = Counted(monkeypatch)
+    image, _ = sheet()
+    found = counted.follow([image] * 65)
+    assert found == [set(range(25))] * 65
+    assert counted.images == [0, 10, 60], "the one after a success is at the next search"
+
+
+def test_a_marker_that_only_the_second_look_finds_is_found_within_fifty_images(monkeypatch):
+    image, middles = sheet()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(stages, "find_overlooked_quads", lambda *_: np.zeros((0, 4, 2)))
+        seen = create_detector(dictionary=DICTIONARY).detect(image).ids.tolist()
+    late = next(number for number in range(25) if number not in seen)
+    counted = Counted(monkeypatch)
+    found = counted.follow([*[without(image, middles[late])] * 12, *[image] * 50])
+    first = next(number for number, ids in enumerate(found) if late in ids)
+    assert first == 60 and counted.images == [0, 10, 60]
+
+
+def test_a_marker_that_is_missing_is_searched_by_both_looks_at_once(monkeypatch):
+    counted = Counted(monkeypatch)
+    image, middles = sheet()
+    found = counted.follow([*[image] * 13, without(image, middles[7])])
+    assert found[-1] == set(range(25)) - {7} and counted.images == [0, 10, 13]

@@ -9,8 +9,9 @@ from PIL import Image
 
 from skyherd.datasets import load_mission, make_mission
 from skyherd.errors import InputError
+from skyherd.study.parts import RandomModel
 from skyherd.study.plan import draw_settings, make_plan, mission_key, sweep_settings
-from skyherd.study.spec import RandomModel, StudySpec, load_study, study_names
+from skyherd.study.spec import StudySpec, load_study, study_names
 
 
 def test_every_combination_of_a_grid_is_run_and_the_last_key_goes_fastest(write_study: Any) -> None:

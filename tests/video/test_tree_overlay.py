@@ -12,7 +12,7 @@ from skyherd.loop import dead_units
 from skyherd.messages import NO_ID
 from skyherd.messages.tree_status import TreeStatus
 from skyherd.video.composer import Composer, make_layout
-from skyherd.video.ground_panel import STATE_SIZE_PX, TITLE_SIZE_PX, title_texts
+from skyherd.video.ground_title import STATE_SIZE_PX, TITLE_SIZE_PX, title_texts
 from skyherd.video.legend import legend_height_px
 from skyherd.video.tree_overlay import FLASH, FLASH_S, TreeOverlay
 

@@ -34,7 +34,8 @@ from skyherd.vision.diagnosis.reasons import (
 from skyherd.vision.diagnosis.wording import describe
 from skyherd.vision.grey import Image, check_grey
 from skyherd.vision.photometric.detector import PhotometricDetector
-from skyherd.vision.photometric.verify import Quantity, image_noise, verification_tests
+from skyherd.vision.photometric.image_noise import image_noise
+from skyherd.vision.photometric.verify import Quantity, verification_tests
 from skyherd.vision.search.decode import decode_quads
 
 GROWTHS_PX = (0.5, 1.0)

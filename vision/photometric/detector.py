@@ -9,13 +9,11 @@ Each image passes through these stages.
    markers of the dictionary; nothing is refused for a doubtful bit yet. Where no marker is found there is a
    second look (`skyherd.vision.search.second_look`), which also has what OpenCV's detector finds; less often
    while markers are followed and it finds nothing.
-3. *Fit*: the known pattern of each marker is fitted to the image's own pixels
-   (`fitting.fit`), under whatever blur it has
-   (`skyherd.vision.photometric.unknown_blur`); large markers in a shrunk image.
-4. *Verify*: a fit counts only if it shows its marker's bits and leaves little else
-   (`skyherd.vision.photometric.verify`). A marker that something seems to cover is fitted once more to its
-   visible pixels (`fitting.occlusion`), and one that does not lie on the others' plane
-   with a perspective of its own.
+3. *Fit*: the known pattern of each marker is fitted to the image's own pixels (`fitting.fit`), under whatever
+   blur it has (`unknown_blur`); large markers in a shrunk image.
+4. *Verify*: a fit counts only if it shows its marker's bits and leaves little else (`acceptance`, `verify`).
+   A marker that something seems to cover is fitted once more to its visible pixels (`fitting.occlusion`), and
+   one that does not lie on the others' plane with a perspective of its own.
 5. *Learn*: if markers are followed, the unit's blur, noise and plane are where the next image's fits begin.
 """
 
@@ -25,25 +23,19 @@ from functools import reduce
 import numpy as np
 
 from skyherd.errors import InputError
-from skyherd.geometry import (
-    SQUARE_CORNERS,
-    Array,
-    BoolArray,
-    ComplexArray,
-    IntArray,
-    to_complex,
-    to_points,
-)
+from skyherd.geometry import SQUARE_CORNERS, Array, IntArray, to_points
 from skyherd.markers.dictionary import cells_per_side, code_distance
 from skyherd.messages import Detections
 from skyherd.vision.grey import Image, check_grey
+from skyherd.vision.photometric.acceptance import accepted
 from skyherd.vision.photometric.fitting.fit import MAX_STEPS_FROM_PREDICTION, USUAL_NOISE, image_middle
 from skyherd.vision.photometric.fitting.fit_result import FitResults, no_fit_results, weighted_median
 from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
 from skyherd.vision.photometric.fitting.plane import Plane
 from skyherd.vision.photometric.image_estimates import ImageEstimates
+from skyherd.vision.photometric.image_noise import image_noise
 from skyherd.vision.photometric.look import Look
-from skyherd.vision.photometric.scales import fit_visible_all_sizes
+from skyherd.vision.photometric.places import best_of_each_place, elsewhere, on_plane, unambiguous
 from skyherd.vision.photometric.tracks import in_view
 from skyherd.vision.photometric.unknown_blur import (
     START_SIGMA_PX,
@@ -52,14 +44,7 @@ from skyherd.vision.photometric.unknown_blur import (
     usual_sigma_px,
     with_usual_blur,
 )
-from skyherd.vision.photometric.verify import (
-    MIN_MARKER_CONTRAST,
-    bits_are_right,
-    image_noise,
-    may_be_occluded,
-    residual_is_noise,
-    verified,
-)
+from skyherd.vision.photometric.verify import bits_are_right, verified
 from skyherd.vision.search.decode import MIN_CORRELATION, DecodedQuads, decode_quads
 from skyherd.vision.search.quads import find_quads
 from skyherd.vision.search.second_look import find_overlooked_quads
@@ -67,10 +52,6 @@ from skyherd.vision.search.second_look import find_overlooked_quads
 LEARNING_RATE = 0.2
 """Share by which blur and noise move towards what an image shows. Chosen: an average over about five images;
 a larger rate passes on more of each image's error, a smaller one follows a refocused lens more slowly."""
-
-CORNER_SQUEEZE_ERROR_PX = 1.0
-"""Accuracy of a squeeze that is computed from a quadrilateral's corners, px. Chosen: corners are found to
-about a pixel. Within it, the plane's squeeze is the better start."""
 
 SEARCH_INTERVAL = 10
 """While all markers are followed, the whole image is searched in every image of this number. Chosen: a new
@@ -140,7 +121,7 @@ class PhotometricDetector:
         is_amiss = lost or not len(found.ids)
         if is_amiss or self._is_due(known):
             found = found.joined(self._search(image, known, found.homographies, thoroughly=is_amiss))
-            found = found.take(np.argsort(found.ids, kind="stable")) if self.repeats else _unambiguous(found)
+            found = found.take(np.argsort(found.ids, kind="stable")) if self.repeats else unambiguous(found)
             known.unsearched = 0
         self._learn(known, found, time_s)
         return _detections(found, known.ratios.factors(), image, time_s, unit_id)
@@ -165,7 +146,7 @@ class PhotometricDetector:
             known.noise or USUAL_NOISE,
             MAX_STEPS_FROM_PREDICTION,
         )
-        fits, good = self._verified(image, fits, known.plane, start.take(here))
+        fits, good = accepted(image, self.dictionary, fits, known.plane, start.take(here))
         return fits.take(good), not (here.all() and good.all())
 
     def looks(self, image: Image) -> tuple[Look, Look]:
@@ -234,10 +215,10 @@ class PhotometricDetector:
         least_correlation: float,
     ) -> Look:
         """What is seen where quadrilaterals (N, 4, 2) are, but for where markers are known to be there."""
-        quads = quads[_elsewhere(quads, there)]
+        quads = quads[elsewhere(quads, there)]
         decoded = decode_quads(image, quads, self.dictionary, known.sigma_px or START_SIGMA_PX)
         start = LocalHomographies.of_corners(decoded.corners_px)
-        best = _best_of_each_place(decoded.ids, start.centers, start.sides_px(), decoded.correlations)
+        best = best_of_each_place(decoded.ids, start.centers, start.sides_px(), decoded.correlations)
         best &= decoded.correlations >= least_correlation
         return self._fitted(image, known, quads, decoded.take(best))
 
@@ -246,13 +227,13 @@ class PhotometricDetector:
         if not candidates.ids.size:
             return replace(Look.of_nothing(self.dictionary), quads_px=quads)
         start = LocalHomographies.of_corners(candidates.corners_px)
-        start = _on_plane(start, known.plane, image_middle(image))
+        start = on_plane(start, known.plane, image_middle(image))
         fits, known.plane = self._fit_quads(image, known, candidates.ids, start)
-        fits, good = self._verified(image, fits, known.plane, start)
+        fits, good = accepted(image, self.dictionary, fits, known.plane, start)
         found = fits.take(good)
         shapes = found.homographies
         good = good.copy()
-        good[good] = _best_of_each_place(found.ids, shapes.centers, shapes.sides_px(), -found.noise_stds)
+        good[good] = best_of_each_place(found.ids, shapes.centers, shapes.sides_px(), -found.noise_stds)
         return Look(quads, candidates, fits, good)
 
     def _fit_quads(
@@ -282,42 +263,6 @@ class PhotometricDetector:
         )
         return fits.put(promising, fine), plane if right.any() else known.plane
 
-    def _verified(
-        self, image: Image, fits: FitResults, plane: Plane, start: LocalHomographies
-    ) -> tuple[FitResults, BoolArray]:
-        """Fits, and which of them (N,) are verified.
-
-        Of covered markers they are those to their visible pixels, and of markers that are not on the plane
-        those with a perspective of their own, from where they began (N,).
-        """
-        noise, distance = image_noise(image), code_distance(self.dictionary)
-        good = verified(fits, noise, distance)
-        floor = max(noise, weighted_median(fits.noise_stds, fits.pixels * good)) if good.any() else noise
-        doubtful = np.flatnonzero(may_be_occluded(fits, floor))
-        if doubtful.size:
-            covered = fits.take(doubtful)
-            visible = fit_visible_all_sizes(
-                image, self.dictionary, covered, with_usual_blur(covered), plane, floor
-            )
-            accepted = verified(visible, noise, distance) & residual_is_noise(visible, floor)
-            fits, good = _replaced(fits, good, doubtful[accepted], visible.take(accepted))
-        apart = np.flatnonzero(~good & plane.shared & (fits.contrasts >= MIN_MARKER_CONTRAST))
-        if apart.size:
-            others = fits.take(apart)
-            alone, _ = fit_any_blur(
-                image,
-                self.dictionary,
-                others.ids,
-                start.take(apart),
-                START_SIGMA_PX,
-                Plane(),
-                floor,
-                alone=True,
-            )
-            accepted = verified(alone, noise, distance)
-            fits, good = _replaced(fits, good, apart[accepted], alone.take(accepted))
-        return fits, good
-
     def _learn(self, known: ImageEstimates, found: FitResults, time_s: float) -> None:
         """Update blur, noise and, if markers are followed, the tracks."""
         if not len(found.ids):
@@ -335,51 +280,6 @@ class PhotometricDetector:
 def _moved_towards(value: float, before: float | None) -> float:
     """What was known before, moved by `LEARNING_RATE` of the difference, or the value itself."""
     return value if before is None else before + LEARNING_RATE * (value - before)
-
-
-def _replaced(
-    fits: FitResults, good: BoolArray, rows: IntArray, others: FitResults
-) -> tuple[FitResults, BoolArray]:
-    """Fits with those at indices `rows` replaced, which are then good."""
-    good = good.copy()
-    good[rows] = True
-    return fits.put(rows, others), good
-
-
-def _on_plane(homographies: LocalHomographies, plane: Plane, middle: complex) -> LocalHomographies:
-    """Homographies with the plane's squeezes, where their own agree to the accuracy of corners."""
-    squeezes = plane.squeezes(homographies.centers - middle) * homographies.arms.conj()
-    near = np.abs(squeezes - homographies.squeezes) < CORNER_SQUEEZE_ERROR_PX
-    return replace(homographies, squeezes=np.where(near, squeezes, homographies.squeezes))
-
-
-def _elsewhere(quads_px: Array, followed: LocalHomographies) -> BoolArray:
-    """Which quadrilaterals (N, 4, 2) have their middle within no marker that is followed."""
-    middles = to_complex(quads_px).mean(axis=1)
-    distance = np.abs(middles[:, None] - followed.centers)
-    return np.asarray((distance > followed.sides_px() / 2).all(axis=1))
-
-
-def _best_of_each_place(ids: IntArray, centers: ComplexArray, sides_px: Array, merits: Array) -> BoolArray:
-    """Which of N (N,) stay if of those with one id in one place only that of the greatest merit does.
-
-    Two share a place if their centres are less than half the shorter one's side apart, such as those of both
-    boundaries of a marker's border.
-    """
-    reach_px = np.minimum(sides_px[:, None], sides_px) / 2
-    twins = (np.abs(centers[:, None] - centers) < reach_px) & (ids[:, None] == ids)
-    kept = np.ones(ids.size, dtype=bool)
-    for row in np.argsort(-merits):
-        if kept[row]:
-            kept &= ~twins[:, row]
-            kept[row] = True
-    return kept
-
-
-def _unambiguous(fits: FitResults) -> FitResults:
-    """The fits whose id was found once, in ascending order of id."""
-    _, first, counts = np.unique(fits.ids, return_index=True, return_counts=True)
-    return fits.take(first[counts == 1])
 
 
 def _detections(

@@ -4,28 +4,22 @@ A fit counts if every cell has the right colour by what the fit leaves of it, if
 image's noise or the share of its contrast that the processing of real cameras leaves of any model
 (demosaicing, denoising, sharpening and compression: 3 to 11 %), and if its print is that of the others.
 
-A cell of the wrong colour leaves, along each axis, `E(x) = Φ((x + 1/2) / σ) - Φ((x - 1/2) / σ)` of the
-contrast, with x and the blur σ in cells: over the cell itself `(∫ E)²` on average, and over the image the
-squares `(∫ E²)²` for each pixel of the cell. What a fit leaves is measured in these units.
+What a fit leaves is measured in units of what a cell of the wrong colour would leave (`wrong_cells`).
 
 Light falls on black and white alike, so that `(white - black) / white`, the print contrast, is the same in
 sun and shade. What has less of it than the camera's markers is no print, but ground between cards.
 """
 
-import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import Enum
-from functools import lru_cache
 
 import numpy as np
-import numpy.typing as npt
-from scipy.special import ndtr
 
-from skyherd.geometry import MEDIAN_PER_SIGMA, UNIFORM_VARIANCE, Array, BoolArray
-from skyherd.vision.grey import Image
+from skyherd.geometry import Array, BoolArray
 from skyherd.vision.photometric.fitting.fit import has_outlier_pixels
 from skyherd.vision.photometric.fitting.fit_result import FitResults, weighted_median
+from skyherd.vision.photometric.wrong_cells import WrongCellResiduals
 
 WRONG_CELL_SHARE, WRONG_CELL_SIGMAS, WRONG_CELL_LIMIT = 0.2, 4.0, 0.4
 """A cell is wrong if its mean residual exceeds the first share of what a wrong colour would leave plus so
@@ -106,11 +100,6 @@ MIN_PRINT_SHARE = 0.75
 """Smallest share of the other markers' print contrast. Chosen: print contrasts of markers differ by a tenth
 at 12 px and noise 10; stray light of a twentieth of white takes this much in a shade five times darker."""
 
-SATURATION_MARGIN, MIN_UNSATURATED_PIXELS = 5, 50
-"""Pixels so near to black or white, grey levels, are clipped and say nothing about the noise; so many others
-are needed to estimate it. Chosen: 5 is more than the usual noise; a median of 50 values is good to a
-sixth."""
-
 OCCLUSION_NOISE_FACTOR, OCCLUSION_LAST_STEP_PX = 1.15, 0.1
 """What a fit to chosen pixels may leave, as a multiple of the noise, and how far its last step may move the
 sides, px. Chosen stricter than for all pixels, since these were chosen for agreeing."""
@@ -118,16 +107,6 @@ sides, px. Chosen stricter than for all pixels, since these were chosen for agre
 MAX_COVERED_SHARE = 0.25
 """Share of a marker's cells that may look wrong if it is still worth a fit without what covers it. Chosen: a
 larger share costs time for fits that are mostly refused, since hidden bits count as wrong."""
-
-SAMPLES_PER_CELL, SPAN_CELLS = 8, 5
-"""Sample points of a cell in the integrals of E, and number of cells that they cover: two cells on either
-side, which is enough up to a blur of `MAX_BLUR_CELLS`."""
-
-MIN_DIVISOR_CONTRAST = 1e-3
-"""Smallest contrast, grey levels, that residuals are compared with; a fit with less is refused anyway."""
-
-ROUNDING_NOISE = math.sqrt(UNIFORM_VARIANCE)
-"""Least noise of an image, grey levels. Derived: rounding to whole grey levels has `sqrt(1 / 12)` = 0.29."""
 
 
 class Quantity(Enum):
@@ -181,7 +160,7 @@ def bits_are_right(fits: FitResults, distance: int) -> BoolArray:
     return _all_passed(_bit_tests(fits, WrongCellResiduals.of(fits), distance))
 
 
-def _bit_tests(fits: FitResults, wrong: "WrongCellResiduals", distance: int) -> list[FitTest]:
+def _bit_tests(fits: FitResults, wrong: WrongCellResiduals, distance: int) -> list[FitTest]:
     """Tests of what fits look like, of their last step, px, and of their cells, as shares of a wrong one."""
     cell_noises = fits.noise_stds / (wrong.means * wrong.cells_px)
     worst = np.abs(fits.cell_means).max(axis=(1, 2)) / wrong.means
@@ -259,7 +238,7 @@ def residual_is_noise(fits: FitResults, noise: float) -> BoolArray:
 
 
 def _residual_tests(
-    fits: FitResults, wrong: "WrongCellResiduals", noise: float, distance: int
+    fits: FitResults, wrong: WrongCellResiduals, noise: float, distance: int
 ) -> list[FitTest]:
     """Tests whether fits leave little more than the noise, pixel by pixel and cell by cell, grey levels."""
     over_cells = np.sqrt(np.square(fits.cell_means).mean(axis=(1, 2)))
@@ -278,70 +257,3 @@ def _residual_tests(
         tests = [FitTest(Quantity.WORST_CELL, worst, most), *tests]
     over_noise = np.maximum(noise / wrong.cells_px, CELL_MODEL_SHARE * fits.contrasts)
     return [*tests, FitTest(Quantity.CELL_RESIDUAL, over_cells, over_noise)]
-
-
-def image_noise(image: Image) -> float:
-    """Return the noise of an image, standard deviation in grey levels, from the image alone.
-
-    The median of `|I(u - 1) - 2 I(u) + I(u + 1)|` is `0.6745 √6` standard deviations of white noise, if
-    texture and edges take up less than half of the image. Every fourth line and column is read, and no
-    saturated pixel; the result is that of rounding, `sqrt(1 / 12)`, if too few are left.
-    """
-    lines = image[::4]
-    before, here, after = (
-        part.astype(np.int16) for part in (lines[:, :-2:4], lines[:, 1:-1:4], lines[:, 2::4])
-    )
-    usable = (here > SATURATION_MARGIN) & (here < 255 - SATURATION_MARGIN)
-    differences = np.abs(before - 2 * here + after)[usable]
-    if differences.size < MIN_UNSATURATED_PIXELS:
-        return ROUNDING_NOISE
-    return max(_median_of_levels(differences) / (MEDIAN_PER_SIGMA * 6**0.5), ROUNDING_NOISE)
-
-
-def _median_of_levels(values: npt.NDArray[np.int16]) -> float:
-    """The median of whole numbers from 0 to some hundreds, by counting them, which is faster than sorting."""
-    ends = np.bincount(values).cumsum()
-    low, high = (values.size - 1) // 2, values.size // 2
-    return float(np.searchsorted(ends, [low, high], side="right").mean())
-
-
-@dataclass(frozen=True)
-class WrongCellResiduals:
-    """What one cell of the wrong colour would leave of N fits, grey levels.
-
-    Attributes:
-        means: (N,) mean residual over that cell.
-        pixels: (N,) root mean square of the residuals of all pixels.
-        cells_px: (N,) side of a cell, px.
-    """
-
-    means: Array
-    pixels: Array
-    cells_px: Array
-
-    @classmethod
-    def of(cls, fits: FitResults) -> "WrongCellResiduals":
-        """Return the residuals for fits of N markers, at the blur that each fit found."""
-        cells_px = fits.homographies.sides_px() / fits.cell_means.shape[1]
-        log_sigmas = np.log(fits.blurs_cells) + np.minimum(np.maximum(fits.log_blurs, -1.0), 1.0)
-        own, square = (np.interp(log_sigmas, _LOG_SIGMAS, table) for table in _integral_tables())
-        contrast = np.maximum(fits.contrasts, MIN_DIVISOR_CONTRAST)
-        return cls(
-            means=contrast * own**2,
-            pixels=contrast * square * cells_px / np.sqrt(np.maximum(fits.pixels, 1.0)),
-            cells_px=cells_px,
-        )
-
-
-_LOG_SIGMAS: Array = np.linspace(np.log(0.01), np.log(10.0), 400)
-"""Logarithms of the tabulated blurs, standard deviations in cells; linear interpolation is good to 1e-4."""
-
-
-@lru_cache(maxsize=1)
-def _integral_tables() -> tuple[Array, Array]:
-    """`∫ E` over the wrong cell itself and `∫ E²` over all, each (400,), at the tabulated blurs."""
-    x = (np.arange(SPAN_CELLS * SAMPLES_PER_CELL) + 0.5) / SAMPLES_PER_CELL - SPAN_CELLS / 2
-    sigma = np.exp(_LOG_SIGMAS)[:, None]
-    seen = ndtr((x + 0.5) / sigma) - ndtr((x - 0.5) / sigma)
-    own = seen[:, np.abs(x) < 1 / 2].mean(axis=1)
-    return own, (seen**2).sum(axis=1) / SAMPLES_PER_CELL

@@ -129,14 +129,16 @@ def tables(result: LoopResult) -> list[Table]:
             ("scenario", "ours, ms", "OpenCV, ms", "ratio"),
             tuple(detectors),
         ),
-        *(
-            Table(
-                f"{one.scenario} against {result.against}",
-                "Medians of the rounds. Robots were at "
-                + ("the same places, to the last bit." if one.same_places else "other places."),
-                HEADER,
-                tuple(ratio.cells() for ratio in one.ratios),
-            )
-            for one in result.comparisons
-        ),
+        *(_compared(one, result.against) for one in result.comparisons),
     ]
+
+
+def _compared(one: Comparison, against: str | None) -> Table:
+    """A comparison as a table."""
+    where = "the same places, to the last bit." if one.same_places else "other places."
+    return Table(
+        f"{one.scenario} against {against}",
+        f"Medians of the rounds. Robots were at {where}",
+        HEADER,
+        tuple(ratio.cells() for ratio in one.ratios),
+    )

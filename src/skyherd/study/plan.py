@@ -23,7 +23,8 @@ from skyherd.datasets import (
 )
 from skyherd.errors import InputError
 from skyherd.files.reading import is_regular
-from skyherd.study.spec import DrawModel, RandomModel, Study, SweepModel, TaskModel
+from skyherd.study.parts import DrawModel, RandomModel, SweepModel, TaskModel
+from skyherd.study.spec import Study
 from skyherd.version import __version__
 
 Settings = dict[str, Any]

@@ -17,7 +17,6 @@ from skyherd.drawing.canvas import (
     draw_segments,
     draw_text,
     fill_polygon,
-    text_width,
 )
 from skyherd.drawing.palette import INK, MUTED, PAPER, TEMPLATE_COLOR, rgb, unit_rgb
 from skyherd.errors import DegenerateSetError
@@ -26,15 +25,13 @@ from skyherd.loop import Step
 from skyherd.render import footprint_m
 from skyherd.video.axis_ticks import tick_values
 from skyherd.video.body_overlay import CLEAR, BodySizes, draw_bodies, draw_obstacle
+from skyherd.video.ground_title import STATE_SIZE_PX, TITLE_SIZE_PX, title_texts
 from skyherd.video.tree_overlay import TreeOverlay, draw_dead, draw_pair_marks
 
 TITLE_PX = 26
 LEFT_PX = 34
 BOTTOM_PX = 22
 """Margins of the map: title above, labels of the axes to the left and below."""
-
-TITLE_SIZE_PX, STATE_SIZE_PX, TITLE_GAP_PX = 15, 13, 16
-"""Sizes of the letters of the title and of the tree's state beside it, and the least gap between the two."""
 
 FIELD: Color = (248, 248, 246)
 GRID: Color = (228, 229, 226)
@@ -276,34 +273,3 @@ class GroundPanel:
             colors = [unit_rgb(unit) for unit in owners.get(robot_id, [])]
             draw_ring(self._field, (u, v), radius - 0.5, colors or [rgb(MUTED)], 3)
             draw_text(self._field, str(robot_id), (u, v), rgb(INK), size_px=11, bold=True, align="center")
-
-
-def title_texts(tree: TreeSnapshot, width_px: float) -> tuple[str, str]:
-    """The title and the state of the tree, as long as both fit beside each other into a width, px.
-
-    The title is shortened first, then dropped; robots that are missing are counted where their ids do not
-    fit.
-    """
-    for state in (_tree_text(tree), _tree_text(tree, counted=True)):
-        room_px = width_px - text_width(state, STATE_SIZE_PX, bold=True) - TITLE_GAP_PX
-        for title in ("the ground, metres", "metres", ""):
-            if text_width(title, TITLE_SIZE_PX) <= room_px:
-                return title, state
-    return "", _tree_text(tree, counted=True)
-
-
-def _tree_text(tree: TreeSnapshot, *, counted: bool = False) -> str:
-    """The state of the tree in a few words; units and robots `counted` rather than named."""
-    living = len(tree.members) + len(tree.unjoined)
-    parts = [f"{len(tree.members)} of {living} units in the tree"]
-    if not tree.ready:
-        parts.append("robots wait")
-    if tree.dead:
-        parts.append(f"dead: {_named(tree.dead, counted)}")
-    if tree.missing_ids:
-        parts.append(f"missing: {_named(tree.missing_ids, counted)}")
-    return " · ".join(parts)
-
-
-def _named(ids: frozenset[int], counted: bool) -> str:
-    return f"{len(ids)}" if counted else ", ".join(str(number) for number in sorted(ids))

@@ -20,13 +20,9 @@ from skyherd.vision.diagnosis.templates import load_templates
 from skyherd.vision.diagnosis.wording import describe
 from skyherd.vision.photometric.fitting.fit_result import FitResults
 from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
-from skyherd.vision.photometric.verify import (
-    Quantity,
-    WrongCellResiduals,
-    image_noise,
-    verification_tests,
-    verified,
-)
+from skyherd.vision.photometric.image_noise import image_noise
+from skyherd.vision.photometric.verify import Quantity, verification_tests, verified
+from skyherd.vision.photometric.wrong_cells import WrongCellResiduals
 
 DICTIONARY = "4X4_50"
 IDS = [3, 7, 12, 21]

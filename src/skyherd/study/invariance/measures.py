@@ -36,8 +36,9 @@ from skyherd.messages import VelocityCommand
 from skyherd.render import homography_image_ground, project, undistort
 from skyherd.sim.physics import make_world
 from skyherd.sim.truth_metrics import fit_shape
+from skyherd.study.parts import SweepModel
 from skyherd.study.plan import Plan
-from skyherd.study.spec import CURVE, REFERENCE, RUN_KEYS, SweepModel
+from skyherd.study.spec import CURVE, REFERENCE, RUN_KEYS
 from skyherd.study.store import ERROR
 from skyherd.study.table import SWEEP
 

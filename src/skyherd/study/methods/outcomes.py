@@ -17,7 +17,8 @@ import numpy as np
 import pyarrow as pa
 
 from skyherd.geometry import Array, BoolArray
-from skyherd.study.spec import CURVE, Study, SweepModel
+from skyherd.study.parts import SweepModel
+from skyherd.study.spec import CURVE, Study
 from skyherd.study.store import ERROR
 from skyherd.study.table import SWEEP, TASK
 

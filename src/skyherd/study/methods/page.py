@@ -18,8 +18,9 @@ from skyherd.study.figures import MARKDOWN, complaints
 from skyherd.study.methods.outcomes import Method, make_methods
 from skyherd.study.methods.paths import draw_paths
 from skyherd.study.methods.plots import draw_methods, median
+from skyherd.study.parts import TaskModel
 from skyherd.study.plan import study_source
-from skyherd.study.spec import Study, TaskModel
+from skyherd.study.spec import Study
 from skyherd.version import __version__
 
 PAGE = "methods.html"
@@ -77,21 +78,8 @@ def write_methods(study: Study, table: pa.Table, folder: Path) -> list[Path]:
         OutputError: a file could not be written.
     """
     methods, tasks = make_methods(study, table), study.spec.tasks
-    panels = [
-        Panel("methods", "On the same starts", CAPTION, draw_methods),
-        *(
-            Panel(
-                _figure_name(task.name),
-                f"Paths: {task.name}",
-                PATHS_CAPTION,
-                partial(draw_paths, task.name, bodies=_bodies(study, task)),
-            )
-            for task in tasks
-        ),
-    ]
-    figures = {
-        figure.name: figure_card(figure) for figure in write_panels(panels, methods, folder / "figures")
-    }
+    drawn = write_panels(_panels(study), methods, folder / "figures")
+    figures = {figure.name: figure_card(figure) for figure in drawn}
     page = render_page(
         "skyherd.study",
         PAGE,
@@ -119,6 +107,22 @@ def write_methods(study: Study, table: pa.Table, folder: Path) -> list[Path]:
     parts = [*head, *(markdown(task, methods) for task in tasks)]
     text = "\n\n".join([*parts, *complaints(table)]) + "\n"
     return [write_text(folder / PAGE, page), write_text(folder / MARKDOWN, text)]
+
+
+def _panels(study: Study) -> list[Panel[list[Method]]]:
+    """All methods on all tasks, and the paths of each task."""
+    return [
+        Panel("methods", "On the same starts", CAPTION, draw_methods),
+        *(
+            Panel(
+                _figure_name(task.name),
+                f"Paths: {task.name}",
+                PATHS_CAPTION,
+                partial(draw_paths, task.name, bodies=_bodies(study, task)),
+            )
+            for task in study.spec.tasks
+        ),
+    ]
 
 
 def glance(method: Method, task: str) -> str:

@@ -1,0 +1,38 @@
+"""The line above the ground in the video: its title, and the state of the tree of units beside it."""
+
+from skyherd.analysis.tree_snapshot import TreeSnapshot
+from skyherd.drawing.canvas import text_width
+
+TITLE_SIZE_PX, STATE_SIZE_PX, TITLE_GAP_PX = 15, 13, 16
+"""Sizes of the letters of the title and of the tree's state beside it, and the least gap between the two."""
+
+
+def title_texts(tree: TreeSnapshot, width_px: float) -> tuple[str, str]:
+    """The title and the state of the tree, as long as both fit beside each other into a width, px.
+
+    The title is shortened first, then dropped; robots that are missing are counted where their ids do not
+    fit.
+    """
+    for state in (_tree_text(tree), _tree_text(tree, counted=True)):
+        room_px = width_px - text_width(state, STATE_SIZE_PX, bold=True) - TITLE_GAP_PX
+        for title in ("the ground, metres", "metres", ""):
+            if text_width(title, TITLE_SIZE_PX) <= room_px:
+                return title, state
+    return "", _tree_text(tree, counted=True)
+
+
+def _tree_text(tree: TreeSnapshot, *, counted: bool = False) -> str:
+    """The state of the tree in a few words; units and robots `counted` rather than named."""
+    living = len(tree.members) + len(tree.unjoined)
+    parts = [f"{len(tree.members)} of {living} units in the tree"]
+    if not tree.ready:
+        parts.append("robots wait")
+    if tree.dead:
+        parts.append(f"dead: {_named(tree.dead, counted)}")
+    if tree.missing_ids:
+        parts.append(f"missing: {_named(tree.missing_ids, counted)}")
+    return " · ".join(parts)
+
+
+def _named(ids: frozenset[int], counted: bool) -> str:
+    return f"{len(ids)}" if counted else ", ".join(str(number) for number in sorted(ids))

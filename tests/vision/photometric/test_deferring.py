@@ -48,7 +48,9 @@ def test_an_image_whose_markers_are_all_there_is_not_searched_before_it_is_repor
 ) -> None:
     detector, searched = DeferringDetector(DICTIONARY), []
     search = detector._search
-    monkeypatch.setattr(detector, "_search", lambda *given: searched.append(1) or search(*given))
+    monkeypatch.setattr(
+        detector, "_search", lambda *given, **how: searched.append(1) or search(*given, **how)
+    )
     for number in range(2 * SEARCH_INTERVAL):
         look(detector, draw(number, IDS, HOMES), number)
     assert searched == [1], "the first image alone"

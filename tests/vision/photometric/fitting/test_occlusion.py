@@ -97,7 +97,7 @@ def test_covered_markers_are_found_and_leave_the_others_alone(name):
 
 def test_what_is_not_covered_is_not_fitted_twice(monkeypatch):
     image, _ = scene(3, [], 0.1)
-    monkeypatch.setattr("skyherd.vision.photometric.detector.fit_visible_all_sizes", None)
+    monkeypatch.setattr("skyherd.vision.photometric.acceptance.fit_visible_all_sizes", None)
     assert PhotometricDetector(DICTIONARY).detect(image).ids.size == IDS.size
 
 

@@ -1,5 +1,6 @@
 """The video beside the loop is the one in its process; whatever happens, half of one is never left."""
 
+import hashlib
 import os
 import signal
 from pathlib import Path
@@ -8,7 +9,7 @@ import pytest
 
 from skyherd.datasets import load_mission
 from skyherd.errors import OutputError
-from skyherd.files.video_writer import count_frames
+from skyherd.files.video_writer import VideoSink, count_frames
 from skyherd.loop import run_steps
 from skyherd.progress.helpers import can_help
 from skyherd.video import recorder
@@ -31,11 +32,23 @@ def film(steps, path: Path, *, beside: bool):
     return path
 
 
-def test_beside_the_loop_it_is_the_same_file(steps, tmp_path):
+def test_beside_the_loop_the_same_frames_are_encoded(steps, tmp_path, monkeypatch):
+    """To the last bit. What the encoder makes of them differs now and then in a few bytes, in a fork of a
+    process whose memory was used before: in 6 of 25 films on a busy machine, of frames that were the same.
+    """
+    write = VideoSink.write
+
+    def noted(self, frame, *args, **named):
+        with (tmp_path / f"{self.path.stem}.txt").open("a") as file:
+            file.write(hashlib.sha256(frame.tobytes()).hexdigest() + "\n")
+        write(self, frame, *args, **named)
+
+    monkeypatch.setattr(VideoSink, "write", noted)
     here, there = (film(steps, tmp_path / f"{beside}.mp4", beside=beside) for beside in (False, True))
-    assert here.read_bytes() == there.read_bytes()
-    assert count_frames(here) == 7  # every second of 13 steps
-    assert len(list(tmp_path.iterdir())) == 2
+    frames = [(tmp_path / f"{film.stem}.txt").read_text().split() for film in (here, there)]
+    assert frames[0] == frames[1] and len(set(frames[0])) == 7  # every second of 13 steps
+    assert count_frames(here) == count_frames(there) == 7
+    assert len(list(tmp_path.glob("*.mp4"))) == len(list(tmp_path.iterdir())) - 2 == 2
 
 
 @pytest.mark.parametrize("beside", [False, True])

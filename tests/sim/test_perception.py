@@ -12,7 +12,7 @@ from skyherd.loop import run_steps
 from skyherd.messages import Detections
 from skyherd.sim.perception import RenderedPerception, make_perception
 from skyherd.sim.physics import make_world
-from skyherd.vision import load_accuracy
+from skyherd.vision import explain_mirrored, load_accuracy
 
 
 class Wrong:
@@ -160,3 +160,22 @@ def test_more_noise_blur_or_cells_make_markers_harder_to_read() -> None:
     assert np.allclose(between.position_std_px, (plain.position_std_px + noisier.position_std_px) / 2)
     with pytest.raises(InputError, match=r"sensor.noise: .* 10 at most"):
         load_accuracy("opencv", noise=11.0)
+
+
+@pytest.mark.parametrize("ids", [[0, 1, 2, 3, 4, 5], [8, 9, 17, 47, 1, 2]])
+def test_a_mirror_image_is_searched_only_while_markers_are_missing(ids, monkeypatch):
+    """In a mirrored image only markers that are their own mirror images are found, of which a team may have
+    many; where most markers are found there is nothing to prove."""
+    asked = []
+    monkeypatch.setattr(
+        "skyherd.sim.perception.explain_mirrored", lambda *call: asked.append(call) or explain_mirrored(*call)
+    )
+    mission = load_mission("triangle", [f"robots.ids={ids}"])
+    perception, world = RenderedPerception(mission, np.random.default_rng(1)), make_world(mission)
+    perception.look(world, [0], 0.0)
+    assert not asked
+    mission = load_mission("triangle", [f"robots.ids={ids}", "units.0.camera.mirrored=true"])
+    perception, world = RenderedPerception(mission, np.random.default_rng(1)), make_world(mission)
+    with pytest.raises(InputError, match="mirrored"):
+        perception.look(world, [0], 0.0)
+    assert asked

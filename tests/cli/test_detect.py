@@ -270,7 +270,17 @@ def test_other_kinds_of_markers_are_found_if_asked_for(tmp_path, capsys, image, 
     assert ids_in(tmp_path / "plain") == otherwise
 
 
-def test_wide_borders_are_not_explained(tmp_path, capsys):
-    cv2.imwrite(str(tmp_path / "it.png"), sheet(dictionary="4X4_50@2"))
-    code, _, said = call(capsys, tmp_path / "it.png", "--border-bits", "2", "--explain")
-    assert code == 2 and "explains markers with a border of one cell" in said
+def test_markers_with_a_wide_border_are_explained_as_such(tmp_path, capsys):
+    """A white cell of the middle one of three is painted over; taken for markers with a border of one cell,
+    the other two seem to lack their white margin."""
+    image = sheet(dictionary="4X4_50@2")
+    cells = marker_cells("4X4_50@2", IDS[1])
+    row, column = np.argwhere(cells)[0]
+    v, u = 60 + 8 * (row - len(cells) // 2), 160 + 8 * (column - len(cells) // 2)
+    image[v : v + 8, u : u + 8] = 30
+    cv2.imwrite(str(tmp_path / "it.png"), image)
+    wide = call(capsys, tmp_path / "it.png", "--explain", "--out", tmp_path / "out", "--border-bits", "2")[1]
+    assert f"1 of 64 cells differ from the nearest marker, id {IDS[1]}" in wide
+    assert "margin" not in wide
+    narrow = call(capsys, tmp_path / "it.png", "--explain", "--out", tmp_path / "plain")[1]
+    assert narrow.count("no white margin") == 2

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from skyherd.geometry import Array, BoolArray
-from skyherd.markers.dictionary import cells_per_side, load_dictionary
+from skyherd.markers.dictionary import border_cells, cells_per_side, load_dictionary
 from skyherd.vision.grey import Image
 
 MIN_CANDIDATE_SIDE_PX = 6.0
@@ -170,7 +170,8 @@ def bright_groups(image: Image, dictionary: str) -> list[Array]:
     A rectangle around a marker's white cells is that of its bits, or lacks a row or two that are all black;
     every such completion is tried, and kept if its border of cells is dark.
     """
-    n = cells_per_side(dictionary)
+    n, border = cells_per_side(dictionary), border_cells(dictionary)
+    bits = n - 2 * border
     squares: list[Array] = []
     smooth = cv2.GaussianBlur(image, (0, 0), 1.0)
     for window in BRIGHT_WINDOWS_PX:
@@ -181,14 +182,14 @@ def bright_groups(image: Image, dictionary: str) -> list[Array]:
             disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (closing, closing))
             closed = cv2.morphologyEx(bright, cv2.MORPH_CLOSE, disc)
             contours, _ = cv2.findContours(closed, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
-            large = [c for c in contours if cv2.contourArea(c) > (MIN_CANDIDATE_SIDE_PX * (n - 2) / n) ** 2]
+            large = [c for c in contours if cv2.contourArea(c) > (MIN_CANDIDATE_SIDE_PX * bits / n) ** 2]
             for contour in sorted(large, key=cv2.contourArea, reverse=True)[:MAX_GROUPS]:
-                squares += _grow(contour, n)
-    return _with_dark_border(np.asarray(smooth, dtype=np.uint8), squares, n)
+                squares += _grow(contour, bits, border)
+    return _with_dark_border(np.asarray(smooth, dtype=np.uint8), squares, n, border)
 
 
-def _with_dark_border(image: Image, squares: list[Array], n: int) -> list[Array]:
-    """Those squares whose border of cells is dark and whose inside is not, at the cells' middles."""
+def _with_dark_border(image: Image, squares: list[Array], n: int, border: int) -> list[Array]:
+    """Those squares of n x n cells whose border is dark and whose inside is not, at the cells' middles."""
     if not squares:
         return []
     corners = np.stack(squares)
@@ -202,15 +203,15 @@ def _with_dark_border(image: Image, squares: list[Array], n: int) -> list[Array]
     u, v = np.rint(places).astype(int).clip(0, np.array(image.shape[::-1]) - 1).transpose(3, 0, 1, 2)
     levels = image[v, u].astype(float)
     rim = np.ones((n, n), dtype=bool)
-    rim[1:-1, 1:-1] = False
+    rim[border:-border, border:-border] = False
     black = np.median(levels[:, rim], axis=1)
     white = np.percentile(levels[:, ~rim], 85, axis=1)
     dark = (levels[:, rim] < ((black + white) / 2)[:, None]).mean(axis=1) >= DARK_SHARE
     return [corners[k] for k in np.flatnonzero(dark & (white - black > BRIGHTER))]
 
 
-def _grow(contour: npt.NDArray[Any], n: int) -> list[Array]:
-    """Marker outlines (4, 2) whose bits the contour may be."""
+def _grow(contour: npt.NDArray[Any], bits: int, border: int) -> list[Array]:
+    """Outlines (4, 2) of markers of bits x bits inside a border, whose bits the contour may be."""
     hull = cv2.convexHull(contour)[:, 0, :].astype(float)
     outlines: list[Array] = []
     for angle in _edge_angles(hull):
@@ -219,7 +220,8 @@ def _grow(contour: npt.NDArray[Any], n: int) -> list[Array]:
         across, along = hull @ right, hull @ down
         # A contour runs through the middles of the outermost pixels.
         corner = (across.min() - 0.5) * right + (along.min() - 0.5) * down
-        outlines += _complete_bits(corner, right, down, np.ptp(across) + 1.0, np.ptp(along) + 1.0, n)
+        size_px = np.ptp(across) + 1.0, np.ptp(along) + 1.0
+        outlines += _complete_bits(corner, right, down, size_px, bits, border)
     return outlines
 
 
@@ -237,18 +239,19 @@ def _edge_angles(hull: Array) -> list[float]:
 
 
 def _complete_bits(
-    corner: Array, right: Array, down: Array, width: float, height: float, n: int
+    corner: Array, right: Array, down: Array, size_px: tuple[float, float], bits: int, border: int
 ) -> list[Array]:
-    """Outlines of markers of n cells whose white cells may span the rectangle, up to two rows being black."""
+    """Outlines of markers whose white cells may span the rectangle, up to two rows being black."""
     outlines: list[Array] = []
-    for columns in range(n - 4, n - 1):
-        for rows in range(n - 4, n - 1):
+    (width, height), n = size_px, bits + 2 * border
+    for columns in range(bits - 2, bits + 1):
+        for rows in range(bits - 2, bits + 1):
             cell = (width / columns + height / rows) / 2
             if cell * n < MIN_CANDIDATE_SIDE_PX or abs(width / columns - height / rows) > 0.2 * cell:
                 continue
-            for left in range(n - 1 - columns):
-                for top in range(n - 1 - rows):
-                    first = corner - cell * ((left + 1) * right + (top + 1) * down)
+            for left in range(bits - columns + 1):
+                for top in range(bits - rows + 1):
+                    first = corner - cell * ((left + border) * right + (top + border) * down)
                     steps = np.array([0 * right, right, right + down, down])
                     outlines.append(first + cell * n * steps)
     return outlines

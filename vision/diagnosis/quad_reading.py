@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from skyherd.geometry import Array, BoolArray, IntArray
-from skyherd.markers.dictionary import cells_per_side
+from skyherd.markers.dictionary import border_cells, cells_per_side
 from skyherd.vision.blurred_cells import MIN_DEVIATION, correlations, standardised
 from skyherd.vision.diagnosis.cell_samples import PER_CELL, cell_extents_px, image_from_cells, sample_cells
 from skyherd.vision.diagnosis.templates import (
@@ -143,6 +143,7 @@ class _Sight:
         image_cells: (3, 3) homography from cell coordinates to pixels.
         samples: levels (S, S) of cells and quiet zone, as of `sample_cells`.
         templates: what it is compared with.
+        border: width of the markers' black border, in cells.
         best: rows of the `FINALISTS`, the templates that its cells' middles are most like, ascending.
         likeness: with the likest of them; 0 if too little of it is in the image.
     """
@@ -151,6 +152,7 @@ class _Sight:
     image_cells: Array
     samples: Array
     templates: Templates
+    border: int
     best: IntArray
     likeness: float
 
@@ -162,28 +164,31 @@ class _Sight:
 
 def _look(image: Image, corners_px: Array, dictionary: str) -> _Sight:
     """Sample a quadrilateral and compare its cells' middles with all templates."""
-    n = cells_per_side(dictionary)
+    n, border = cells_per_side(dictionary), border_cells(dictionary)
     image_cells = image_from_cells(corners_px, n)
     samples = sample_cells(image, image_cells, n)
     templates = load_templates(dictionary)
     cells = samples[PER_CELL // 2 :: PER_CELL, PER_CELL // 2 :: PER_CELL][1:-1, 1:-1]
     seen = np.isfinite(cells)
     if seen.sum() < MIN_CELLS:
-        return _Sight(corners_px, image_cells, samples, templates, np.zeros(1, dtype=np.int64), 0.0)
+        nothing = np.zeros(1, dtype=np.int64)
+        return _Sight(corners_px, image_cells, samples, templates, border, nothing, 0.0)
     values = cells[seen]
     if seen.all():
         likeness = (standardised(values[None]) @ templates.standard.T / values.size)[0]
     else:
         likeness = correlations(templates.levels[:, seen], values[None])[0]
     best = np.argsort(likeness)[-FINALISTS:]
-    return _Sight(corners_px, image_cells, samples, templates, best, float(likeness[best[-1]]))
+    return _Sight(corners_px, image_cells, samples, templates, border, best, float(likeness[best[-1]]))
 
 
 def _read(sight: _Sight, match: "Match") -> Reading:
     """All that is measured of a quadrilateral that is most like a template."""
     levels, templates = sight.levels, sight.templates
-    ring, inner = levels[1:-1, 1:-1], levels[2:-2, 2:-2]
-    border = np.concatenate([ring[0], ring[-1], ring[1:-1, 0], ring[1:-1, -1]])
+    ring = levels[1:-1, 1:-1]
+    is_border = np.ones(ring.shape, dtype=bool)
+    is_border[sight.border : -sight.border, sight.border : -sight.border] = False
+    border, inner = ring[is_border], ring[~is_border]
     quiet = np.array([_median(edge[1:-1]) for edge in (levels[0], levels[:, -1], levels[-1], levels[:, 0])])
     nearest_id, mirrored = templates.row(match.row)
     seen = np.isfinite(ring)

@@ -30,7 +30,7 @@ from skyherd.inspection.table import (
     open_table,
     rejection_rows,
 )
-from skyherd.markers.dictionary import load_dictionary
+from skyherd.markers.dictionary import load_dictionary, with_border
 from skyherd.messages import Detections
 from skyherd.progress import NO_PROGRESS, Progress
 from skyherd.vision import (
@@ -76,7 +76,7 @@ class Inspector:
         progress: is given how many frames of each file are done.
 
     Raises:
-        InputError: there is no such detector or dictionary, or wider borders are to be explained.
+        InputError: there is no such detector or dictionary.
     """
 
     def __init__(
@@ -91,10 +91,6 @@ class Inspector:
         kind: Format = "csv",
         progress: Progress = NO_PROGRESS,
     ) -> None:
-        if explained and border_bits != 1:
-            raise InputError(
-                "--explain", "explains markers with a border of one cell", "leave one of them out"
-            )
         self.detector, self.dictionary, self.explained, self.kind = detector, dictionary, explained, kind
         self.border_bits, self.inverted, self.repeats = border_bits, inverted, repeats
         self._progress = progress
@@ -218,7 +214,8 @@ class Inspector:
         for row in detection_rows(place, found):
             tables[0].add(row)
         if self.explained:
-            result.rejections = explain(self._dark_on_light(image), result.dictionary, found)
+            dictionary = with_border(result.dictionary, self.border_bits)
+            result.rejections = explain(self._dark_on_light(image), dictionary, found)
             result.reasons.update(rejection.reason.value for rejection in result.rejections)
             for row in rejection_rows(place, result.rejections):
                 tables[1].add(row)

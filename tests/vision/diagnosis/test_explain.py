@@ -9,7 +9,7 @@ import pytest
 
 from skyherd.errors import InputError
 from skyherd.geometry import SQUARE_CORNERS, to_points
-from skyherd.markers.dictionary import code_distance, corners_of_pose, marker_cells
+from skyherd.markers.dictionary import cells_per_side, code_distance, corners_of_pose, marker_cells
 from skyherd.render import Camera, CameraPose, Ground, Renderer, Sensor
 from skyherd.vision import PhotometricDetector, create_detector
 from skyherd.vision.diagnosis.explain import Rejection, explain
@@ -25,6 +25,9 @@ from skyherd.vision.photometric.verify import Quantity, verification_tests, veri
 from skyherd.vision.photometric.wrong_cells import WrongCellResiduals
 
 DICTIONARY = "4X4_50"
+WIDE = "4X4_50@2"
+"""The same with a border of two cells."""
+
 IDS = [3, 7, 12, 21]
 PLACES_PX = np.array([[110.0, 110], [290, 110], [110, 290], [290, 290]])
 
@@ -78,12 +81,13 @@ def check(rejections: list[Rejection], reason: Reason, ids: list[int]) -> None:
         assert ": " in r.words.split(str(r.measured))[1], "what to do comes after it"
 
 
-def test_nothing_is_rejected_where_all_is_well(draw) -> None:
+@pytest.mark.parametrize("dictionary", [DICTIONARY, WIDE])
+def test_nothing_is_rejected_where_all_is_well(draw, dictionary) -> None:
     """The control of all below: the same picture without a fault."""
-    image = draw()
-    found = create_detector(dictionary=DICTIONARY).detect(image)
+    image = draw(dictionary=dictionary)
+    found = create_detector(dictionary=dictionary).detect(image)
     assert found.ids.tolist() == IDS
-    assert explain(image, DICTIONARY) == explain(image, DICTIONARY, found) == []
+    assert explain(image, dictionary) == explain(image, dictionary, found) == []
 
 
 def test_what_another_detector_does_not_report_is_said_to_be_found_by_the_default_one(draw) -> None:
@@ -123,18 +127,19 @@ def test_too_blurred(draw) -> None:
         assert r.measured.value == pytest.approx(5.5 / (40 / 6), abs=0.15)
 
 
-def test_no_quiet_zone() -> None:
+@pytest.mark.parametrize("dictionary", [DICTIONARY, WIDE])
+def test_no_quiet_zone(dictionary) -> None:
     """Cut out along the black and laid on black: the outline cannot be seen, the bits can."""
     rng = np.random.default_rng(0)
     image = np.full((400, 400), 35, np.uint8)
     for marker_id, (u, v) in zip(IDS, PLACES_PX.astype(int), strict=True):
-        marker = np.where(marker_cells(DICTIONARY, marker_id), 230, 30).astype(np.uint8)
-        marker = cv2.resize(marker, (60, 60), interpolation=cv2.INTER_NEAREST)
-        image[v - 30 : v + 30, u - 30 : u + 30] = marker
+        marker = np.where(marker_cells(dictionary, marker_id), 230, 30).astype(np.uint8)
+        marker = cv2.resize(marker, (80, 80), interpolation=cv2.INTER_NEAREST)
+        image[v - 40 : v + 40, u - 40 : u + 40] = marker
     turn = cv2.getRotationMatrix2D((200, 200), 20, 1.0)
     image = cv2.GaussianBlur(cv2.warpAffine(image, turn, (400, 400), borderValue=35), (0, 0), 0.8)
     image = np.clip(image + rng.normal(0, 2, image.shape), 0, 255).astype(np.uint8)
-    rejected = likely(image)
+    rejected = likely(image, dictionary)
     assert {r.reading.nearest_id for r in rejected} == set(IDS)
     for r in rejected:
         assert r.reason is Reason.NO_QUIET_ZONE and "4 of its 4 edges" in r.words
@@ -168,27 +173,29 @@ def test_too_oblique(draw) -> None:
         assert r.reading.tilt_deg == pytest.approx(78.5, abs=4)
 
 
-def painted_over(image: np.ndarray, cells: np.ndarray) -> np.ndarray:
-    """Id 3 of 60 px with cells (row, column), from 0, of the marker painted black."""
+def painted_over(image: np.ndarray, cells: np.ndarray, n: int = 6) -> np.ndarray:
+    """Id 3 of 60 px and n x n cells with some (row, column), from 0, painted black."""
     ahead = np.array([np.cos(0.3), np.sin(0.3)])
     right = np.array([-ahead[1], ahead[0]])
     for row, column in cells:
-        middle = PLACES_PX[0] + 60 * ((0.5 - (row + 0.5) / 6) * ahead + ((column + 0.5) / 6 - 0.5) * right)
-        square = corners_of_pose([middle], [0.3], [10.5])[0]
+        middle = PLACES_PX[0] + 60 * ((0.5 - (row + 0.5) / n) * ahead + ((column + 0.5) / n - 0.5) * right)
+        square = corners_of_pose([middle], [0.3], [63 / n])[0]
         cv2.fillPoly(image, [np.rint(square * 16).astype(np.int32)], 30, cv2.LINE_AA, 4)
     return image
 
 
-@pytest.mark.parametrize("count", [1, pytest.param(2, marks=pytest.mark.slow)])
-def test_wrong_bits_which_and_how_many(draw, count) -> None:
+@pytest.mark.parametrize(
+    ("count", "dictionary"), [(1, DICTIONARY), (1, WIDE), pytest.param(2, DICTIONARY, marks=pytest.mark.slow)]
+)
+def test_wrong_bits_which_and_how_many(draw, count, dictionary) -> None:
     """White cells of id 3 painted over: it is still most like id 3, and these cells are named."""
-    cells = np.argwhere(marker_cells(DICTIONARY, 3))[:count]
-    (r,) = likely(painted_over(draw(60), cells))
+    cells, n = np.argwhere(marker_cells(dictionary, 3))[:count], cells_per_side(dictionary)
+    (r,) = likely(painted_over(draw(60, dictionary=dictionary), cells, n), dictionary)
     assert np.linalg.norm(r.center_px - PLACES_PX[0]) < 10
     assert (r.reason, r.reading.nearest_id, r.measured.value) == (Reason.WRONG_BITS, 3, count)
     assert r.reading.wrong_cells == tuple((row + 1, column + 1) for row, column in cells.tolist())
     named = ", ".join(f"{row + 1}.{column + 1}" for row, column in cells.tolist())
-    assert f"{count} of 36 cells" in r.words and "id 3" in r.words and f"(row.column {named})" in r.words
+    assert f"{count} of {n * n} cells" in r.words and "id 3" in r.words and f"(row.column {named})" in r.words
 
 
 def test_a_corner_that_is_covered(draw) -> None:

@@ -73,7 +73,7 @@ def _as_rows(is_sent: BoolArray, ids: IntArray, distances: Array) -> tuple[IntAr
     neighbor_ids = np.full((len(is_sent), width), -1, dtype=np.int64)
     neighbor_distances = np.zeros((len(is_sent), width))
     filled = np.arange(width) < counts[:, None]
-    neighbor_ids[filled] = np.broadcast_to(ids, is_sent.shape)[is_sent]
+    neighbor_ids[filled] = ids[np.nonzero(is_sent)[1]]
     neighbor_distances[filled] = distances[is_sent]
     return neighbor_ids, neighbor_distances
 

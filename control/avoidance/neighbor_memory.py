@@ -5,7 +5,7 @@ from collections import deque
 import numpy as np
 
 from skyherd.geometry import Array, BoolArray, IntArray, wrap_angle
-from skyherd.messages import TIME_TOLERANCE_S, Proximity, rows_of
+from skyherd.messages import TIME_TOLERANCE_S, Proximity, find_rows
 
 
 class NeighborMemory:
@@ -54,17 +54,21 @@ class NeighborMemory:
                 them knows it; 0 if None.
         """
         arrived = np.ones(len(message), dtype=bool) if received is None else received
-        rows = rows_of(self.ids, np.intersect1d(message.ids[arrived], self.ids))
+        rows, is_robot = find_rows(self.ids, message.ids)
+        columns, is_body = find_rows(self.other_ids, message.ids)
+        rows, columns = rows[arrived & is_robot], columns[is_body]
         now = rows[self.seen_s[rows] <= message.time_s]
         self.seen_s[now], self.horizon_sides[now] = message.time_s, message.horizon_sides
-        columns = rows_of(self.other_ids, np.intersect1d(message.ids, self.other_ids))
         block = np.ix_(rows, columns)
-        self.imaged_s[block] = np.where(self.imaged_s[block] <= message.time_s, -np.inf, self.imaged_s[block])
-        usable = np.isin(message.robot_ids, self.ids[rows]) & np.isin(message.other_ids, self.other_ids)
-        robot = rows_of(self.ids, message.robot_ids[usable])
-        other = rows_of(self.other_ids, message.other_ids[usable])
+        before_s = self.imaged_s[block]
+        self.imaged_s[block] = np.where(before_s <= message.time_s, -np.inf, before_s)
+        hears = np.zeros(self.ids.size, dtype=bool)
+        hears[rows] = True
+        robot, is_robot = find_rows(self.ids, message.robot_ids)
+        other, is_body = find_rows(self.other_ids, message.other_ids)
         newer = self.imaged_s[robot, other] <= message.time_s
-        pair, row = (robot[newer], other[newer]), np.flatnonzero(usable)[newer]
+        row = np.flatnonzero(is_robot & hears[robot] & is_body & newer)
+        pair = robot[row], other[row]
         self.distances_sides[pair] = message.distances_sides[row]
         self.reaches_sides[pair] = message.reaches_sides[row]
         self.shares[pair] = message.shares[row]

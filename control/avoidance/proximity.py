@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from skyherd.geometry import IntArray, to_complex, wrap_angle
-from skyherd.messages import Detections, Proximity
+from skyherd.messages import Detections, Proximity, among
 from skyherd.messages.checks import check_numbers
 
 
@@ -45,9 +45,10 @@ def proximity(detections: Detections, team_ids: IntArray, rule: BodyRule) -> Pro
         team_ids: (N,) the robots.
         rule: radii, margin and horizon.
     """
-    bodies = detections.select(np.union1d(team_ids, np.array(list(rule.obstacles), dtype=np.int64)))
+    team = frozenset(team_ids.tolist())
+    bodies = detections.select(team | rule.obstacles.keys())
     points, sides = to_complex(bodies.centers_px), bodies.sides_px
-    is_robot = np.isin(bodies.ids, team_ids)
+    is_robot = among(bodies.ids, team)
     radii = np.array([rule.obstacles.get(body, rule.radius_sides) for body in bodies.ids.tolist()])
     offsets = points[None, :] - points[:, None]
     distances = np.abs(offsets) / ((sides[None, :] + sides[:, None]) / 2)

@@ -53,7 +53,7 @@ class ImageMemory:
         self.centers_px.clear()
         while reports:
             placed, reports = self._place_reported(reports, in_view)
-            if not placed:
+            if not (placed and reports):
                 break
             in_view[self.rows(np.concatenate([report.ids for report in placed]))] = True
 
@@ -93,7 +93,7 @@ class ImageMemory:
 
     def rows(self, ids: IntArray) -> IntArray:
         """Rows of robots, all of the team."""
-        return np.asarray(np.searchsorted(self.template.ids, ids), dtype=np.int64)
+        return np.asarray(self.template.ids.searchsorted(ids), dtype=np.int64)
 
     def centred(self, ids: IntArray, image_size_px: Array) -> Array:
         """(M, 2) points, from the image centre in half images, of those of the robots that have a place."""

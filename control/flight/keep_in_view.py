@@ -115,7 +115,7 @@ class KeepInView(FlightLaw):
         excess = _farthest(points) - self.desired_radius
         if not controlled.size or not self.memory.known[self.memory.rows(controlled)].all():
             excess = max(excess, self.desired_radius / 2)
-        excess -= float(np.clip(excess, -self.dead_band, self.dead_band))
+        excess -= min(max(excess, -self.dead_band), self.dead_band)
         is_at_ceiling = excess > self._room and self._room < CEILING
         wanted = self._patrol(seen, np.union1d(controlled, task.sought_ids)) if is_at_ceiling else None
         excess = min(excess, self._room)

@@ -85,7 +85,7 @@ def fit_similarity(template: ComplexArray, current: ComplexArray) -> Similarity:
     """
     if template.size != current.size or template.size < 2:
         raise DegenerateSetError(f"{current.size} points define no similarity; at least two are needed")
-    source, target = template.mean(), current.mean()
+    source, target = template.sum() / template.size, current.sum() / current.size
     template_c, current_c = template - source, current - target
     spread = np.vdot(template_c, template_c).real
     if spread <= (COINCIDENT * np.abs(template).max()) ** 2 * template.size:
@@ -115,8 +115,8 @@ def fit_goals(template: ComplexArray, current: ComplexArray) -> Similarity:
         best = fit_similarity(template, current)
     except SingularSetError:
         best = Similarity(0j, complex(template.mean()), complex(current.mean()))
-    spreads = (float(np.linalg.norm(points - points.mean())) for points in (current, template))
-    least = LEAST_SHARE * next(spreads) / next(spreads)
+    spread = float(np.linalg.norm(current - best.target))
+    least = LEAST_SHARE * spread / float(np.linalg.norm(template - best.source))
     if best.scale >= least:
         return best
     direction = best.factor / best.scale if best.scale else 1.0
@@ -162,8 +162,8 @@ def fit_similarities(
     def total(values: Array) -> Array:
         return np.asarray(np.bincount(group, weights=values, minlength=groups), dtype=float)
 
-    def mean(points: ComplexArray) -> ComplexArray:
-        return np.asarray((total(points.real) + 1j * total(points.imag)) / np.maximum(sizes, 1))
+    def complex_total(points: ComplexArray) -> ComplexArray:
+        return np.asarray(total(points.real) + 1j * total(points.imag))
 
     def largest(points: ComplexArray) -> Array:
         most = np.zeros(groups)
@@ -171,15 +171,16 @@ def fit_similarities(
         return most
 
     sizes = np.bincount(group, minlength=groups)
-    sources, targets = mean(template), mean(current)
+    counts = np.maximum(sizes, 1)
+    sources, targets = complex_total(template) / counts, complex_total(current) / counts
     template_c, current_c = template - sources[group], current - targets[group]
-    product = template_c.conj() * current_c
+    product = complex_total(template_c.conj() * current_c)
     spread = total(template_c.real**2 + template_c.imag**2)
-    explained = total(product.real) ** 2 + total(product.imag) ** 2
+    explained = product.real**2 + product.imag**2
     exist = (sizes >= 2) & (spread > (COINCIDENT * largest(template)) ** 2 * sizes)
     exist &= largest(current_c) > COINCIDENT * largest(current)
     exist &= explained > VANISHING**2 * spread * total(current_c.real**2 + current_c.imag**2)
-    factors = (total(product.real) + 1j * total(product.imag)) / np.where(exist, spread, 1.0)
+    factors = product / np.where(exist, spread, 1.0)
     return Similarities(factors=np.where(exist, factors, 0), sources=sources, targets=targets, exist=exist)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from skyherd.errors import MessageError
 from skyherd.geometry import Array, BoolArray, ComplexArray, IntArray
-from skyherd.messages import TIME_TOLERANCE_S, MotionGoals, rows_of
+from skyherd.messages import TIME_TOLERANCE_S, MotionGoals, find_rows, rows_of
 from skyherd.messages.checks import check_ids, check_numbers
 
 
@@ -81,9 +81,10 @@ class GoalInboxes:
         if not self.squares_px2.size:
             return
         self.squares_px2[unit, robots] = 0.0
-        row, column = np.nonzero(np.isin(goals.neighbor_ids[rows], self.ids))
-        neighbors = rows_of(self.ids, goals.neighbor_ids[rows][row, column])
-        self.squares_px2[unit, robots[row], neighbors] = goals.neighbor_distances_px[rows][row, column] ** 2
+        neighbors, known = find_rows(self.ids, goals.neighbor_ids[rows])
+        row, column = np.nonzero(known)
+        distances_px = goals.neighbor_distances_px[rows][row, column]
+        self.squares_px2[unit, robots[row], neighbors[row, column]] = distances_px**2
 
     def fresh(self, time_s: float) -> BoolArray:
         """(U, N) mask of the goals that are young enough to be followed at `time_s`."""

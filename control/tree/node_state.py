@@ -2,9 +2,9 @@
 
 from collections.abc import Mapping
 from collections.abc import Set as AbstractSet
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Literal, TypedDict
+from typing import Any, Literal, TypedDict
 
 import numpy as np
 
@@ -152,6 +152,11 @@ class NodeState:
     def offered(self, but: int = NO_ID) -> Robots:
         """Robots promised to neighbours, but for those promised to the unit `but`."""
         return NO_ROBOTS.union(*(edge.offered for unit, edge in self.edges.items() if unit != but))
+
+    def after(self, changes: "Changes") -> "NodeState":
+        """The state with new values of some fields; this very one if they are as before, as mostly."""
+        new: dict[str, Any] = {name: value for name, value in changes.items() if value != getattr(self, name)}
+        return replace(self, **new) if new else self
 
     def unseen_s(self, robot: int, time_s: float) -> float:
         """How long a robot has not been seen; counted from when it was first missed if it never was."""

@@ -33,10 +33,10 @@ def receive_turns(state: NodeState, now: Situation) -> Changes:
 
 def _begun(edge: Edge, peer: PeerReport, now: Situation) -> Edge:
     """The edge with the lower unit's first turn if both ends wait for the other's; else as it is."""
-    status = edge_status(peer.report, now.unit_id)
-    if status is None or not (edge.pair and status.pair) or now.unit_id > edge.neighbor_id:
+    if edge.turn != NO_TURN or not edge.pair or now.unit_id > edge.neighbor_id:
         return edge
-    if edge.turn != NO_TURN or status.turn != NO_TURN:
+    status = edge_status(peer.report, now.unit_id)
+    if status is None or not status.pair or status.turn != NO_TURN:
         return edge
     return replace(edge, turn=first_turn(now.time_s, now.unit_id, edge.neighbor_id))
 
@@ -53,16 +53,16 @@ def use_turns(state: NodeState, now: Situation) -> Changes:
         edge = state.edges[neighbor]
         if not edge.is_my_turn:
             continue
-        at_hand = (now.slot, edge.reach)
+        at_hand, wants = (now.slot, edge.reach), edge.wants
         if now.at_slot or edge.considered != at_hand:
             pair = _better_pair(state, now, edge)
             if now.at_slot and pair is not None:
                 state = _exchanged(state, now, edge, pair)
                 edge = state.edges[neighbor]
-            edge = replace(edge, wants=pair is not None and not now.at_slot)
-        edge = replace(edge, considered=at_hand)
-        if not edge.wants:
-            offered = offerable(_with_edge(state, edge), now, neighbor)
+            wants = pair is not None and not now.at_slot
+        edge = replace(edge, considered=at_hand, wants=wants)
+        if not wants:
+            offered = offerable(state, now, neighbor)
             edge = edge.handed_over(offered, _to_release(now, edge, offered))
         state = _with_edge(state, edge)
     return Changes(edges=state.edges, tree_id=state.tree_id, ready=state.ready, asks_id=state.asks_id)

@@ -18,6 +18,7 @@ from skyherd.control.topology.convergence_rate import pair_rates
 from skyherd.control.tree.edge import NO_ROBOTS, Robots
 from skyherd.control.tree.node_state import Share
 from skyherd.geometry import Array, IntArray
+from skyherd.messages import among
 
 LEAST_DISTANCE = 1e-9
 """Sums of distances, in half images, are held above this, since two robots may lie exactly at the image
@@ -61,8 +62,8 @@ def choose_pair(
         return None
     pairs = np.array(list(combinations(robots, 2)), dtype=np.int64)
     merit = _leverage(template, pairs, theirs, ours) if share == "leverage" else _nearness(pairs, distances)
-    moved = np.isin(pairs, list(to_take)).sum(axis=1)
-    moved += _count_left(pairs, to_leave)
+    moved = _count_in(pairs, to_take)
+    moved += len(to_leave) - _count_in(pairs, to_leave)
     best = int(np.lexsort((-merit, -moved))[0])
     if not merit[best] > 0:
         return None
@@ -114,7 +115,6 @@ def _nearness(pairs: IntArray, distances: Mapping[int, float]) -> Array:
     return 1 / np.maximum(total, LEAST_DISTANCE)
 
 
-def _count_left(pairs: IntArray, to_leave: Robots) -> IntArray:
-    """How many of the robots `to_leave` each pair does not contain, and so leaves to the neighbour."""
-    members = np.isin(pairs, sorted(to_leave)).sum(axis=1)
-    return np.asarray(len(to_leave) - members, dtype=np.int64)
+def _count_in(pairs: IntArray, robots: Robots) -> IntArray:
+    """(P,) how many of the robots each of the pairs (P, 2) contains."""
+    return np.asarray(among(pairs, robots).sum(axis=1))

@@ -29,7 +29,7 @@ and returns what is to change; `TreeProtocol.choose` applies the rules in the or
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -123,8 +123,7 @@ class TreeProtocol(SelectionPolicy):
         """Apply all rules to one image and to the reports received."""
         now = self._situation(seen, reports, shape)
         for transition, _ in self.rules:
-            if changes := transition(self.state, now):  # most change nothing
-                self.state = replace(self.state, **changes)
+            self.state = self.state.after(transition(self.state, now))
         state = self.state
         return Selection(
             controlled_ids=_ascending(state.controlled),

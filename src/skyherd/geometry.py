@@ -52,7 +52,9 @@ def to_complex(points: npt.ArrayLike) -> ComplexArray:
 def to_points(z: npt.ArrayLike) -> Array:
     """Complex numbers (...) as points (..., 2): the inverse of `to_complex`."""
     z = np.asarray(z, dtype=complex)
-    return np.stack([z.real, z.imag], axis=-1)
+    points = np.empty((*z.shape, 2))
+    points[..., 0], points[..., 1] = z.real, z.imag
+    return points
 
 
 def apply_homography(homography: Array, points: npt.ArrayLike) -> Array:

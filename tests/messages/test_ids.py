@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from skyherd.errors import MessageError
-from skyherd.messages import rows_of
+from skyherd.messages import among, find_rows, rows_of
 
 IDS = np.array([2, 5, 9])
 
@@ -13,6 +13,24 @@ def test_rows_are_where_the_ids_are() -> None:
     assert rows_of(IDS, [9, 2, 9, 5]).tolist() == [2, 0, 2, 1]
     assert int(rows_of(IDS, 5)) == 1
     assert rows_of(IDS, []).tolist() == rows_of(IDS[:0], []).tolist() == []
+
+
+def test_rows_are_found_for_ids_of_any_shape_and_absent_ones_are_marked() -> None:
+    """As a walk through the list finds them; the rows of absent ids are indices as well."""
+    wanted = np.array([[9, 1, 5], [3, 10, 2]])
+    rows, found = find_rows(IDS, wanted)
+    assert found.tolist() == [[wish in IDS.tolist() for wish in line] for line in wanted.tolist()]
+    assert IDS[rows[found]].tolist() == wanted[found].tolist()
+    assert ((rows >= 0) & (rows < IDS.size)).all()
+    assert not find_rows(IDS[:0], wanted)[1].any()
+
+
+@pytest.mark.parametrize("shape", [(0,), (6,), (3, 2), (0, 2)])
+def test_members_are_those_that_numpy_finds(shape: tuple[int, ...]) -> None:
+    ids = np.random.default_rng(3).integers(0, 12, shape)
+    for members in ([], [9], IDS.tolist()):
+        for given in (members, frozenset(members), np.array(members, dtype=np.int64)):
+            np.testing.assert_array_equal(among(ids, given), np.isin(ids, members), strict=True)
 
 
 @pytest.mark.parametrize("absent", [1, 3, 7, 10])

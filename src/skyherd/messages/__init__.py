@@ -7,7 +7,7 @@ y left, angles counter-clockwise. Units are in the names.
 from skyherd.messages.commands import FlightCommand, VelocityCommand
 from skyherd.messages.detections import Detections, centred
 from skyherd.messages.goals import MotionGoals, RobotGoal
-from skyherd.messages.ids import NO_ID, among, rows_of
+from skyherd.messages.ids import NO_ID, among, find_rows, rows_of
 from skyherd.messages.proximity import Proximity
 from skyherd.messages.reports import UnitReport, shared_ids
 from skyherd.messages.role_map import RoleMap
@@ -29,6 +29,7 @@ __all__ = [
     "VelocityCommand",
     "among",
     "centred",
+    "find_rows",
     "rows_of",
     "shared_ids",
 ]

@@ -104,4 +104,4 @@ def centred(points_px: Array, image_size_px: Array) -> Array:
         points_px: (N, 2) image points.
         image_size_px: (2,) width and height of the image.
     """
-    return np.asarray((points_px - (image_size_px - 1) / 2) / (image_size_px.min() / 2))
+    return np.asarray((points_px - (image_size_px - 1) / 2) / (min(image_size_px.tolist()) / 2))

@@ -62,12 +62,12 @@ def freeze_ids(owner: object, name: str, *, repeats: bool = False) -> int:
             does not allow it.
     """
     freeze(owner, name, (np.size(getattr(owner, name)),), integer=True)
-    ids = getattr(owner, name)
-    if not repeats and len(set(ids.tolist())) != ids.size:
-        raise MessageError(f"{type(owner).__name__}.{name}: repeated id in {shown(ids.tolist())}")
-    if (ids < 0).any():
-        raise MessageError(f"{type(owner).__name__}.{name}: negative id in {shown(ids.tolist())}")
-    return int(ids.size)
+    ids = getattr(owner, name).tolist()
+    if not repeats and len(set(ids)) != len(ids):
+        raise MessageError(f"{type(owner).__name__}.{name}: repeated id in {shown(ids)}")
+    if min(ids, default=0) < 0:
+        raise MessageError(f"{type(owner).__name__}.{name}: negative id in {shown(ids)}")
+    return len(ids)
 
 
 def freeze_image_size(owner: object) -> None:

@@ -326,6 +326,18 @@ def test_how_long_a_robot_has_not_been_seen():
     assert [state.unseen_s(robot, 10.0) for robot in (1, 2, 3)] == [6.0, 3.0, 0.0]
 
 
+def test_a_state_in_which_nothing_changed_is_the_very_same_and_any_other_is_a_new_one():
+    """What was computed of the old state, such as the robots controlled, is not taken over by the new one."""
+    edge = Edge(1, 2, 0.0, pair=robots(4, 5))
+    state = NodeState(own=robots(1), edges={2: edge}, held_s={1: 3.0})
+    assert state.controlled == robots(1, 4, 5)
+    assert state.after({}) is state
+    assert state.after({"own": robots(1), "edges": {2: replace(edge)}, "minority_s": np.inf}) is state
+    for changes in ({"edges": {}}, {"own": robots(1, 2)}, {"held_s": {1: 4.0}}, {"ready": True}):
+        assert state.after({"slot": -1, **changes}) == replace(state, **changes) != state
+    assert state.after({"edges": {}}).controlled == robots(1)
+
+
 def test_what_is_controlled_or_claimed_is_no_orphan():
     """Robots 1 and 2 are in a pair, 3 is the unit's own, 4 is another's: 5 alone is nobody's."""
     edge = Edge(0, 7, 0.0, turn=1, pair=robots(1, 2))

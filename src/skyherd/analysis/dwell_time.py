@@ -1,4 +1,4 @@
-"""How long a run's topologies lasted, beside the average dwell time τ_d that the paper's Proposition 1 asks for.
+"""How long a run's topologies lasted, beside the average dwell time τ_d of the paper's Proposition 1.
 
 The proposition says that a finite τ_d exists, and rests on two things: V_p <= μ V_q for any two topologies p
 and q at the same positions (eq. 15), and that V_p falls while p lasts. If it does so at a rate λ_0 or faster,
@@ -19,8 +19,8 @@ Two pairs of μ and λ_0 are had here, and neither is a proof for the run's robo
   straight to their goals at one gain; robots at their limit of speed are slower.
 
 Counted are the steps from when robots may move at which the shape error is not below its goal: in the shape
-noise and the stop threshold decide what V does. Topologies without TC1 or TC2 have no μ, since their V vanishes
-for wrong shapes too: changes from and to them count as changes and not in μ. New roles and new shapes end a
+noise and the stop threshold decide what V does. Topologies without TC1 or TC2 have no μ, since V is 0 for
+wrong shapes too: changes from and to them count as changes and not in μ. New roles and new shapes end a
 stretch of V; they are no changes of the topology.
 """
 
@@ -52,8 +52,8 @@ class DwellTime:
         switch_ratio: μ as measured, V after over V before at the change that raised it most; below 1 if V
             fell at all of them, None without a change between topologies that satisfy TC1 and TC2.
         decay_ps: λ_0 as measured, 1/s; negative if V rose between two changes.
-        needed_s: τ_d of both, an estimate. 0 if V rose at no change: then no dwell time is needed. None
-            without a change, where Theorem 1 holds and nothing is to be asked, or if V did not fall somewhere.
+        needed_s: τ_d of both, an estimate. 0 if V rose at no change: then any dwell time is enough. None
+            without a change, where Theorem 1 holds and nothing is asked, or if V did not fall somewhere.
         bound_s: τ_d of the linear model, for any positions. None without a change, and for gains in pixels or
             laws other than the paper's, of which no rate is known.
     """
@@ -106,7 +106,7 @@ def estimate_dwell_time(history: History) -> DwellTime:
 
 
 def _dwell_s(ratio: float | None, rate_ps: float | None) -> float | None:
-    """ln μ / λ_0, 0 for μ below 1; None if either is not known, or V does not fall."""
+    """The dwell time ln μ / λ_0, 0 for μ below 1; None if either is not known, or V does not fall."""
     if ratio is None or rate_ps is None or rate_ps <= 0:
         return None
     return float(np.log(max(ratio, 1.0))) / rate_ps

@@ -177,7 +177,7 @@ def test_robots_come_to_rest_far_from_the_shape_where_the_threshold_is_large() -
 
 
 def test_the_bound_is_reached_within_a_hundredth() -> None:
-    """Robots at a vector a hundredth above the threshold: (g - b) / λ is their way, (g² - b²) / (2 λ b) the bound.
+    """Vectors a hundredth above the threshold: (g - b) / λ is a robot's way, (g² - b²) / (2 λ b) the bound.
 
     One unit, and errors that all have the same length: six robots off a hexagon by a mode of its own.
     """

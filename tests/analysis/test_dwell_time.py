@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.linalg import eigh, expm
 
+from skyherd.analysis import dwell_time
 from skyherd.analysis.dwell_time import DwellTime, estimate_dwell_time
 from skyherd.analysis.history import History, make_history
 from skyherd.control import laplacian
@@ -229,6 +230,14 @@ def test_other_laws_have_no_bound(base: History, setting: str) -> None:
         base, mission=replace(base.mission, scenario=scenario.model_copy(update={"control": control}))
     )
     history = flown(other, 2)
+    assert estimate_dwell_time(history).bound_s is None
+    assert estimate_dwell_time(history).needed_s is not None
+
+
+def test_so_many_robots_have_no_bound(base: History, monkeypatch: pytest.MonkeyPatch) -> None:
+    history = flown(base, 2)
+    assert estimate_dwell_time(history).bound_s is not None
+    monkeypatch.setattr(dwell_time, "MOST_ROBOTS", 15)
     assert estimate_dwell_time(history).bound_s is None
     assert estimate_dwell_time(history).needed_s is not None
 

@@ -69,8 +69,8 @@ def test_fig_4_at_the_papers_pace(ideal_triangle, load_benchmark) -> None:
 
 
 COST_ERROR_M2 = 2.1
-"""Error of V at the start of Fig. 5. Derived: V's gradient is no longer than sqrt(6 V) where no robot has more
-than three units, and errors of 0.06 m along x and y at each robot are worth sqrt(6 * 197) * 0.06."""
+"""Error of V at the start of Fig. 5. Derived: V's gradient is no longer than sqrt(6 V) where no robot has
+more than three units, and errors of 0.06 m along x and y at each robot are worth sqrt(6 * 197) * 0.06."""
 
 
 def test_fig_5_begins_with_the_published_cost(load_benchmark) -> None:

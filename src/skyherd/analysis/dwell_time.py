@@ -40,7 +40,7 @@ LEAST_RATE = 1e-9
 """A third eigenvalue of L below this is zero, and the shape free. Derived: above rounding, 1e-15 a robot."""
 
 MOST_ROBOTS = 200
-"""Most robots of which the bound is worked out. Chosen: the eigenvalues of one change then take a hundredth of
+"""Most robots of which the bound is worked out. Chosen: the eigenvalues of a change then take a hundredth of
 a second, and their time grows with the third power."""
 
 

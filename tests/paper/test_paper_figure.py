@@ -1,10 +1,16 @@
-"""The paper's Fig. 4 (TCST 2019) comes back, on ideal and rendered images; the same seed does the same."""
+"""The paper's Fig. 4 (TCST 2019) comes back, on ideal and rendered images; the same seed does the same.
+
+Of Fig. 5 the cost at the start does, with one threshold for all cameras.
+"""
+
+from itertools import permutations
 
 import numpy as np
 import pytest
 
-from skyherd.datasets import make_mission
+from skyherd.datasets import load_mission, make_mission
 from skyherd.loop import Step, run_steps
+from skyherd.sim.truth_metrics import TruthObserver
 
 PUBLISHED_END_M = np.array(
     [[1.280, 3.926], [-1.475, 4.744], [-0.807, 1.956], [-0.150, -0.843], [1.937, 1.127], [4.035, 3.097]]
@@ -43,6 +49,58 @@ def test_fig_4_comes_back(ideal_triangle, scenario_tree, perception, step_s, all
     assert last.metrics.shape.error < 0.01
     # One unit holds all six from first to last: the figure has no switches.
     assert all(step.control_sets[0].tolist() == list(range(6)) for step in steps)
+
+
+def test_fig_4_at_the_papers_pace(ideal_triangle, load_benchmark) -> None:
+    """Gains an eighth of the scenario's give the same ways in eight times the time, all speeds an eighth.
+
+    The published plots: |v| below 0.05 m/s, close enough to it for the axis to end there, and V near 0 after
+    200 s: below the width of a line, a hundredth of the plot's height.
+    """
+    figures = load_benchmark("paper_figures")
+    told, pace = figures.PUBLISHED["figure4"], figures.PACE
+    fastest_mps = max(np.abs(step.command.v_mps).max() for step in ideal_triangle) / pace
+    assert 0.9 * told["speed_below_mps"] < fastest_mps < told["speed_below_mps"]
+    formed = next(step for step in ideal_triangle if step.time_s * pace >= told["formed_s"])
+    assert formed.metrics.V / told["V_start_m2"] < 0.01
+    scaled = figures.figure4_mission().scenario
+    assert scaled.control.k * pace == pytest.approx(0.1)
+    assert scaled.control.k_omega / scaled.control.k == pytest.approx(4.0)
+
+
+COST_ERROR_M2 = 2.1
+"""Error of V at the start of Fig. 5. Derived: V's gradient is no longer than sqrt(6 V) where no robot has
+more than three units, and errors of 0.06 m along x and y at each robot are worth sqrt(6 * 197) * 0.06."""
+
+
+def test_fig_5_begins_with_the_published_cost(load_benchmark) -> None:
+    """From the published places and heights, by one threshold: sets of 7, 9 and 6 robots."""
+    figures = load_benchmark("paper_figures")
+    first = next(iter(run_steps(figures.figure5_mission("radius"))))
+    told = figures.PUBLISHED["figure5"]
+    assert [first.control_sets[unit].size for unit in range(3)] == [7, 9, 6]
+    assert first.metrics.conditions.in_q
+    assert pytest.approx(told["V_start_m2"], abs=COST_ERROR_M2) == first.metrics.V
+    assert sorted(first.fleet.heights_m) == told["camera_heights_m"]
+
+
+def test_one_order_of_the_heights_gives_the_published_cost_by_one_threshold(load_benchmark) -> None:
+    """All orders of the three heights, all thresholds up to the whole view: sets with TC1 and TC2."""
+    figures, mission = load_benchmark("paper_figures"), load_mission("star")
+    told, observer = figures.PUBLISHED["figure5"], TruthObserver(mission.template, mission.ids)
+    starts_m = np.array(told["camera_starts_m"])
+    away_m = np.linalg.norm(mission.positions_m[None] - starts_m[:, None], axis=2)
+    found = []
+    for heights_m in permutations(told["camera_heights_m"]):
+        views = away_m / (heights_m * np.tan(np.radians(told["half_angles_deg"])))[:, None]
+        for threshold in np.unique(views[views <= 1]):
+            sets = {unit: mission.ids[view <= threshold] for unit, view in enumerate(views)}
+            if all(members.size > 2 for members in sets.values()):
+                seen = observer.observe(mission.positions_m, sets)
+                if seen.conditions.in_q and abs(seen.V - told["V_start_m2"]) < COST_ERROR_M2:
+                    found.append((heights_m, round(float(threshold), 3)))
+    assert found == [(figures.HEIGHTS_M, 0.755)]
+    assert 0.755 < figures.THRESHOLD < 0.758
 
 
 def fingerprint(tree: dict) -> list[np.ndarray]:

@@ -157,6 +157,8 @@ def test_numbers(value: float, text: str) -> None:
     [
         (Field("x", "x", "m"), None, "not known"),
         (Field("x", "x", "m"), float("nan"), "not known"),
+        (Field("x", "x", absent="no change"), None, "no change"),
+        (Field("x", "x", absent="no change"), float("nan"), "not known"),
         (Field("x", "x"), True, "yes"),
         (Field("x", "x", "m²"), 2.5, "2.5 m²"),
         (Field("x", "x", kind="angle"), -np.pi / 2, "−90.0° (−1.571 rad)"),

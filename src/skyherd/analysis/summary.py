@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.distance import pdist
 
+from skyherd.analysis.dwell_time import estimate_dwell_time
 from skyherd.analysis.history import History
 from skyherd.analysis.shortest_paths import shortest_path
 from skyherd.datasets import Scenario
@@ -107,6 +108,20 @@ def _topology(history: History) -> dict[str, Any]:
         "topology_changes": int(switches.sum()),
         "p_violation_s": float((~counted.all(axis=1)).sum() * step_s),
         **{f"tc{number}_violation_s": float(violated_s[number - 1]) for number in range(1, 6)},
+        **_dwell(history),
+    }
+
+
+def _dwell(history: History) -> dict[str, float | None]:
+    """How long topologies lasted, and for how long Proposition 1 asks them to (`analysis/dwell_time.py`)."""
+    dwell = estimate_dwell_time(history)
+    return {
+        "dwell_least_s": dwell.least_s,
+        "dwell_mean_s": dwell.mean_s,
+        "switch_ratio": dwell.switch_ratio,
+        "decay_rate_ps": dwell.decay_ps,
+        "dwell_needed_s": dwell.needed_s,
+        "dwell_bound_s": dwell.bound_s,
     }
 
 

@@ -20,6 +20,7 @@ class Field:
         unit: written behind the value; empty for none.
         meaning: a sentence.
         kind: how the value is written: `plain`, `angle` (degrees and radians), `share` (per cent) or `ids`.
+        absent: text of a value that is None, where that means something else than not known.
     """
 
     key: str
@@ -27,6 +28,7 @@ class Field:
     unit: str = ""
     meaning: str = ""
     kind: str = "plain"
+    absent: str = UNKNOWN
 
 
 TC_MEANINGS = (
@@ -146,6 +148,51 @@ GROUPS: Mapping[str, tuple[Field, ...]] = {
             for number, meaning in enumerate(TC_MEANINGS, 1)
         ),
     ),
+    "Dwell time": (
+        Field(
+            "dwell_least_s",
+            "Shortest topology",
+            "s",
+            "Least time between two changes, while robots were not yet in the shape.",
+            absent="fewer than two changes",
+        ),
+        Field(
+            "dwell_mean_s",
+            "Average dwell time",
+            "s",
+            "Time until the shape was reached, over the changes in it. More than τ_d suffices.",
+            absent="no change",
+        ),
+        Field(
+            "dwell_needed_s",
+            "Dwell time asked for, τ_d",
+            "s",
+            "An estimate, ln μ / λ₀: no longer average is needed (Proposition 1). 0: any will do.",
+            absent="none",
+        ),
+        Field(
+            "switch_ratio",
+            "Rise at a change, μ",
+            "",
+            "The greatest V after over V before, at the same positions. 1 or less: V rose at no change.",
+            absent="no change",
+        ),
+        Field(
+            "decay_rate_ps",
+            "Fall in between, λ₀",
+            "1/s",
+            "The least rate at which V fell while a topology lasted.",
+            absent="V did not fall",
+        ),
+        Field(
+            "dwell_bound_s",
+            "Bound on τ_d",
+            "s",
+            "For any positions, by the eigenvalues of the topologies that were; for robots that drive "
+            "straight to their goals.",
+            absent="none",
+        ),
+    ),
     TREE: (
         Field("ready_s", "Tree complete", "s", "Robots move from then on; violations count from then on."),
         Field(
@@ -178,8 +225,13 @@ GROUPS: Mapping[str, tuple[Field, ...]] = {
 
 
 def value_text(field: Field, value: object) -> str:
-    """A value with its unit as text, as its field's kind says; `not known` for None, NaN and infinity."""
-    if value is None or (isinstance(value, float) and not isfinite(value)):
+    """A value with its unit as text, as its field's kind says.
+
+    None is what `Field.absent` says, NaN and infinity are `not known`.
+    """
+    if value is None:
+        return field.absent
+    if isinstance(value, float) and not isfinite(value):
         return UNKNOWN
     if isinstance(value, bool):
         return "yes" if value else "no"

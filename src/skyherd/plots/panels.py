@@ -120,6 +120,13 @@ PANELS: tuple[Panel[History], ...] = (
         maps.draw_template,
     ),
     Panel(
+        "graph",
+        "Units and what they share",
+        "The topology at the end, on the ground: thin lines from each unit to the robots that it controls, "
+        "thick ones between units that share two or more; shared robots have a ring for each of their units.",
+        draw_graph,
+    ),
+    Panel(
         "yaws",
         "Camera rotation",
         "Yaw of every camera, counter-clockwise seen from above.",
@@ -138,13 +145,6 @@ PANELS: tuple[Panel[History], ...] = (
         "conditions TC1-TC5 hold; of a tree of units, when each belonged to it. TC1 and TC2 suffice for "
         "convergence from nearby; all five, from anywhere.",
         draw_topology,
-    ),
-    Panel(
-        "graph",
-        "Units and what they share",
-        "The topology at the end, on the ground: thin lines from each unit to the robots that it controls, "
-        "thick ones between units that share two or more; shared robots have a ring for each of their units.",
-        draw_graph,
     ),
 )
 """The figures of a run's page, in the order shown."""

@@ -32,6 +32,9 @@ SHOWN_REASON = 160
 MALFORMED_RECORDS = (*MALFORMED, TypeError, AttributeError, IndexError, FloatingPointError)
 """What reading a record raises that is not of the form that this version writes."""
 
+VERSIONS = {"skyherd": "version", "opencv": "opencv", "numpy": "numpy"}
+"""What made a recording, by name, and where the record of the mission has its version."""
+
 
 @dataclass(frozen=True)
 class Recording:
@@ -90,7 +93,7 @@ def read_recording(path: Path) -> Recording:
                 if topic == "/mission" and mission is None:
                     with _version_checked(path):
                         mission = read_mission(record)
-                        versions = {name: str(record[name]) for name in ("version", "opencv", "numpy")}
+                        versions = {name: str(record[key]) for name, key in VERSIONS.items()}
                 elif topic == "/end":
                     with _version_checked(path):
                         told_steps = int(record["steps"])

@@ -22,7 +22,7 @@ from skyherd.control import (
     fit_similarities,
     fit_similarity,
 )
-from skyherd.geometry import Array, BoolArray, IntArray, to_complex
+from skyherd.geometry import Array, BoolArray, ComplexArray, IntArray, to_complex
 
 
 @dataclass(frozen=True)
@@ -107,6 +107,35 @@ class TruthMetrics:
     min_separation_m: float
 
 
+def _fit_parts(
+    template: ComplexArray, positions: ComplexArray, controlled: BoolArray
+) -> tuple[ComplexArray, Array]:
+    """Factors (U,) of the units' similarities, and V^j (U,), m²; both NaN where there is no similarity."""
+    unit, robot = np.nonzero(controlled)
+    units = len(controlled)
+    partial = fit_similarities(template[robot], positions[robot], group=unit, groups=units)
+    missed = np.abs(partial(template[robot], unit) - positions[robot])
+    costs = np.bincount(unit, weights=missed**2, minlength=units) / 2
+    factors: ComplexArray = np.where(partial.exist, partial.factors, np.nan)
+    return factors, np.where(partial.exist, costs, np.nan)
+
+
+def total_cost(template: ComplexArray, positions: ComplexArray, controlled: BoolArray) -> float:
+    """V, m² (paper, eq. 9), of robots at any positions under any topology, as `TruthMetrics.V` has it.
+
+    Args:
+        template: (N,) template points, complex, x right and y up.
+        positions: (N,) positions of the robots, complex, m.
+        controlled: (U, N) whether each unit controls each robot.
+    """
+    return _summed(_fit_parts(template, positions, controlled)[1])
+
+
+def _summed(costs: Array) -> float:
+    """The sum of those costs (U,) that are not NaN, in the order of the units."""
+    return float(costs[~np.isnan(costs)].sum())
+
+
 class TruthObserver:
     """Computes the metrics of one team at each instant.
 
@@ -139,16 +168,12 @@ class TruthObserver:
         template = self.template_ground if shape is None else shape.points_of(self.ids).conj()
         positions = to_complex(positions_m)
         controlled = control_matrix(sets, self.ids)
-        unit, robot = np.nonzero(controlled)
-        units = len(controlled)
-        partial = fit_similarities(template[robot], positions[robot], group=unit, groups=units)
-        missed = np.abs(partial(template[robot], unit) - positions[robot])
-        costs = np.bincount(unit, weights=missed**2, minlength=units) / 2
+        factors, costs = _fit_parts(template, positions, controlled)
         return TruthMetrics(
-            V=float(costs[partial.exist].sum()),
-            V_units=np.where(partial.exist, costs, np.nan),
-            scales=np.where(partial.exist, np.abs(partial.factors), np.nan),
-            rotations_rad=np.where(partial.exist, np.angle(partial.factors), np.nan),
+            V=_summed(costs),
+            V_units=costs,
+            scales=np.abs(factors),
+            rotations_rad=np.angle(factors),
             conditions=self._checked(np.delete(controlled, list(dead), axis=0)),
             shape=fit_shape(template, positions),
             min_separation_m=_min_separation_m(positions_m),

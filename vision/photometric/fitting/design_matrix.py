@@ -34,6 +34,7 @@ from types import ModuleType
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial import cKDTree
 
 from skyherd.geometry import Array, BoolArray, IntArray
 from skyherd.vision.grey import Image
@@ -168,6 +169,17 @@ class DesignMatrices:
         self.columns *= used[:, None]
         before = np.concatenate([[0], np.cumsum(self.columns[:, BLACK] > 0)])
         self.counts = np.diff(before[self.bounds])
+
+    def away_from(self, outliers: BoolArray, margin_px: Array) -> BoolArray:
+        """Return which pixels (P,) are neither `outliers` (P,) nor within `margin_px` (N,) of one."""
+        away = ~outliers
+        for number, (begin, end) in enumerate(pairwise(self.bounds.tolist())):
+            out = outliers[begin:end]
+            if out.any():
+                own = self.pixels[begin:end]
+                distances, _ = cKDTree(own[out]).query(own)
+                away[begin:end] = distances > margin_px[number]
+        return away
 
     def residuals(self, solutions: Array) -> Floats:
         """Return the weighted residuals (P,), grey levels, of the model at `solutions` (N, 15)."""

@@ -90,6 +90,7 @@ class PixelSamples:
         start: LocalHomographies,
         appearances: MarkerAppearances,
         inlier_limits: tuple[Array, Array] | None = None,
+        margin_px: Array | None = None,
     ) -> None:
         """Read the pixels of the markers `rows` (R,) anew.
 
@@ -100,11 +101,13 @@ class PixelSamples:
             appearances: of all N markers.
             inlier_limits: a solution (N, 15) and limits (N,), grey levels; only pixels whose residual from
                 that solution is below their marker's limit are used. All are if left out.
+            margin_px: (N,) so far about the others no pixel is used either, px; none if left out.
         """
         pixels = DesignMatrices(image, rows, start.take(rows), appearances.take(rows))
         if inlier_limits is not None:
             values, limits = (of_each[rows] for of_each in inlier_limits)
-            pixels.restrict(np.abs(pixels.residuals(values)) < np.repeat(limits, pixels.counts))
+            used = np.abs(pixels.residuals(values)) < np.repeat(limits, pixels.counts)
+            pixels.restrict(used if margin_px is None else pixels.away_from(~used, margin_px[rows]))
         self._grams[rows], self._counts[rows] = pixels.gram_matrices(), pixels.counts
         self._part_of[rows] = len(self._parts)
         self._parts.append(pixels)

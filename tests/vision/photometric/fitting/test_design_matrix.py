@@ -372,3 +372,18 @@ def test_numba_is_not_imported_before_pixels_are_read():
     code = "import sys, skyherd.vision, skyherd.vision.photometric.detector; print('numba' in sys.modules)"
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert said.strip() == "False"
+
+
+def test_pixels_near_outliers_are_those_within_the_margin():
+    """Of two markers that overlap, each with its own outliers: distances one by one."""
+    where = homographies([20 + 20j, 26 + 22j], [14.0, 12.0j])
+    drawn = read(noise_image(1, (50, 50)), where, usual(2))
+    outliers = np.random.default_rng(2).random(len(drawn.columns)) < 0.03
+    margins_px = np.array([1.5, 3.0])
+    away = drawn.away_from(outliers, margins_px)
+    for row in range(2):
+        own = slice(drawn.bounds[row], drawn.bounds[row + 1])
+        pixels, out = drawn.pixels[own].astype(float), outliers[own]
+        assert out.any()
+        distances = np.linalg.norm(pixels[:, None] - pixels[out][None], axis=2).min(axis=1)
+        np.testing.assert_array_equal(away[own], distances > margins_px[row])

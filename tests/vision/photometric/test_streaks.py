@@ -111,8 +111,8 @@ def test_a_steep_tilt_is_as_good_as_reported():
 def test_covariances_hold_outside_of_the_clean_grid(factors):
     """Under streaks, at tilts and covered in part: NEES of 0.8 to 1.25 for both axes and the heading.
 
-    Of 500 markers at least, whose NEES has a standard deviation of 0.06. At 70 degrees an image has four, whose
-    headings all depend on one plane, so that it takes twice as many images: 144, and 0.1.
+    Of 500 markers at least, whose NEES has a standard deviation of 0.06. At 70 degrees an image has four,
+    whose headings all depend on one plane, so that it takes twice as many images: 144, and 0.1.
     """
     cameras = 24 if factors.get("tilt_deg") == 70.0 else 12
     seen = score(31, cameras, 6, **factors)

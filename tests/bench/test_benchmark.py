@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from skyherd.bench.detectors.design import CAMERA_SWEEPS, EMPTY, GRID, SWEEPS, Cell, full_design, quick_design
-from skyherd.bench.detectors.frames import lens_blur, rendered_frames
+from skyherd.bench.detectors.frames import lens_blur, rendered_frames, shrunk
 from skyherd.bench.detectors.page import MARKDOWN, PAGE, write_outputs
 from skyherd.bench.detectors.plots import PLOTS
 from skyherd.bench.detectors.scene import SPEED_PX, TURN_RAD, camera_shots
@@ -507,3 +507,23 @@ def test_what_is_wrong_is_one_line_and_exit_code_2(arguments, words, tmp_path, c
     told = capfd.readouterr()
     assert told.err.count("\n") == 1 and words in told.err
     assert not list((tmp_path / "out").glob("*")) if (tmp_path / "out").exists() else True
+
+
+@pytest.mark.parametrize("shrink", [1.5, 2.0, 2.7])
+def test_a_scalers_box_keeps_light_and_moves_truth_with_it(shrink):
+    """A ramp stays the ramp of the points that truth says, to rounding, but at the image's far ends. Whole
+    factors take means of whole pixels."""
+    values = np.add.outer(np.arange(80) * 0.7, np.arange(110) * 1.2)
+    frame = next(rendered_frames(Cell(cameras=1, frames=1), "4X4_50", 1))
+    ramp = replace(frame, image=np.rint(values).astype(np.uint8), centers_px=np.array([[30.0, 40.0]]))
+    small = shrunk(ramp, shrink)
+    v, u = np.mgrid[: small.image.shape[0] - 2, : small.image.shape[1] - 2]
+    there = ((v + 0.5) * shrink - 0.5) * 0.7 + ((u + 0.5) * shrink - 0.5) * 1.2
+    assert np.abs(small.image[:-2, :-2] - there).max() < 1.1
+    back = (small.centers_px + 0.5) * shrink - 0.5
+    np.testing.assert_allclose(back, [[30.0, 40.0]])
+    np.testing.assert_allclose(small.bounds[:, 0, 0] * shrink**2, ramp.bounds[:, 0, 0])
+    np.testing.assert_allclose(small.bounds[:, 2, 2], ramp.bounds[:, 2, 2])
+    if shrink == 2.0:
+        whole = frame.image.astype(float).reshape(240, 2, 320, 2).mean(axis=(1, 3))
+        np.testing.assert_array_equal(shrunk(frame, 2.0).image, np.rint(whole))

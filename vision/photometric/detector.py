@@ -36,6 +36,7 @@ from skyherd.vision.photometric.image_estimates import ImageEstimates
 from skyherd.vision.photometric.image_noise import image_noise
 from skyherd.vision.photometric.look import Look
 from skyherd.vision.photometric.places import best_of_each_place, elsewhere, on_plane, unambiguous
+from skyherd.vision.photometric.streaks import with_streak
 from skyherd.vision.photometric.tracks import in_view
 from skyherd.vision.photometric.unknown_blur import (
     START_SIGMA_PX,
@@ -147,6 +148,7 @@ class PhotometricDetector:
             MAX_STEPS_FROM_PREDICTION,
         )
         fits, good = accepted(image, self.dictionary, fits, known.plane, start.take(here))
+        fits, good, known.plane = with_streak(image, self.dictionary, fits, good, known.plane)
         return fits.take(good), not (here.all() and good.all())
 
     def looks(self, image: Image) -> tuple[Look, Look]:
@@ -230,6 +232,7 @@ class PhotometricDetector:
         start = on_plane(start, known.plane, image_middle(image))
         fits, known.plane = self._fit_quads(image, known, candidates.ids, start)
         fits, good = accepted(image, self.dictionary, fits, known.plane, start)
+        fits, good, known.plane = with_streak(image, self.dictionary, fits, good, known.plane)
         found = fits.take(good)
         shapes = found.homographies
         good = good.copy()

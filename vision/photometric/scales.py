@@ -37,6 +37,7 @@ def fit_all_sizes(
     *,
     alone: bool = False,
     largest_side_px: float = LARGEST_SIDE_PX,
+    streak_px2: complex | None = None,
 ) -> tuple[FitResults, Plane]:
     """Do as `fit_markers`, with each marker at a resolution that suits it.
 
@@ -46,9 +47,8 @@ def fit_all_sizes(
     sigmas_px = np.broadcast_to(np.asarray(sigma_px, dtype=float), (ids.size,))
     octaves = _octaves(homographies, largest_side_px)
     if not octaves.any():
-        return fit_markers(
-            image, dictionary, ids, homographies, sigma_px, plane, noise, max_steps, alone=alone
-        )
+        given = image, dictionary, ids, homographies, sigma_px, plane, noise, max_steps
+        return fit_markers(*given, alone=alone, streak_px2=streak_px2)
     parts: list[FitResults] = []
     order: list[IntArray] = []
     fitted_plane = plane
@@ -65,6 +65,7 @@ def fit_all_sizes(
             scaled.noise(noise),
             max_steps,
             alone=alone,
+            streak_px2=None if streak_px2 is None else streak_px2 / scaled.shrink**2,
         )
         parts.append(scaled.full_size(fits))
         if len(parts) == 1:

@@ -56,6 +56,7 @@ def fit_any_blur(
     *,
     alone: bool = False,
     largest_side_px: float = LARGEST_SIDE_PX,
+    streak_px2: complex | None = None,
 ) -> tuple[FitResults, Plane]:
     """Fit markers as `fit_all_sizes` does, of which `sigmas_px` is only where the blur begins.
 
@@ -70,12 +71,21 @@ def fit_any_blur(
         max_steps: most steps of the first fit.
         alone: whether each marker has a plane of its own, also if one would explain them all.
         largest_side_px: side from which on markers are fitted in a shrunk image.
+        streak_px2: as of `fit_markers`.
 
     Returns:
         The results in the order of `ids`, and the plane that they put the markers on.
     """
     sigmas_px = np.array(np.broadcast_to(sigmas_px, (ids.size,)), dtype=float)
-    fit = partial(fit_all_sizes, image, dictionary, noise=noise, alone=alone, largest_side_px=largest_side_px)
+    fit = partial(
+        fit_all_sizes,
+        image,
+        dictionary,
+        noise=noise,
+        alone=alone,
+        largest_side_px=largest_side_px,
+        streak_px2=streak_px2,
+    )
     fits, plane = fit(ids, homographies, sigmas_px, plane, max_steps=max_steps)
     for _ in range(BLUR_ROUNDS):
         found_px = _within_limits(fits)

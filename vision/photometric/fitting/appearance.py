@@ -12,6 +12,8 @@ import numpy.typing as npt
 
 from skyherd.geometry import Array, BoolArray, IntArray
 from skyherd.markers.dictionary import card_side, cells_per_side, marker_cells
+from skyherd.vision.photometric.fitting.blur_ellipses import is_steep
+from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
 from skyherd.vision.photometric.fitting.plane import Plane
 
 OUTSIDE_SIGMAS = 2.5
@@ -50,6 +52,8 @@ class MarkerAppearances:
         texture: standard deviation of the ground's texture over that of the noise.
         round_in_image: whether the blur is drawn round in the image, and not in the marker's coordinates; the
             two are the same on a plane that is seen from straight above.
+        streak_px2: by how much the blur differs along the image's axes, the Q of `blur_ellipses`, px². Any
+            number makes all blurs ellipses, zero too; None makes those that a steep tilt makes.
     """
 
     cells: npt.NDArray[np.float32]
@@ -60,6 +64,13 @@ class MarkerAppearances:
     half_card: float
     texture: float
     round_in_image: bool
+    streak_px2: complex | None = None
+
+    def elliptic(self, homographies: LocalHomographies) -> BoolArray:
+        """Return which of N markers, of these homographies, have their blur drawn as an ellipse."""
+        if self.streak_px2 is not None:
+            return np.ones(len(homographies), dtype=bool)
+        return is_steep(homographies) & self.round_in_image
 
     def take(self, rows: IntArray) -> "MarkerAppearances":
         """Return the appearances of the markers at indices `rows` (K,)."""
@@ -74,11 +85,17 @@ class MarkerAppearances:
 
 
 def appearances_of(
-    dictionary: str, ids: IntArray, relative_sigmas: Array, plane: Plane, noise: float
+    dictionary: str,
+    ids: IntArray,
+    relative_sigmas: Array,
+    plane: Plane,
+    noise: float,
+    streak_px2: complex | None = None,
 ) -> MarkerAppearances:
     """Return how markers `ids` (N,) look under blurs (N,), standard deviations in marker sides.
 
     `noise`, the standard deviation of a pixel in grey levels, sets how strongly the ground's texture counts.
+    The blur has a streak if `streak_px2` is given; see the attribute.
 
     Raises:
         InputError: there is no such dictionary, or no marker of such an id in it.
@@ -96,5 +113,6 @@ def appearances_of(
         black_ratios=np.full(ids.size, USUAL_BLACK_RATIO),
         half_card=0.5 + quiet,
         texture=TEXTURE / noise,
-        round_in_image=plane != Plane(),
+        round_in_image=plane != Plane() or streak_px2 is not None,
+        streak_px2=streak_px2,
     )

@@ -19,6 +19,8 @@ Blur that is round in the image is not round in the coordinates of a marker that
 z ↦ z + e z̄ leaves there a blur of variances σ² (1 ∓ 2 e_x) and covariance -2 σ² e_y, to first order, and so
 changes T by `- e_x σ² (T_xx - T_yy) - 2 e_y σ² T_xy`. Towards the horizon the marker shrinks by `w^(-3/2)`
 with `w = 1 + Re(h̄ m z)`, so that the blur grows in its coordinates, and the squeeze changes by `- h m̄ z / 2`.
+Blur that differs more along its directions, at a steep tilt or by a streak, is drawn as what it is
+(`blur_ellipses`, `elliptic_kernel`).
 
 Ground seen through the blur near the card's edge has a texture, which the model does not describe. Pixels are
 therefore weighted by `1 / sqrt(1 + (t (1 - A))²)`, with t the texture's standard deviation over the noise:
@@ -32,10 +34,12 @@ from types import ModuleType
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial import cKDTree
 
 from skyherd.geometry import Array, BoolArray, IntArray
 from skyherd.vision.grey import Image
 from skyherd.vision.photometric.fitting.appearance import MarkerAppearances
+from skyherd.vision.photometric.fitting.blur_ellipses import blur_tables
 from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
 
 Floats = npt.NDArray[np.float32]
@@ -77,6 +81,12 @@ def _kernel() -> ModuleType:
     return import_module("skyherd.vision.photometric.fitting.pixel_kernel")
 
 
+@cache
+def _elliptic_kernel() -> ModuleType:
+    """The loops for blur that differs much along its directions, loaded when a marker has it."""
+    return import_module("skyherd.vision.photometric.fitting.elliptic_kernel")
+
+
 class DesignMatrices:
     """The pixels of some of an image's markers, and the model's columns at them.
 
@@ -88,6 +98,8 @@ class DesignMatrices:
         counts: (N,) number of pixels used of each marker.
         columns: (P, 16) the model's columns and, in column `PIXEL_ROW`, the pixels less `MIDDLE_GREY`, all
             times the pixels' weights; 0 for pixels that are not used.
+        bends: (P, 3) T_xx, T_xy and T_yy times the weights, of markers whose blur is drawn as an ellipse;
+            (0, 3) where there is none.
     """
 
     def __init__(
@@ -107,10 +119,42 @@ class DesignMatrices:
         self.bounds = np.empty(rows.size + 1, dtype=np.int64)
         self.columns = np.empty((size, UNKNOWNS + 1), dtype=np.float32)
         self.places, self.pixels = np.empty((size, 2), dtype=np.float32), np.empty((size, 2), dtype=np.int32)
-        results = self.bounds, self.columns, self.places, self.pixels
-        _kernel().fill(np.ascontiguousarray(image), markers, appearances.cells, appearances.texture, *results)
-        self.columns, self.places, self.pixels = (result[: self.bounds[-1]] for result in results[1:])
+        self.bends = np.zeros((0, 3), dtype=np.float32)
+        image, elliptic = np.ascontiguousarray(image), appearances.elliptic(homographies)
+        if elliptic.any():
+            self._fill_apart(image, markers, homographies, appearances, elliptic)
+        else:
+            results = self.bounds, self.columns, self.places, self.pixels
+            _kernel().fill(image, markers, appearances.cells, appearances.texture, *results)
+        end = self.bounds[-1]
+        self.columns, self.places, self.pixels = self.columns[:end], self.places[:end], self.pixels[:end]
         self.counts = np.diff(self.bounds)
+
+    def _fill_apart(
+        self,
+        image: Image,
+        markers: npt.NDArray[np.void],
+        homographies: LocalHomographies,
+        appearances: MarkerAppearances,
+        elliptic: BoolArray,
+    ) -> None:
+        """Fill in the pixels of markers of which some are `elliptic` (N,), each run of a kind by itself."""
+        self.bends = np.zeros((len(self.columns), 3), dtype=np.float32)
+        tables = blur_tables(homographies, markers["sigma"], appearances.streak_px2 or 0j)
+        markers["lean"] = np.where(elliptic, homographies.leans(), markers["lean"])
+        self.bounds[0] = 0
+        runs = [0, *(np.flatnonzero(np.diff(elliptic)) + 1).tolist(), self.rows.size]
+        for first, end in pairwise(runs):
+            own, begin = slice(first, end), self.bounds[first]
+            cells, texture = appearances.cells[own], appearances.texture
+            bounds = np.empty(end - first + 1, dtype=np.int64)
+            results = bounds, self.columns[begin:], self.places[begin:], self.pixels[begin:]
+            if elliptic[first]:
+                given = markers[own], tables[own], cells, texture
+                _elliptic_kernel().fill(image, *given, *results, self.bends[begin:])
+            else:
+                _kernel().fill(image, markers[own], cells, texture, *results)
+            self.bounds[first : end + 1] = begin + bounds
 
     def gram_matrices(self) -> Floats:
         """Return the inner products (N, 16, 16) of the weighted columns and the pixels."""
@@ -125,6 +169,17 @@ class DesignMatrices:
         self.columns *= used[:, None]
         before = np.concatenate([[0], np.cumsum(self.columns[:, BLACK] > 0)])
         self.counts = np.diff(before[self.bounds])
+
+    def away_from(self, outliers: BoolArray, margin_px: Array) -> BoolArray:
+        """Return which pixels (P,) are neither `outliers` (P,) nor within `margin_px` (N,) of one."""
+        away = ~outliers
+        for number, (begin, end) in enumerate(pairwise(self.bounds.tolist())):
+            out = outliers[begin:end]
+            if out.any():
+                own = self.pixels[begin:end]
+                distances, _ = cKDTree(own[out]).query(own)
+                away[begin:end] = distances > margin_px[number]
+        return away
 
     def residuals(self, solutions: Array) -> Floats:
         """Return the weighted residuals (P,), grey levels, of the model at `solutions` (N, 15)."""

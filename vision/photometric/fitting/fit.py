@@ -90,6 +90,7 @@ class PixelSamples:
         start: LocalHomographies,
         appearances: MarkerAppearances,
         inlier_limits: tuple[Array, Array] | None = None,
+        margin_px: Array | None = None,
     ) -> None:
         """Read the pixels of the markers `rows` (R,) anew.
 
@@ -100,11 +101,13 @@ class PixelSamples:
             appearances: of all N markers.
             inlier_limits: a solution (N, 15) and limits (N,), grey levels; only pixels whose residual from
                 that solution is below their marker's limit are used. All are if left out.
+            margin_px: (N,) so far about the others no pixel is used either, px; none if left out.
         """
         pixels = DesignMatrices(image, rows, start.take(rows), appearances.take(rows))
         if inlier_limits is not None:
             values, limits = (of_each[rows] for of_each in inlier_limits)
-            pixels.restrict(np.abs(pixels.residuals(values)) < np.repeat(limits, pixels.counts))
+            used = np.abs(pixels.residuals(values)) < np.repeat(limits, pixels.counts)
+            pixels.restrict(used if margin_px is None else pixels.away_from(~used, margin_px[rows]))
         self._grams[rows], self._counts[rows] = pixels.gram_matrices(), pixels.counts
         self._part_of[rows] = len(self._parts)
         self._parts.append(pixels)
@@ -176,6 +179,7 @@ def fit_markers(
     max_steps: int = MAX_STEPS,
     *,
     alone: bool = False,
+    streak_px2: complex | None = None,
 ) -> tuple[FitResults, Plane]:
     """Fit markers `ids` (N,) that lie near `homographies`: a pixel or two, or a tenth of a side, away.
 
@@ -193,6 +197,8 @@ def fit_markers(
         noise: standard deviation of a pixel, grey levels, as far as it is known.
         max_steps: most steps taken; a marker that has settled takes no more.
         alone: whether each marker has a plane of its own, also if one would explain them all.
+        streak_px2: by how much the blur differs along the image's axes, the Q of `blur_ellipses`, px²; None
+            for round blur.
 
     Returns:
         The results, in the order of `ids`, and the plane that they put the markers on.
@@ -200,7 +206,7 @@ def fit_markers(
     middle = image_middle(image)
     sides_px = homographies.sides_px()
     blurs = homographies.blurs(sigma_px)
-    appearances = appearances_of(dictionary, ids, blurs, plane, noise)
+    appearances = appearances_of(dictionary, ids, blurs, plane, noise, streak_px2)
     samples, n_cells = PixelSamples(ids.size), cells_per_side(dictionary)
     if plane.shared and plane != Plane():
         homographies = replace(homographies, horizons=plane.horizons(homographies.centers - middle))
@@ -219,7 +225,7 @@ def fit_markers(
         appearances = replace(
             appearances,
             black_ratios=(solution.values[:, BLACK] + MIDDLE_GREY) / solution.contrasts(),
-            round_in_image=plane != Plane(),
+            round_in_image=plane != Plane() or streak_px2 is not None,
         )
         homographies, moved_px = stepped(solution, start)
         if plane.shared:

@@ -62,6 +62,8 @@ class Cell:
         sharpen: amount of an unsharp mask.
         jpeg: quality of a JPEG; None for none.
         h264: constant rate factor of a video; None for none.
+        shrink: factor by which a scaler shrinks the camera's images, by means over boxes of so many pixels.
+            Markers have `side_px` afterwards; noise and the camera's blur are those of the pixels before.
         markers: in an image; fewer if more would not fit.
         cameras: each with its own blur, ground and team.
         frames: consecutive images of each camera.
@@ -88,6 +90,7 @@ class Cell:
     sharpen: float = 0.0
     jpeg: int | None = None
     h264: int | None = None
+    shrink: float = 1.0
     markers: int = MOST_MARKERS
     cameras: int = 6
     frames: int = 12
@@ -146,9 +149,9 @@ SWEEPS = (
     Sweep("blur", "blur_px", "blur (px)", (0.5, 0.8, 1.1, 1.5, 2.0)),
     Sweep("motion", "motion_px", "motion blur (px)", (1.0, 2.0, 4.0)),
     Sweep("contrast", "contrast", "contrast (grey levels)", (40.0, 80.0, 140.0)),
-    Sweep("tilt", "tilt_deg", "tilt (deg)", (5.0, 15.0, 30.0, 45.0, 60.0, 70.0)),
+    Sweep("tilt", "tilt_deg", "tilt (deg)", (5.0, 15.0, 30.0, 45.0, 50.0, 60.0, 70.0)),
     Sweep("uneven", "uneven", "change of light over the image", (0.3, 0.6)),
-    Sweep("occlusion", "occlusion", "share of the marker covered", (0.005, 0.02, 0.05)),
+    Sweep("occlusion", "occlusion", "share of the marker covered", (0.005, 0.02, 0.05, 0.1)),
     Sweep("clutter", "clutter", "dark quadrilaterals in view", (50, 150)),
     Sweep("touching", "touching", "black squares at the corners (sides)", (0.15, 0.3, 0.5)),
     Sweep("drawing", "noise", "noise of a drawing without blur", (0.0, 2.0), {"blur_px": 0.0, "plain": True}),
@@ -183,6 +186,7 @@ CAMERA_SWEEPS = (
     Sweep("sharpen", "sharpen", "sharpening, amount", (0.5, 1.0, 2.0)),
     Sweep("jpeg", "jpeg", "JPEG quality", (95, 80, 50)),
     Sweep("h264", "h264", "H.264, rate factor", (18, 28, 38)),
+    Sweep("scaler", "shrink", "shrunk by a scaler's box (px)", (1.5, 2.0, 2.7)),
     Sweep("consumer", "side_px", "side through a whole camera (px)", (16.0, 24.0, 40.0), CONSUMER),
 )  # fmt: skip
 """The sweeps over lens and processing."""
@@ -206,6 +210,7 @@ QUICK_VALUES: dict[str, tuple[float, ...]] = {
     "sharpen": (1.0,),
     "jpeg": (80,),
     "h264": (28,),
+    "scaler": (1.5,),
     "consumer": (24.0,),
 }
 """Values of the same sweeps for `--quick`."""

@@ -3,6 +3,7 @@
 Any other source can take its place that yields `Frame`s for a cell, a dictionary and a seed (`FrameSource`).
 """
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -95,6 +96,10 @@ class FrameSource(Protocol):
 
 def rendered_frames(cell: Cell, dictionary: str, seed: int) -> Iterator[Frame]:
     """Yield the frames of a cell, rendered; a `FrameSource`."""
+    if cell.shrink != 1.0:
+        large = replace(cell, side_px=cell.side_px * cell.shrink, shrink=1.0)
+        yield from (shrunk(frame, cell.shrink) for frame in rendered_frames(large, dictionary, seed))
+        return
     for unit in range(cell.cameras):
         layout, rng, noise = (np.random.default_rng([seed, unit, use]) for use in range(3))
         toward = rng.uniform(-np.pi, np.pi)
@@ -112,6 +117,38 @@ def rendered_frames(cell: Cell, dictionary: str, seed: int) -> Iterator[Frame]:
         for shot in camera_shots(cell, dictionary, unit, layout):
             renderer = renderer or _renderer(cell, dictionary, shot, sensor)
             yield _expose(cell, shot, renderer, rng)
+
+
+def shrunk(frame: Frame, shrink: float) -> Frame:
+    """Return a frame as a scaler makes it that takes means over boxes of `shrink` by `shrink` pixels.
+
+    The size is rounded up to whole pixels, and the image continued by its last lines and columns. A point u
+    lies at `(u + 1/2) / shrink - 1/2` afterwards. The bound stays that of the pixels before.
+    """
+    height, width = (math.ceil(length / shrink) for length in frame.image.shape)
+    more = (
+        math.ceil(size * shrink) - had for size, had in zip((height, width), frame.image.shape, strict=True)
+    )
+    padded = np.pad(frame.image.astype(np.float64), [(0, count) for count in more], mode="edge")
+    image = _box_means(_box_means(padded, shrink, height).T, shrink, width).T
+    per_pixel = np.diag([1 / shrink, 1 / shrink, 1.0])
+    return replace(
+        frame,
+        image=np.rint(image).astype(np.uint8),
+        centers_px=(frame.centers_px + 0.5) / shrink - 0.5,
+        sides_px=frame.sides_px / shrink,
+        bounds=per_pixel @ frame.bounds @ per_pixel,
+        blur_px=frame.blur_px / shrink,
+    )
+
+
+def _box_means(values: Array, shrink: float, count: int) -> Array:
+    """Means (count, K) over `shrink` lines each of values (L, K), in which a line counts by its share."""
+    sums = np.vstack([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
+    at = np.minimum(shrink * np.arange(count + 1), len(values))
+    whole = np.minimum(at.astype(int), len(values) - 1)
+    upto = sums[whole] + (at - whole)[:, None] * values[whole]
+    return np.asarray(np.diff(upto, axis=0) / shrink)
 
 
 def _mosaic(cell: Cell) -> Mosaic:

@@ -12,6 +12,7 @@ from scipy.ndimage import gaussian_filter
 
 from skyherd.markers.dictionary import cells_per_side, marker_cells
 from skyherd.vision.photometric.fitting.appearance import MarkerAppearances
+from skyherd.vision.photometric.fitting.blur_ellipses import STEEP_SQUEEZE
 from skyherd.vision.photometric.fitting.design_matrix import (
     BLACK,
     BLUR,
@@ -95,7 +96,8 @@ def test_columns_have_the_references_order():
 @pytest.mark.parametrize("seed", range(8))
 @pytest.mark.parametrize("dictionary", DICTIONARIES)
 def test_columns_are_those_of_the_reference(dictionary, seed):
-    """Markers squeezed and leaning, across the border too, under blurs of 0.03 to 0.75 cells, on cards of
+    """Markers squeezed and leaning, across the border too; where blur is round in the image, those that are
+    drawn to first order. Under blurs of 0.03 to 0.75 cells, on cards of
     many widths. Rounding a place of some cells to single precision moves it by `2^-22 cells` and so by that
     over σ in standard deviations. An edge that is out of reach is off by 3e-7 and in its slope and curvature
     by 1.5e-6 and 7e-6; some edges are, on two axes."""
@@ -106,7 +108,7 @@ def test_columns_are_those_of_the_reference(dictionary, seed):
     where = homographies(
         rng.uniform(-10, 100, count) + 1j * rng.uniform(-10, 80, count),
         arms,
-        arms * disc(rng, count, 0.4),
+        arms * disc(rng, count, STEEP_SQUEEZE if seed % 2 else 0.4),
         disc(rng, count, 0.45) / np.abs(arms),
     )
     looks = appearances(
@@ -370,3 +372,18 @@ def test_numba_is_not_imported_before_pixels_are_read():
     code = "import sys, skyherd.vision, skyherd.vision.photometric.detector; print('numba' in sys.modules)"
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert said.strip() == "False"
+
+
+def test_pixels_near_outliers_are_those_within_the_margin():
+    """Of two markers that overlap, each with its own outliers: distances one by one."""
+    where = homographies([20 + 20j, 26 + 22j], [14.0, 12.0j])
+    drawn = read(noise_image(1, (50, 50)), where, usual(2))
+    outliers = np.random.default_rng(2).random(len(drawn.columns)) < 0.03
+    margins_px = np.array([1.5, 3.0])
+    away = drawn.away_from(outliers, margins_px)
+    for row in range(2):
+        own = slice(drawn.bounds[row], drawn.bounds[row + 1])
+        pixels, out = drawn.pixels[own].astype(float), outliers[own]
+        assert out.any()
+        distances = np.linalg.norm(pixels[:, None] - pixels[out][None], axis=2).min(axis=1)
+        np.testing.assert_array_equal(away[own], distances > margins_px[row])

@@ -1,0 +1,121 @@
+"""What the pixels of fitted markers tell of a blur that differs along the image's directions, as streaks do.
+
+A streak Q (`blur_ellipses`) changes a marker's pixels by `X δQ`, where X are two combinations of its second
+derivatives. Of what a fit leaves, r, and of X only that counts which the fit's own unknowns cannot explain:
+with J their columns and `C = (JᵀJ)⁻¹`,
+
+    M = Xᵀ X - Xᵀ J C Jᵀ X,   b = Xᵀ r,
+
+each over the variance of the noise. Added up over markers, `δQ = (Σ M)⁻¹ Σ b` with covariance `(Σ M)⁻¹`, and
+`bᵀ M⁻¹ b` of the sums is the fall of the chi-squared.
+"""
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from skyherd.geometry import Array
+from skyherd.vision.grey import Image
+from skyherd.vision.photometric.fitting.appearance import appearances_of
+from skyherd.vision.photometric.fitting.blur_ellipses import second_derivative_maps
+from skyherd.vision.photometric.fitting.design_matrix import (
+    LEAN,
+    LIGHT,
+    SQUEEZE,
+    TONE,
+    UNKNOWNS,
+    DesignMatrices,
+)
+from skyherd.vision.photometric.fitting.fit_result import FitResults, pose_influences
+from skyherd.vision.photometric.fitting.least_squares import LeastSquaresSolution
+from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
+from skyherd.vision.photometric.fitting.plane import Plane
+
+RIDGE = 1e-6
+"""Added to the diagonal of the information on a streak, 1/px⁴, so that markers without any contrast make no
+singular matrix. Chosen far below that of a marker of 8 px at noise 10."""
+
+
+@dataclass(frozen=True)
+class StreakEvidence:
+    """What N markers tell of a change of the streak; its two components are the real and imaginary parts.
+
+    Attributes:
+        informations: (N, 2, 2) the M of each marker, 1/px⁴.
+        scores: (N, 2) the b of each marker, 1/px².
+        by_columns: (N, 15, 2) products Jᵀ X.
+        solution: of the markers' own unknowns, all of them free.
+        homographies: of the markers.
+    """
+
+    informations: Array
+    scores: Array
+    by_columns: Array
+    solution: LeastSquaresSolution
+    homographies: LocalHomographies
+
+    def covariance(self) -> Array:
+        """Return the covariance (2, 2) of the streak, px⁴, if the markers leave nothing but noise."""
+        return np.asarray(np.linalg.inv(self.informations.sum(axis=0) + RIDGE * np.eye(2)))
+
+    def change_px2(self) -> complex:
+        """Return by how much the streak Q of all markers together differs from what they were fitted with."""
+        change = self.covariance() @ self.scores.sum(axis=0)
+        return complex(change[0], change[1])
+
+    def significance(self) -> float:
+        """Return the fall of the chi-squared with the change, over what the markers then leave of theirs.
+
+        That is a degree of freedom, 1 at least; more where markers tell different streaks.
+        """
+        total = self.scores.sum(axis=0)
+        change = self.covariance() @ total
+        left = self.scores - self.informations @ change
+        ridged = self.informations + RIDGE * np.eye(2)
+        squares = float((left * np.linalg.solve(ridged, left[..., None])[..., 0]).sum())
+        freedom = 2 * (len(self.scores) - 1)
+        return float(total @ change / max(1.0, squares / freedom if freedom else 0.0))
+
+    def pose_covariances(self, plane: Plane) -> Array:
+        """Return by how much (N, 3, 3) poses (u, v, heading) vary since the streak is known from pixels.
+
+        `plane` is the one that the markers are fitted on. A pose changes by `-P C Jᵀ X` with the streak.
+        """
+        held = [*LIGHT, *TONE, *LEAN, *(SQUEEZE if plane.shared else [])]
+        solution = self.solution.constrained(held, np.zeros((len(self.scores), len(held))))
+        pulls = pose_influences(solution, self.homographies)[0] @ self.by_columns
+        return np.asarray(pulls @ self.covariance() @ pulls.transpose(0, 2, 1))
+
+
+def streak_evidence(
+    image: Image, dictionary: str, fits: FitResults, plane: Plane, noise: float, streak_px2: complex
+) -> StreakEvidence:
+    """Return what the pixels of N markers, at least one, tell of a streak beyond that of their fits.
+
+    Args:
+        image: grey, (height, width).
+        dictionary: of the markers.
+        fits: of the markers, settled.
+        plane: that they were fitted on.
+        noise: standard deviation of a pixel, grey levels.
+        streak_px2: Q that they were fitted under, px².
+    """
+    shapes, count = fits.homographies, fits.ids.size
+    appearances = appearances_of(dictionary, fits.ids, shapes.blurs(fits.sigmas_px), plane, noise, streak_px2)
+    appearances = replace(appearances, black_ratios=fits.blacks / np.maximum(fits.contrasts, 1.0))
+    drawn = DesignMatrices(image, np.arange(count), shapes, appearances)
+    solution = LeastSquaresSolution.of_grams(drawn.gram_matrices().astype(float), drawn.counts)
+    maps = second_derivative_maps(shapes) * solution.contrasts()[:, None, None]
+    products, squares = np.empty((count, UNKNOWNS + 1, 2)), np.empty((count, 2, 2))
+    for number, (begin, end) in enumerate(pairwise(drawn.bounds.tolist())):
+        bends = drawn.bends[begin:end] @ maps[number].astype(np.float32)
+        products[number], squares[number] = drawn.columns[begin:end].T @ bends, bends.T @ bends
+    by_columns, by_pixels = products[:, :UNKNOWNS], products[:, UNKNOWNS]
+    across = by_columns.transpose(0, 2, 1)
+    variances = solution.noise_stds() ** 2
+    informations = squares - across @ solution.inverse_normals @ by_columns
+    scores = by_pixels - (across @ solution.values[..., None])[..., 0]
+    return StreakEvidence(
+        informations / variances[:, None, None], scores / variances[:, None], by_columns, solution, shapes
+    )

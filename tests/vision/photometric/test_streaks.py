@@ -109,7 +109,7 @@ def test_a_steep_tilt_is_as_good_as_reported():
     ],
 )
 def test_covariances_hold_outside_of_the_clean_grid(factors):
-    """Under streaks and tilts: NEES of 0.8 to 1.25 for both axes and the heading, the latter not if covered.
+    """Under streaks and at tilts: NEES of 0.8 to 1.25 for both axes and, if not covered, the heading.
 
     Of 500 markers at least, whose NEES has a standard deviation of 0.06. At 70 degrees an image has four,
     whose headings all depend on one plane, so that it takes twice as many images: 144, and 0.1.

@@ -108,6 +108,11 @@ def first_turn(time_s: float, holder_id: int, other_id: int) -> int:
     return turn if has_turn(turn, holder_id, other_id) else turn + 1
 
 
+def turn_time_s(turn: int) -> float:
+    """The team's time at which `first_turn` made a turn, s, to a millisecond."""
+    return turn / 1000
+
+
 @dataclass(frozen=True)
 class EdgeStatus:
     """What a report says of the edge to one unit: turn, pair, robots offered, and those to be released."""

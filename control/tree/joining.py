@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from skyherd.control.tree.edge import Edge, edge_status, first_turn
+from skyherd.control.tree.edge import Edge, edge_status, first_turn, turn_time_s
 from skyherd.control.tree.node_state import Changes, Extent, NodeState, Situation
 from skyherd.control.tree.offers import offerable
 from skyherd.control.tree.peer_reports import PeerReport
@@ -11,6 +11,11 @@ from skyherd.messages import NO_ID
 STALLED_SLOTS = 1
 """Slots without growth after which units look around. Chosen: the shortest time in which an edge can be
 granted and its first pair be taken; twice as long only delays deployment by a slot."""
+
+PATIENT_SLOTS = 5
+"""Slots after which a unit that was not granted an edge asks another member. Chosen: a grant that can be
+given comes within two, once the robots that it needs are promised to nobody; a member with few robots of its
+own may never have two to give."""
 
 
 def join_tree(state: NodeState, now: Situation) -> Changes:
@@ -49,9 +54,16 @@ def _ask(state: NodeState, now: Situation) -> Changes:
     """Open the edge that the member that was asked grants; else ask the one with most own robots in common.
 
     The question names the turn at which the edge is to begin, another one each time, so that a grant that
-    arrives late, after the question was given up, is void.
+    arrives late, after the question was given up, is void. Members are asked one after the other, each for
+    `PATIENT_SLOTS`, and an edge on which there has been no pair for as long is given up: the robots that were
+    offered may have gone to other units since. That is done in the unit's own turn, in which the member makes
+    no pair.
     """
-    if state.edges:
+    patience_s = PATIENT_SLOTS * now.rule.dwell_s
+    if any(
+        edge.pair or not edge.is_my_turn or now.time_s - edge.since_s < patience_s
+        for edge in state.edges.values()
+    ):
         return Changes()
     for peer in now.members:
         status = edge_status(peer.report, now.unit_id)
@@ -59,12 +71,14 @@ def _ask(state: NodeState, now: Situation) -> Changes:
             edge = Edge(now.unit_id, peer.unit_id, now.time_s).received(peer.report)
             return Changes(edges={peer.unit_id: edge})
     common = {peer.unit_id: _common(now, peer) for peer in now.members}
-    if common.get(state.asks_id, 0) >= 2:
+    able = sorted((member for member in common if common[member] >= 2), key=lambda m: (-common[m], m))
+    asked_s = now.time_s - turn_time_s(state.ask_turn)
+    if state.asks_id in able and (len(able) == 1 or asked_s < patience_s):
         return Changes()
-    best = max(common, key=lambda member: (common[member], -member))
-    return Changes(
-        asks_id=best if common[best] >= 2 else NO_ID, ask_turn=first_turn(now.time_s, now.unit_id, best)
-    )
+    if not able:
+        return Changes() if state.edges else Changes(asks_id=NO_ID)
+    best = able[(able.index(state.asks_id) + 1) % len(able) if state.asks_id in able else 0]
+    return Changes(edges={}, asks_id=best, ask_turn=first_turn(now.time_s, now.unit_id, best))
 
 
 def _common(now: Situation, member: PeerReport) -> int:

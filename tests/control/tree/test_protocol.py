@@ -9,7 +9,8 @@ import pytest
 from protocol_world import ProtocolWorld
 
 from skyherd.control import Template, TreeRule
-from skyherd.control.tree.edge import NO_TURN, Edge
+from skyherd.control.tree.edge import NO_TURN, Edge, first_turn
+from skyherd.control.tree.joining import join_tree
 from skyherd.control.tree.node_state import NodeState, Situation
 from skyherd.control.tree.offers import offerable
 from skyherd.control.tree.orphans import adopt_orphans, yield_claims
@@ -222,6 +223,62 @@ def test_a_unit_that_asks_gets_both_of_two_robots_in_its_turn() -> None:
     for slot in range(5, 9):
         at = replace(now, slot=slot)
         assert {offerable(state, at, 0), offerable(state, at, 2)} == {frozenset({4, 5}), frozenset()}
+
+
+def admitting(unit_id: int, robots: tuple[int, ...]) -> UnitReport:
+    """What a member says that could share these robots."""
+    return replace(
+        member_report(unit_id, 19.9, robots, everything(8)), secure_ids=np.array(robots, dtype=np.int64)
+    )
+
+
+@pytest.mark.parametrize(
+    ("asked", "asked_at_s", "asks"),
+    [(NO_ID, 0.0, 0), (0, 11.0, 0), (0, 9.0, 2), (2, 9.0, 3), (3, 9.0, 0), (1, 19.0, 0)],
+    ids=[
+        "the most",
+        "patient",
+        "the next",
+        "the one after",
+        "the first again",
+        "one that has too few by now",
+    ],
+)
+def test_a_unit_that_is_not_admitted_asks_one_member_after_the_other(asked, asked_at_s, asks) -> None:
+    """At 20 s: unit 0 has three robots in common with it, units 2 and 3 two, unit 1 one. Five slots are 10 s.
+
+    In one of a thousand missions a unit asked a member for minutes that had promised all of its robots to
+    others, while another had twenty.
+    """
+    common = {0: (0, 1, 2), 1: (3,), 2: (6, 7), 3: (4, 5)}
+    reports = [admitting(unit, robots) for unit, robots in common.items()]
+    state = NodeState(slot=9, asks_id=asked, ask_turn=first_turn(asked_at_s, 4, max(asked, 0)))
+    changes = join_tree(state, situation(4, 20.0, reports, everything(8)))
+    assert changes.get("asks_id", asked) == asks
+    assert changes.get("ask_turn", state.ask_turn) == (
+        state.ask_turn if asks == asked else first_turn(20.0, 4, asks)
+    ), "another question, another turn"
+
+
+@pytest.mark.parametrize(
+    ("since_s", "turn", "pair", "gives_up"),
+    [(9.0, 8, (), True), (11.0, 8, (), False), (9.0, 9, (), False), (9.0, 8, (0, 1), False)],
+    ids=["five slots without a pair", "not yet", "not in the other's turn", "with a pair"],
+)
+def test_an_edge_that_gets_no_pair_is_given_up_for_another_member(since_s, turn, pair, gives_up) -> None:
+    """At 20 s, of unit 4's edge to unit 5, whose turns are odd, and which has no robots left to share."""
+    edge = Edge(4, 5, since_s=since_s, turn=turn, pair=frozenset(pair))
+    assert edge.is_my_turn == (turn == 8)
+    state = NodeState(slot=9, asks_id=5, ask_turn=first_turn(9.0, 4, 5), edges={5: edge})
+    changes = join_tree(state, situation(4, 20.0, [admitting(5, ()), admitting(0, (0, 1))], everything(8)))
+    told = {"edges": {}, "asks_id": 0, "ask_turn": first_turn(20.0, 4, 0)}
+    assert dict(changes) == (told if gives_up else {})
+
+
+def test_the_only_member_that_can_admit_a_unit_is_asked_as_long_as_it_takes() -> None:
+    reports = [admitting(0, (0, 1)), admitting(1, (2,))]
+    state = NodeState(slot=9, asks_id=0, ask_turn=first_turn(0.0, 4, 0))
+    assert not join_tree(state, situation(4, 20.0, reports, everything(8)))
 
 
 def test_a_founder_asks_nobody() -> None:

@@ -39,6 +39,10 @@ from skyherd.sim.truth_metrics import total_cost
 LEAST_RATE = 1e-9
 """A third eigenvalue of L below this is zero, and the shape free. Derived: above rounding, 1e-15 a robot."""
 
+DIGITS = 12
+"""Significant digits that are told. Chosen: sums over arrays that lie elsewhere in memory differ in the
+sixteenth, and a recording that is read again is to have the same summary."""
+
 MOST_ROBOTS = 200
 """Most robots of which the bound is worked out. Chosen: the eigenvalues of a change then take a hundredth of
 a second, and their time grows with the third power."""
@@ -102,11 +106,16 @@ def estimate_dwell_time(history: History) -> DwellTime:
     return DwellTime(
         least_s=float(between_s.min()) if between_s.size else None,
         mean_s=counted_s / here.size if here.size else None,
-        switch_ratio=ratio,
-        decay_ps=decay_ps,
-        needed_s=_dwell_s(ratio, decay_ps),
-        bound_s=_dwell_s(*_of_linear_model(history, stretches)),
+        switch_ratio=_rounded(ratio),
+        decay_ps=_rounded(decay_ps),
+        needed_s=_rounded(_dwell_s(ratio, decay_ps)),
+        bound_s=_rounded(_dwell_s(*_of_linear_model(history, stretches))),
     )
+
+
+def _rounded(value: float | None) -> float | None:
+    """The value to `DIGITS`."""
+    return None if value is None else float(f"{value:.{DIGITS}g}")
 
 
 def _dwell_s(ratio: float | None, rate_ps: float | None) -> float | None:

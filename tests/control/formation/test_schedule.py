@@ -84,7 +84,9 @@ def test_a_recording_has_the_roles_and_all_shapes(two_shapes, tmp_path) -> None:
     before, after = (
         summarize(make_history(*run), 1.0) for run in ((mission, steps), (recording.mission, recording.steps))
     )
-    assert before == after and before["role_exchanges"] >= 2 and before["collisions"] == 0
+    assert before.keys() == after.keys() and before["role_exchanges"] >= 2 and before["collisions"] == 0
+    for key, value in before.items():  # sums over arrays elsewhere in memory may differ in the last bit
+        assert after[key] == (pytest.approx(value, rel=1e-12) if isinstance(value, float) else value), key
     first, again = steps[10].frames[0].decision, recording.steps[10].frames[0].decision
     assert np.array_equal(first.proximity.distances_sides, again.proximity.distances_sides)
     assert first.report.roles.precedence == again.report.roles.precedence

@@ -33,8 +33,8 @@ LIMIT_FACTOR = 0.5
 out edges before the pose is right."""
 
 FINAL_ROUNDS = 3
-"""Rounds after the limit has reached its last value. Chosen: one in which the pixels are chosen, and two that
-are fitted to them without a margin about the others."""
+"""Rounds after the limit has reached its last value. Chosen: one in which the pixels are chosen, and two in
+which those in a margin about the others are left out as well."""
 
 MARGIN_SIGMAS = 2.0
 """In the last rounds pixels are left out too that are so near to one beyond the limit, standard deviations of

@@ -238,7 +238,7 @@ def draw(result: dict[str, Any], path: Path) -> None:
                 panel.plot(x, y, "o--" if what == "draw" else "o-", color=color, ms=5, label=what)
             panel.set_xlabel(label)
             panel.set_ylabel("milliseconds an image, one core")
-            panel.legend(fontsize=8)
+        axes[0].legend(fontsize=8)
         for jobs, color in ((1, UNIT_COLORS[0]), (2, UNIT_COLORS[1])):
             rows = [row for row in result["cameras"] if row["jobs"] == jobs]
             x, y = zip(*[(row["cameras"], row["step_ms"]) for row in rows], strict=True)
@@ -251,12 +251,12 @@ def draw(result: dict[str, Any], path: Path) -> None:
                      label="step, ms on one core")  # fmt: skip
         axes[3].plot(robots, [r["memory_mib"] for r in result["swarm"]], "s-", color=UNIT_COLORS[2], ms=5,
                      label="memory, MiB")  # fmt: skip
-        axes[3].set_xlabel("robots (one unit and image of 800x800 for ten)")
+        axes[3].set_xlabel("robots, an image of 800x800 for ten")
         axes[3].legend()
         for panel in axes:
             panel.set(xscale="log", yscale="log")
             ticks = sorted({float(x) for line in panel.get_lines() for x in line.get_xdata()})
-            panel.set_xticks(ticks, [f"{tick:.3g}" for tick in ticks])
+            panel.set_xticks(ticks, [f"{tick:.1f}" if tick % 1 else f"{tick:.0f}" for tick in ticks])
             panel.minorticks_off()
             low, high = panel.get_ylim()
             marks = [m * 10.0**p for p in range(5) for m in (1, 2, 5) if low <= m * 10.0**p <= high]

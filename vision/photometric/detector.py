@@ -10,7 +10,7 @@ Each image passes through these stages.
    second look (`skyherd.vision.search.second_look`), which also has what OpenCV's detector finds; less often
    while markers are followed and it finds nothing.
 3. *Fit*: the known pattern of each marker is fitted to the image's own pixels (`fitting.fit`), under whatever
-   blur it has (`unknown_blur`); large markers in a shrunk image.
+   blur it has (`unknown_blur`), a streak of motion too (`streaks`); large markers in a shrunk image.
 4. *Verify*: a fit counts only if it shows its marker's bits and leaves little else (`acceptance`, `verify`).
    A marker that something seems to cover is fitted once more to its visible pixels (`fitting.occlusion`), and
    one that does not lie on the others' plane with a perspective of its own.

@@ -51,6 +51,10 @@ def _all_formed(summary: Summary) -> bool:
     return bool(summary["missions"]) and summary["converged"] == summary["missions"]
 
 
+def _all_formed_apart(summary: Summary) -> bool:
+    return _all_formed(summary) and summary["least_gap_m"] > 0
+
+
 def _inside_p(summary: Summary) -> bool:
     return _all_formed(summary) and summary["longest_violation_of_those_never_cut_s"] == 0
 
@@ -67,7 +71,7 @@ MISSIONS: Mapping[str, Missions] = {
     "rendered": Missions("topology.py", ("--perception", "rendered"), 100, _inside_p, _tell_trees),
     "lossy": Missions("topology.py", ("--network", "lossy"), 200, _inside_p, _tell_trees),
     "killed": Missions("topology.py", ("--kill",), 300, _all_formed, _tell_trees),
-    "survivors": Missions("topology.py", ("--survivor",), 100, _all_formed, _tell_trees),
+    "survivors": Missions("topology.py", ("--survivor",), 100, _all_formed_apart, _tell_trees),
     "chains": Missions(
         "topology.py",
         ("--radio", "1.5", "--form", "chain", "--units", "3", "12"),

@@ -16,6 +16,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from skyherd.control.avoidance.image_border import HiddenRobots
 from skyherd.control.avoidance.proximity import BodyRule, proximity
 from skyherd.control.formation.registration import register_views
 from skyherd.control.formation.roles import RoleRule, Roles
@@ -91,7 +92,8 @@ class AerialController:
         self.schedule = Schedule(schedule) if isinstance(schedule, Template) else schedule
         self.template, self.selection, self.flight = self.schedule.first, selection, flight
         self.rectifier, self.nearest, self.report_lifetime_s = rectifier, nearest, report_lifetime_s
-        self.roles, self.bodies = Roles(roles, self.template), bodies
+        self.roles = Roles(roles, self.template)
+        self.bodies, self.hidden_robots = bodies, HiddenRobots(self.template.ids)
         self.size, self.side_consensus = size or SizeRule(), SideConsensus()
         self.clock = clock
         self._last_report: UnitReport | None = None
@@ -127,13 +129,14 @@ class AerialController:
             side_px=side_px,
             roles=self.roles.reported,
         )
+        ground_map = GroundMap() if self.rectifier is None else self.rectifier.ground_map
         return Decision(
             detections=detections,
             goals=goals,
             report=self._last_report,
             flight=self._fly(seen, selection, reports),
-            proximity=proximity(detections, self.template.ids, self.bodies) if self.bodies else None,
-            ground_map=GroundMap() if self.rectifier is None else self.rectifier.ground_map,
+            proximity=self._near_bodies(detections, reports, ground_map),
+            ground_map=ground_map,
         )
 
     def _in_team_time(self, detections: Detections, reports: Sequence[UnitReport]) -> Detections:
@@ -161,6 +164,15 @@ class AerialController:
         else:
             return FlightCommand.hold(seen.unit_id)
         return self.flight.command(seen, task, reports)
+
+    def _near_bodies(
+        self, detections: Detections, reports: Sequence[UnitReport], ground_map: GroundMap
+    ) -> Proximity | None:
+        """What robots have to keep away from, the border of the image included while a robot is hidden."""
+        if self.bodies is None:
+            return None
+        hidden = self.hidden_robots.beyond(detections, reports, ground_map)
+        return proximity(detections, self.template.ids, self.bodies, hidden)
 
     def _goals(
         self, seen: Detections, selection: Selection, reports: Sequence[UnitReport], side_px: float

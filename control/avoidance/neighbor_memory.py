@@ -5,18 +5,20 @@ from collections import deque
 import numpy as np
 
 from skyherd.geometry import Array, BoolArray, IntArray, wrap_angle
-from skyherd.messages import TIME_TOLERANCE_S, Proximity, find_rows
+from skyherd.messages import BORDER_IDS, TIME_TOLERANCE_S, Proximity, find_rows
 
 
 class NeighborMemory:
     """The newest message on each pair of a robot and another body, as arrays over N robots and M bodies.
+
+    Among the bodies are the four sides of an image, of the newest one whose message has the robot.
 
     A robot has no compass, but it knows the turn rates that it was commanded. Directions are kept in the
     frame that the robot had at the start of the run, so that they stay valid while it turns.
 
     Attributes:
         ids: (N,) the robots, ascending.
-        other_ids: (M,) robots and obstacles, ascending.
+        other_ids: (M,) sides of the image, robots and obstacles, ascending.
         lifetime_s: age at which a message is forgotten.
         distances_sides: (N, M) distances between centres at the time of the image.
         reaches_sides: (N, M) distances between centres at which the two bodies touch.
@@ -28,8 +30,9 @@ class NeighborMemory:
     """
 
     def __init__(self, ids: IntArray, other_ids: IntArray, lifetime_s: float) -> None:
-        shape = ids.size, other_ids.size
-        self.ids, self.other_ids, self.lifetime_s = ids, other_ids, lifetime_s
+        self.ids, self.lifetime_s = ids, lifetime_s
+        self.other_ids: IntArray = np.concatenate([BORDER_IDS, other_ids])
+        shape = ids.size, self.other_ids.size
         self.distances_sides: Array = np.zeros(shape)
         self.reaches_sides: Array = np.zeros(shape)
         self.shares: Array = np.ones(shape)
@@ -55,7 +58,7 @@ class NeighborMemory:
         """
         arrived = np.ones(len(message), dtype=bool) if received is None else received
         rows, is_robot = find_rows(self.ids, message.ids)
-        columns, is_body = find_rows(self.other_ids, message.ids)
+        columns, is_body = find_rows(self.other_ids, np.concatenate([BORDER_IDS, message.ids]))
         rows, columns = rows[arrived & is_robot], columns[is_body]
         now = rows[self.seen_s[rows] <= message.time_s]
         self.seen_s[now], self.horizon_sides[now] = message.time_s, message.horizon_sides

@@ -4,12 +4,13 @@ Lengths are in marker sides, the only length that images and robots have in comm
 like robots, but are not in the template; that is how they are told apart.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 
-from skyherd.geometry import IntArray, to_complex, wrap_angle
-from skyherd.messages import Detections, Proximity, among
+from skyherd.control.avoidance.image_border import HIDDEN_SIDES, HiddenBeyond
+from skyherd.geometry import Array, ComplexArray, IntArray, to_complex, wrap_angle
+from skyherd.messages import BORDER_IDS, Detections, Proximity, among
 from skyherd.messages.checks import check_numbers
 
 
@@ -33,20 +34,59 @@ class BodyRule:
         check_numbers(self, not_negative=("radius_sides", "margin_sides"), positive=("horizon_sides",))
 
 
-def proximity(detections: Detections, team_ids: IntArray, rule: BodyRule) -> Proximity:
+@dataclass(frozen=True)
+class _Pairs:
+    """P pairs of a robot, by its row, and something to keep away from; the rest is as in `Proximity`."""
+
+    rows: IntArray
+    other_ids: IntArray
+    directions: ComplexArray
+    distances_sides: Array
+    reaches_sides: Array
+    shares: Array
+
+
+def proximity(
+    detections: Detections, team_ids: IntArray, rule: BodyRule, hidden: HiddenBeyond | None = None
+) -> Proximity:
     """All pairs of a robot and another body within the horizon, each in the robot's own frame.
 
-    A length in the image is divided by the mean side of the two markers, which is right under a tilt of the
-    camera as well. The bearing is `heading - arg(offset)`, since angles in the image run clockwise seen from
-    above, and those of the robot counter-clockwise.
+    The bearing is `heading - arg(offset)`, since angles in the image run clockwise seen from above, and those
+    of the robot counter-clockwise.
 
     Args:
         detections: all markers in the image.
         team_ids: (N,) the robots.
         rule: radii, margin and horizon.
+        hidden: the border of the image, where robots may be hidden beyond it, and whom it concerns.
     """
     team = frozenset(team_ids.tolist())
     bodies = detections.select(team | rule.obstacles.keys())
+    pairs = _pairs_of_bodies(bodies, team, rule)
+    if hidden is not None:
+        at_border = _pairs_with_border(bodies, hidden, rule)
+        names = [field.name for field in fields(_Pairs)]
+        pairs = _Pairs(*(np.concatenate([getattr(pairs, n), getattr(at_border, n)]) for n in names))
+    return Proximity(
+        unit_id=bodies.unit_id,
+        time_s=bodies.time_s,
+        horizon_sides=rule.horizon_sides,
+        ids=bodies.ids,
+        robot_ids=bodies.ids[pairs.rows],
+        other_ids=pairs.other_ids,
+        distances_sides=pairs.distances_sides,
+        bearings_rad=wrap_angle(bodies.headings_rad[pairs.rows] - np.angle(pairs.directions)),
+        reaches_sides=pairs.reaches_sides,
+        shares=pairs.shares,
+    )
+
+
+def _pairs_of_bodies(bodies: Detections, team: frozenset[int], rule: BodyRule) -> _Pairs:
+    """Robots of the image and the other bodies in it.
+
+    A length in the image is divided by the mean side of the two markers, which is right under a tilt of the
+    camera as well.
+    """
     points, sides = to_complex(bodies.centers_px), bodies.sides_px
     is_robot = among(bodies.ids, team)
     radii = np.array([rule.obstacles.get(body, rule.radius_sides) for body in bodies.ids.tolist()])
@@ -56,15 +96,27 @@ def proximity(detections: Detections, team_ids: IntArray, rule: BodyRule) -> Pro
     near = is_robot[:, None] & (distances - reaches < rule.horizon_sides)
     np.fill_diagonal(near, False)
     robot, other = np.nonzero(near)
-    return Proximity(
-        unit_id=bodies.unit_id,
-        time_s=bodies.time_s,
-        horizon_sides=rule.horizon_sides,
-        ids=bodies.ids,
-        robot_ids=bodies.ids[robot],
-        other_ids=bodies.ids[other],
-        distances_sides=distances[robot, other],
-        bearings_rad=wrap_angle(bodies.headings_rad[robot] - np.angle(offsets[robot, other])),
-        reaches_sides=reaches[robot, other],
-        shares=np.where(is_robot[other], 0.5, 1.0),
+    return _Pairs(
+        robot,
+        bodies.ids[other],
+        offsets[robot, other],
+        distances[robot, other],
+        reaches[robot, other],
+        np.where(is_robot[other], 0.5, 1.0),
+    )
+
+
+def _pairs_with_border(bodies: Detections, hidden: HiddenBeyond, rule: BodyRule) -> _Pairs:
+    """Robots of the image and its sides: behind each a robot stands at the nearest place that is not seen."""
+    depths = hidden.border.depths_px(to_complex(bodies.centers_px)) / bodies.sides_px[:, None]
+    reach = 2 * rule.radius_sides + rule.margin_sides + HIDDEN_SIDES
+    near = among(bodies.ids, hidden.concerned_ids)[:, None] & (depths - reach < rule.horizon_sides)
+    robot, side = np.nonzero(near)
+    return _Pairs(
+        robot,
+        BORDER_IDS[side],
+        -hidden.border.normals[side],
+        np.maximum(depths[robot, side], 0.0),
+        np.full(robot.size, reach),
+        np.ones(robot.size),
     )

@@ -12,6 +12,11 @@ NO_ID = -1
 """Stands for no unit and no robot. Chosen: ids of markers and units are never negative."""
 
 
+BORDER_IDS: IntArray = np.array([-5, -4, -3, -2])
+"""Stand for the upper, right, lower and left side of the sender's image, where a message names bodies.
+Chosen: like no unit, robot or marker, and ascending."""
+
+
 def among(ids: IntArray, members: AbstractSet[int] | npt.ArrayLike) -> BoolArray:
     """Mask of the `ids` that are in `members`; ids and mask have any one shape.
 

@@ -12,7 +12,8 @@ from skyherd.messages.frozen_arrays import freeze, freeze_ids
 class Proximity:
     """Bodies near the robots that one unit sees, as arrays over P pairs of a robot and another body.
 
-    Two bodies that are both in `ids` and form no pair are farther apart than the horizon.
+    Two bodies that are both in `ids` and form no pair are farther apart than the horizon. The sides of the
+    sender's image stand among the bodies, by the ids `BORDER_IDS`, while something may be hidden beyond them.
 
     Attributes:
         unit_id: the sender.
@@ -21,13 +22,13 @@ class Proximity:
         ids: (N,) bodies seen, each once; the robots among them are addressed, whether the unit controls
             them or not.
         robot_ids: (P,) the robot of each pair, which is the receiver.
-        other_ids: (P,) the other body of each pair, a robot or an obstacle.
-        distances_sides: (P,) distances between the two centres, in marker sides.
+        other_ids: (P,) the other body of each pair: a robot, an obstacle or a side of the image.
+        distances_sides: (P,) distances between the two centres, or from a side, in marker sides.
         bearings_rad: (P,) directions to the other body in the robot's own frame, 0 ahead, positive to the
             left.
         reaches_sides: (P,) distances between the centres at which the bodies touch, margin included.
         shares: (P,) share of the gap that the robot may use up: 1/2 where the other body is a robot, which
-            receives the same pair, and 1 where it is an obstacle.
+            receives the same pair, and 1 where it stands still.
 
     Raises:
         MessageError: a shape is wrong, an id in `ids` occurs twice, or a distance is negative.

@@ -36,7 +36,7 @@ def test_the_memory_holds_the_newest_word_on_each_pair_that_robots_received() ->
             if a in hearers and b in BODIES and before.get((a, b), (-np.inf, 0.0))[0] <= time_s:
                 known[a, b] = time_s, distance
         rows, columns = memory.fresh(time_s)
-        pair_ids = zip(ROBOTS[rows].tolist(), BODIES[columns].tolist(), strict=True)
+        pair_ids = zip(ROBOTS[rows].tolist(), memory.other_ids[columns].tolist(), strict=True)
         values = zip(
             memory.imaged_s[rows, columns].tolist(),
             memory.distances_sides[rows, columns].tolist(),

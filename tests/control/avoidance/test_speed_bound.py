@@ -11,7 +11,7 @@ from skyherd.control.avoidance.proximity import proximity
 from skyherd.control.avoidance.speed_bound import Bounds, avoiding_law, closing_bounds, slowed
 from skyherd.control.robots.unicycle import wheel_law
 from skyherd.geometry import to_complex, to_points, wrap_angle
-from skyherd.messages import Proximity, VelocityCommand
+from skyherd.messages import BORDER_IDS, Proximity, VelocityCommand
 from skyherd.random_streams import RunStream, generator
 from skyherd.sim.drive import Drive, DriveParameters
 from skyherd.sim.world import move_bodies
@@ -202,7 +202,7 @@ def test_messages_replace_older_ones_and_clear_what_went_away(make_detections) -
 
     send(1.0, 100)
     send(0.5, 60)
-    assert memory.distances_sides[0, 1] == 5.0, "an older message changes nothing"
+    assert memory.distances_sides[0, BORDER_IDS.size + 1] == 5.0, "an older message changes nothing"
     send(1.2, 0, ids=(0,))
     assert memory.fresh(1.3)[0].size == 2, "a body that is not seen has not gone"
     send(1.4, 400)

@@ -7,8 +7,6 @@ markers are fitted again under an elliptic blur. A camera that turns, or a marke
 other streaks of different markers; these are fitted under the streak that they have in common.
 """
 
-from dataclasses import replace
-
 import numpy as np
 
 from skyherd.geometry import BoolArray, IntArray
@@ -84,9 +82,6 @@ def with_streak(
         )
     if np.median(new.noise_stds[telling] / old.noise_stds[telling]) > 1:
         return fits, good, plane
-    covariances = new.covariances.copy()
-    covariances[telling] += evidence.pose_covariances(new_plane)
-    new = replace(new, covariances=covariances)
     is_good = verified(new, image_noise(image), code_distance(dictionary))
     good = good.copy()
     good[promising[is_good]] = True

@@ -19,17 +19,9 @@ from skyherd.geometry import Array
 from skyherd.vision.grey import Image
 from skyherd.vision.photometric.fitting.appearance import appearances_of
 from skyherd.vision.photometric.fitting.blur_ellipses import second_derivative_maps
-from skyherd.vision.photometric.fitting.design_matrix import (
-    LEAN,
-    LIGHT,
-    SQUEEZE,
-    TONE,
-    UNKNOWNS,
-    DesignMatrices,
-)
-from skyherd.vision.photometric.fitting.fit_result import FitResults, pose_influences
+from skyherd.vision.photometric.fitting.design_matrix import UNKNOWNS, DesignMatrices
+from skyherd.vision.photometric.fitting.fit_result import FitResults
 from skyherd.vision.photometric.fitting.least_squares import LeastSquaresSolution
-from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
 from skyherd.vision.photometric.fitting.plane import Plane
 
 RIDGE = 1e-6
@@ -44,16 +36,10 @@ class StreakEvidence:
     Attributes:
         informations: (N, 2, 2) the M of each marker, 1/px⁴.
         scores: (N, 2) the b of each marker, 1/px².
-        by_columns: (N, 15, 2) products Jᵀ X.
-        solution: of the markers' own unknowns, all of them free.
-        homographies: of the markers.
     """
 
     informations: Array
     scores: Array
-    by_columns: Array
-    solution: LeastSquaresSolution
-    homographies: LocalHomographies
 
     def covariance(self) -> Array:
         """Return the covariance (2, 2) of the streak, px⁴, if the markers leave nothing but noise."""
@@ -76,16 +62,6 @@ class StreakEvidence:
         squares = float((left * np.linalg.solve(ridged, left[..., None])[..., 0]).sum())
         freedom = 2 * (len(self.scores) - 1)
         return float(total @ change / max(1.0, squares / freedom if freedom else 0.0))
-
-    def pose_covariances(self, plane: Plane) -> Array:
-        """Return by how much (N, 3, 3) poses (u, v, heading) vary since the streak is known from pixels.
-
-        `plane` is the one that the markers are fitted on. A pose changes by `-P C Jᵀ X` with the streak.
-        """
-        held = [*LIGHT, *TONE, *LEAN, *(SQUEEZE if plane.shared else [])]
-        solution = self.solution.constrained(held, np.zeros((len(self.scores), len(held))))
-        pulls = pose_influences(solution, self.homographies)[0] @ self.by_columns
-        return np.asarray(pulls @ self.covariance() @ pulls.transpose(0, 2, 1))
 
 
 def streak_evidence(
@@ -116,6 +92,4 @@ def streak_evidence(
     variances = solution.noise_stds() ** 2
     informations = squares - across @ solution.inverse_normals @ by_columns
     scores = by_pixels - (across @ solution.values[..., None])[..., 0]
-    return StreakEvidence(
-        informations / variances[:, None, None], scores / variances[:, None], by_columns, solution, shapes
-    )
+    return StreakEvidence(informations / variances[:, None, None], scores / variances[:, None])

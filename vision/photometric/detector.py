@@ -42,17 +42,12 @@ from skyherd.vision.photometric.unknown_blur import (
     START_SIGMA_PX,
     fit_any_blur,
     is_promising,
-    usual_sigma_px,
     with_usual_blur,
 )
 from skyherd.vision.photometric.verify import bits_are_right, verified
 from skyherd.vision.search.decode import MIN_CORRELATION, DecodedQuads, decode_quads
 from skyherd.vision.search.quads import find_quads
 from skyherd.vision.search.second_look import find_overlooked_quads
-
-LEARNING_RATE = 0.2
-"""Share by which blur and noise move towards what an image shows. Chosen: an average over about five images;
-a larger rate passes on more of each image's error, a smaller one follows a refocused lens more slowly."""
 
 SEARCH_INTERVAL = 10
 """While all markers are followed, the whole image is searched in every image of this number. Chosen: a new
@@ -124,7 +119,7 @@ class PhotometricDetector:
             found = found.joined(self._search(image, known, found.homographies, thoroughly=is_amiss))
             found = found.take(np.argsort(found.ids, kind="stable")) if self.repeats else unambiguous(found)
             known.unsearched = 0
-        self._learn(known, found, time_s)
+        known.learn(found, time_s)
         return _detections(found, known.ratios.factors(), image, time_s, unit_id)
 
     def _is_due(self, known: ImageEstimates) -> bool:
@@ -265,24 +260,6 @@ class PhotometricDetector:
             image, self.dictionary, coarse.ids, coarse.homographies, with_usual_blur(coarse), plane, noise
         )
         return fits.put(promising, fine), plane if right.any() else known.plane
-
-    def _learn(self, known: ImageEstimates, found: FitResults, time_s: float) -> None:
-        """Update blur, noise and, if markers are followed, the tracks."""
-        if not len(found.ids):
-            known.tracks = known.tracks.updated(time_s, found.ids, found.homographies, found.sigmas_px)
-            return
-        sigma_px, noise = usual_sigma_px(found), weighted_median(found.noise_stds, found.pixels)
-        known.sigma_px = _moved_towards(sigma_px, known.sigma_px)
-        known.noise = _moved_towards(noise, known.noise)
-        known.ratios = known.ratios.updated(found.variance_ratios, found.boxes)
-        sigmas_px = with_usual_blur(found)
-        sigmas_px[sigmas_px == sigma_px] = known.sigma_px
-        known.tracks = known.tracks.updated(time_s, found.ids, found.homographies, sigmas_px)
-
-
-def _moved_towards(value: float, before: float | None) -> float:
-    """What was known before, moved by `LEARNING_RATE` of the difference, or the value itself."""
-    return value if before is None else before + LEARNING_RATE * (value - before)
 
 
 def _detections(

@@ -55,7 +55,10 @@ def common_motion(before: LocalHomographies, after: LocalHomographies) -> tuple[
 
 
 def carried(markers: LocalHomographies, motion: tuple[complex, complex]) -> LocalHomographies:
-    """Return where a similarity (a, b) of the image takes markers."""
+    """Return where a similarity (a, b) of the image takes markers.
+
+    Relative squeezes `k / m̄` and horizons stay: the camera's tilt makes them, in the image's axes.
+    """
     a, b = motion
     return replace(
         markers,

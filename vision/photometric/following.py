@@ -55,6 +55,8 @@ def follow(image: Image, dictionary: str, known: ImageEstimates, time_s: float) 
     ids, start = known.tracks.ids[here], start.take(here)
     fits, start = _fit_tracks(image, dictionary, known, ids, start, known.tracks.sigmas_px[here])
     lost = ~is_promising(fits)
+    if 2 * np.count_nonzero(lost) > lost.size:
+        lost = np.ones_like(lost)  # the plane is of what is not there, and the others are as wrong as it is
     near = _find_near(image, dictionary, known, start.take(lost), fits.homographies.take(~lost))
     rest = ~np.isin(ids, near.ids)
     fits, start, lost = fits.take(rest), start.take(rest), lost[rest]
@@ -83,15 +85,14 @@ def _fit_tracks(
     if not lost.size:
         return fits, start
     moved = _moved(image, dictionary, known, start, fits)
-    again = lost[shifts_sides(start.take(lost), moved.take(lost)) > LEAST_SHIFT_SIDES]
-    if not again.size:
+    again = shifts_sides(start.take(lost), moved.take(lost)) > LEAST_SHIFT_SIDES
+    if not again.any():
         return fits, start
-    moved = moved.take(again)
-    there, new = fit_any_blur(image, dictionary, ids[again], moved, sigmas_px[again], plane, *about)
-    if again.size == ids.size:
-        known.plane = new
-    right = is_promising(there)
-    return fits.put(again, there), start.put(again[right], moved.take(right))
+    # All are fitted again: the others, too, were fitted on a plane with those that were not there.
+    there = fits.homographies.put(lost, moved.take(lost))
+    fits, known.plane = fit_any_blur(image, dictionary, ids, there, sigmas_px, plane, *about)
+    right = np.flatnonzero(is_promising(fits))
+    return fits, start.put(right, there.take(right))
 
 
 def _moved(

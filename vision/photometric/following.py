@@ -55,16 +55,13 @@ def follow(image: Image, dictionary: str, known: ImageEstimates, time_s: float) 
     ids, start = known.tracks.ids[here], start.take(here)
     fits, start = _fit_tracks(image, dictionary, known, ids, start, known.tracks.sigmas_px[here])
     lost = ~is_promising(fits)
-    if 2 * np.count_nonzero(lost) > lost.size:
-        lost = np.ones_like(lost)  # the plane is of what is not there, and the others are as wrong as it is
     near = _find_near(image, dictionary, known, start.take(lost), fits.homographies.take(~lost))
     rest = ~np.isin(ids, near.ids)
-    fits, start, lost = fits.take(rest), start.take(rest), lost[rest]
+    fits, start = fits.take(rest), start.take(rest)
     if fits.ids.size:
         fits, good = accepted(image, dictionary, fits, known.plane, start)
         fits, good, known.plane = with_streak(image, dictionary, fits, good, known.plane)
-        bad, fits = start.take(~good & ~lost), fits.take(good)
-        near = near.joined(_find_near(image, dictionary, known, bad, fits.joined(near).homographies))
+        fits = fits.take(good)
     found = unambiguous(fits.joined(near))
     return found, bool((should_be_seen & ~np.isin(known.tracks.ids, found.ids)).any())
 
@@ -88,7 +85,7 @@ def _fit_tracks(
     again = shifts_sides(start.take(lost), moved.take(lost)) > LEAST_SHIFT_SIDES
     if not again.any():
         return fits, start
-    # All are fitted again: the others, too, were fitted on a plane with those that were not there.
+    # All are fitted again, since few may have told the plane.
     there = fits.homographies.put(lost, moved.take(lost))
     fits, known.plane = fit_any_blur(image, dictionary, ids, there, sigmas_px, plane, *about)
     right = np.flatnonzero(is_promising(fits))

@@ -42,8 +42,10 @@ def test_the_common_motion_is_the_cameras_however_each_robot_turned(a, b, seed, 
 
 @pytest.mark.parametrize("count", [1, 2])
 def test_one_or_two_markers_tell_the_scale_by_their_sides_and_no_rotation(count) -> None:
+    """Though each turned by itself, and two drove past one another."""
     before = markers([100 + 50j, 160 + 50j][:count], [20, 20j][:count])
-    after = markers(before.centers * 1.1 + 7, before.arms * 1.1 * np.exp(0.5j))
+    own_ways = np.array([0j]) if count == 1 else np.array([4j, -4j])
+    after = markers(before.centers * 1.1 + 7 + own_ways, before.arms * 1.1 * np.exp(0.5j))
     assert common_motion(before, after) == (pytest.approx(1.1), pytest.approx(7))
 
 
@@ -93,7 +95,12 @@ def scattered(homes, headings):
     return homes + ways, headings + rng.uniform(-1, 1, homes.size), 1.0
 
 
-CHANGES = [zoomed, panned, yawed, scattered]
+def turned(homes, headings):
+    """Robots begin to turn on the spot, some fast and some slowly."""
+    return homes, headings + np.linspace(0.4, 1.4, homes.size), 1.0
+
+
+CHANGES = [zoomed, panned, yawed, scattered, turned]
 
 
 def followed(sequence, change, monkeypatch):
@@ -129,6 +136,14 @@ def test_where_they_were_predicted_most_of_them_are_not(sequence, monkeypatch, c
     monkeypatch.setattr(following, "find_quads_near", lambda image, places: np.zeros((0, 4, 2)))
     seen, looked = followed(sequence, change, monkeypatch)
     assert looked[:2] == [0, 4] and seen[4].ids.tolist() == IDS.tolist()
+
+
+@pytest.mark.parametrize("turn_rad", np.linspace(0.5, 3.1, 10).round(2).tolist())
+def test_one_robot_that_turned_by_itself_is_found_near_its_place(sequence, monkeypatch, turn_rad) -> None:
+    """Also where a fit at the predicted heading leaves little, since the two look alike."""
+    turns = turn_rad * (IDS % 5 == 2)
+    seen, looked = followed(sequence, lambda homes, headings: (homes, headings + turns, 1.0), monkeypatch)
+    assert looked == [0] and seen[4].ids.tolist() == IDS.tolist()
 
 
 def test_a_marker_that_leaves_the_view_is_not_searched_for_in_the_whole_image(

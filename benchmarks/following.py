@@ -23,7 +23,7 @@ SEEDS, STEPS = [10002, 10008, 10013], 100
 
 
 def measure(seed: int, steps: int) -> dict[str, Any]:
-    """Return what a mission took: images, thorough searches, and processor time of the detector, ms an image."""
+    """Return a mission's images, thorough searches, and processor time of the detector, ms an image."""
     tree = random_mission(seed)
     tree["perception"] = "rendered"
     searches, times_s = 0, []

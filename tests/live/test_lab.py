@@ -52,6 +52,37 @@ def test_wrong_values_are_one_line(setting, complaint) -> None:
     assert "\n" not in str(refusal.value)
 
 
+@pytest.mark.parametrize(
+    ("setting", "line"),
+    [
+        ("shape.shape=hexagon", "shape.shape: no shape 'hexagon'; one of circle, "),
+        ("shape.shape=word:SKYHERD", "shape.shape: 4 robots to write SKYHERD; "),
+        (
+            "shape.points=[[0, 0], [1, 0]]",
+            "shape: both shape and points; give exactly one of shape and points",
+        ),
+        ("markers.dictionary=foo", "markers.dictionary: no dictionary 'foo'; one of 4X4_100, "),
+        ("team='ü m'", "team: 'ü m'; 1 to 40 letters, digits, _ and -, of which the first is no -"),
+        ("team=''", "team: ''; 1 to 40 letters"),
+        (f"team={'a' * 41}", f"team: '{'a' * 41}'; 1 to 40 letters"),
+        ("robots.2.id=0", "robots.2.id: 0 is there twice; each robot its own marker"),
+        ("robots.1.id=50", "robots.1.id: 4X4_50 has no marker 50; 0 to 49, "),
+        ("cameras.0.detector=eyes", "cameras.0.detector: no detector 'eyes'; one of "),
+        ("limits.period_s=0.5", "limits.goal_timeout_s: 0.6; at least two period_s, which is 1"),
+    ],
+)
+def test_what_is_wrong_with_a_lab_names_file_and_key_and_what_is_allowed(tmp_path, setting, line) -> None:
+    file = tmp_path / "lab.toml"
+    file.write_text(lab_text("webcams"), encoding="utf-8")
+    with pytest.raises(InputError) as refusal:
+        load_lab(str(file), [setting])
+    assert str(refusal.value).startswith(f"{file}: {line}")
+
+
+def test_a_team_s_name_may_be_of_any_letters() -> None:
+    assert load_lab("webcams", ["team='ü-2_b'"]).model.team == "ü-2_b"
+
+
 FILES = {"authority": "a.pem", "certificate": "c.pem", "key": "k.pem"}
 
 

@@ -3,6 +3,7 @@
 import re
 
 from skyherd.errors import InputError
+from skyherd.live.drivers import check_driver
 from skyherd.live.lab.models import TEAM_PATTERN, LabModel
 from skyherd.markers.dictionary import dictionary_names, dictionary_size
 from skyherd.vision import detector_names
@@ -38,6 +39,32 @@ def check_model(model: LabModel, where: str) -> None:
             )
     _check_markers(model, where)
     _check_shape(model, where)
+
+
+def check_drivers(model: LabModel, where: str, *, imports: bool = False) -> None:
+    """Check the addresses of all drivers as far as that needs no hardware and no network.
+
+    Args:
+        model: the lab.
+        where: the file, or what to call it.
+        imports: also import factories of one's own, which have to be on this machine then.
+
+    Raises:
+        InputError: one is none that a driver can have.
+    """
+    addresses = [(f"robots.{index}", robot.id, robot.driver) for index, robot in enumerate(model.robots)]
+    addresses += [
+        (f"cameras.{unit}", unit, camera.driver)
+        for unit, camera in enumerate(model.cameras)
+        if camera.driver is not None
+    ]
+    for entry, number, address in addresses:
+        try:
+            check_driver(address, number, imports=imports)
+        except InputError as error:
+            shown = error.where.removeprefix("driver").strip()
+            place = f"{where}: {entry}.driver" + (f": {shown}" if shown else "")
+            raise InputError(place, error.what, error.allowed) from None
 
 
 def _check_markers(model: LabModel, where: str) -> None:

@@ -20,7 +20,7 @@ from skyherd.datasets import (
 from skyherd.errors import DegenerateSetError, InputError
 from skyherd.files.reading import is_regular
 from skyherd.geometry import ComplexArray, to_complex
-from skyherd.live.lab.checks import check_model
+from skyherd.live.lab.checks import check_drivers, check_model
 from skyherd.live.lab.models import LabModel
 from skyherd.live.lab.set_up import Lab
 from skyherd.messages.checks import check_texts
@@ -67,7 +67,9 @@ def load_lab(name_or_file: str, settings: Iterable[str] = ()) -> Lab:
             put_value(tree, key, parse_toml(f"value = {value}", setting, "key=value")["value"], setting)
         except InputError:
             put_value(tree, key, value, setting)
-    return make_lab(tree, where=where, folder=path.parent if is_file else Path())
+    lab = make_lab(tree, where=where, folder=path.parent if is_file else Path())
+    check_drivers(lab.model, where)
+    return lab
 
 
 def make_lab(tree: dict[str, Any], *, where: str = "lab", folder: Path | None = None) -> Lab:

@@ -1,4 +1,4 @@
-"""The dashboard's keys: a stop is never lost among others."""
+"""What is refused before a lab starts, and the dashboard's keys: a stop is never lost among others."""
 
 import os
 import pty
@@ -6,8 +6,18 @@ import sys
 import tty
 
 import pytest
+from command_line import call
 
 from skyherd.live.session import _keys
+
+
+@pytest.mark.parametrize("verb", ["unit", "robot"])
+@pytest.mark.parametrize("offset", ["nan", "inf", "1e300", "-86401"])
+def test_a_clock_that_is_off_is_off_by_a_number_of_seconds(capsys, tmp_path, verb, offset) -> None:
+    code, out, err = call(capsys, verb, "webcams", 0, "--out", tmp_path / "run", "--clock-offset", offset)
+    assert code == 2 and not out and len(err.splitlines()) == 1
+    assert f"--clock-offset: {float(offset):g}; a number of seconds, 86400 at most either way" in err
+    assert not (tmp_path / "run").exists()
 
 
 @pytest.fixture

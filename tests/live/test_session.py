@@ -20,6 +20,34 @@ def test_a_clock_that_is_off_is_off_by_a_number_of_seconds(capsys, tmp_path, ver
     assert not (tmp_path / "run").exists()
 
 
+@pytest.mark.parametrize(
+    ("option", "value", "complaint"),
+    [
+        ("--cameras", ",", "--cameras: address 1 is empty; 2 with commas between"),
+        ("--cameras", "", "--cameras: address 1 is empty; "),
+        ("--cameras", "a.mp4, ", "--cameras: address 2 is empty; "),
+        ("--cameras", "a.mp4", "--cameras: 1 addresses; 2, as in the lab"),
+        ("--duration", "nan", "--duration: nan; a number of seconds above 0"),
+        ("--duration", "inf", "--duration: inf; a number of seconds above 0"),
+        ("--duration", "0", "--duration: 0; a number of seconds above 0"),
+        ("--duration", "-5", "--duration: -5; a number of seconds above 0"),
+    ],
+)
+def test_options_of_a_run_that_mean_nothing_are_refused_first(
+    capsys, tmp_path, monkeypatch, option, value, complaint
+) -> None:
+    monkeypatch.setattr("skyherd.live.session.ZenohRadio", None)
+    code, out, err = call(capsys, "live", "run", "webcams", "--out", tmp_path / "run", option, value)
+    assert code == 2 and not out and len(err.splitlines()) == 1 and complaint in err
+    assert not (tmp_path / "run").exists()
+
+
+def test_an_empty_address_does_not_stand_for_the_lab_s_camera(capsys, tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr("skyherd.live.zenoh_radio.ZenohRadio", None)
+    code, out, err = call(capsys, "unit", "webcams", 0, "--out", tmp_path / "run", "--camera", "")
+    assert code == 2 and not out and "--camera: is empty; an address, or leave the option out" in err
+
+
 @pytest.fixture
 def keyboard(monkeypatch):
     """A terminal as standard input: the end that a person types at."""

@@ -125,7 +125,7 @@ def run(
         lab,
         lab_file,
         out_dir,
-        cameras=cameras.split(",") if cameras else [],
+        cameras=[] if cameras is None else cameras.split(","),
         dry_run=dry_run,
         armed=armed,
         duration_s=duration_s,

@@ -1,5 +1,6 @@
 """`skyherd live run`: every process of a lab on this machine, one log, and a dashboard with a stop."""
 
+import math
 import os
 import select
 import sys
@@ -60,10 +61,10 @@ def run_session(
         say: prints a line.
 
     Raises:
-        InputError: the folder is there, or the number of cameras is wrong.
+        InputError: the folder is there, an address in place of a camera's is empty, there are more or fewer
+            of them than cameras, or the duration is none.
     """
-    if cameras and len(cameras) != len(lab.model.cameras):
-        raise InputError("--cameras", f"{len(cameras)} addresses", f"{len(lab.model.cameras)}, as in the lab")
+    _check_options(lab, cameras, duration_s)
     radio = ZenohRadio(lab.model.radio, lab.folder, insecure=insecure)
     try:
         folder = _make_folder(folder, lab)
@@ -102,6 +103,26 @@ def run_session(
         radio.close()
     say(f"recorded in {folder}; `skyherd report {folder}` makes a page of it")
     return 0
+
+
+def _check_options(lab: Lab, cameras: Sequence[str], duration_s: float | None) -> None:
+    """Refuse options that mean nothing; see `run_session`."""
+    count = len(lab.model.cameras)
+    for number, address in enumerate(cameras, 1):
+        if not address.strip():
+            raise InputError(
+                "--cameras",
+                f"address {number} is empty",
+                f"{count} with commas between, or leave the option out for the lab's own",
+            )
+    if cameras and len(cameras) != count:
+        raise InputError("--cameras", f"{len(cameras)} addresses", f"{count}, as in the lab")
+    if duration_s is not None and not (math.isfinite(duration_s) and duration_s > 0):
+        raise InputError(
+            "--duration",
+            f"{duration_s:g}",
+            "a number of seconds above 0, or leave it out to run until Ctrl-C",
+        )
 
 
 def _make_folder(folder: Path | None, lab: Lab) -> Path:

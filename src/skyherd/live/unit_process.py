@@ -45,7 +45,7 @@ def run_unit(station: Station, unit: int, *, address: str | None = None, dry_run
     with ExitStack() as stack:
         diary = stack.enter_context(station.diary(core.name))
         told = Told(station, diary)
-        reader = _open(station, told, address or camera.address)
+        reader = _open(station, told, camera.address if address is None else address)
         if reader is None:
             return
         stack.enter_context(reader)

@@ -68,8 +68,9 @@ def _station(
     from skyherd.live.live_clock import LiveClock
     from skyherd.live.station import Station
 
+    clock = LiveClock(clock_offset_s)
     with joined_team(lab_file, settings, insecure) as (lab, radio), _asked_to_end(supervised) as ended:
-        yield Station(lab, radio, LiveClock(clock_offset_s), folder, _tell, ended)
+        yield Station(lab, radio, clock, folder, _tell, ended)
 
 
 def unit(
@@ -84,8 +85,11 @@ def unit(
     clock_offset_s: Offset = 0.0,
 ) -> int:
     """Be one aerial unit of a lab: its camera in, goals for its robots out, until Ctrl-C."""
+    from skyherd.errors import InputError
     from skyherd.live.unit_process import run_unit
 
+    if camera is not None and not camera.strip():
+        raise InputError("--camera", "is empty", "an address, or leave the option out for the lab's own")
     with _station(lab_file, out_dir, settings, insecure, supervised, clock_offset_s) as station:
         run_unit(station, number, address=camera, dry_run=dry_run)
     return 0

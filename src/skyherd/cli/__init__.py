@@ -16,7 +16,7 @@ import typer
 from typer.core import TyperGroup
 
 from skyherd.cli.bench import bench_app
-from skyherd.cli.console import complain
+from skyherd.cli.console import complain, printing_input_warnings
 from skyherd.cli.dataset import dataset_app
 from skyherd.cli.detect import detect
 from skyherd.cli.interrupts import (
@@ -97,7 +97,7 @@ def main(arguments: list[str] | None = None) -> None:
         if isinstance(stream, io.TextIOWrapper):  # a terminal without UTF-8 shows what it lacks escaped
             stream.reconfigure(errors="backslashreplace")
     try:
-        with signals_as_interrupts():
+        with signals_as_interrupts(), printing_input_warnings():
             code = app(arguments, standalone_mode=False, prog_name="skyherd")
     except UsageError as error:
         complain(f"{cast(Any, error).format_message()}; see `skyherd --help`")

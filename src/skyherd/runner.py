@@ -164,7 +164,7 @@ def make_report(folder: Path, *, film: bool = True, jobs: int = 1) -> dict[str, 
     recording = read_recording(folder / RECORDING)
     names = [name for name in output_names() if name not in (RECORDING, VIDEO)]
     filmed = film and recording.has_images
-    output = OutputFolder(folder, VERB, [*names, *([VIDEO] if filmed else [])], resume=True)
+    output = OutputFolder(folder, VERB, [*names, *([VIDEO] if filmed else [])], resume=True, elsewhere=None)
     with output:
         if filmed:
             with VideoRecorder(recording.mission, folder / VIDEO, beside=jobs > 1) as recorder:

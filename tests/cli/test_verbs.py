@@ -130,8 +130,12 @@ def test_an_empty_argument_is_refused(arguments, tmp_path, capsys, monkeypatch):
 
 @pytest.mark.parametrize(
     ("arguments", "path"),
-    [(["track", "--no"], "skyherd track"), (["dataset", "make", "--no"], "skyherd dataset make")]
-    + [(["no-verb"], "skyherd"), (["--no"], "skyherd")],
+    [
+        (["track", "--no"], "skyherd track"),
+        (["dataset", "make", "--no"], "skyherd dataset make"),
+        (["no-verb"], "skyherd"),
+        (["--no"], "skyherd"),
+    ],
 )
 def test_a_wrong_option_names_the_help_of_its_own_verb(arguments, path, capsys):
     assert_refused(call(capsys, *arguments), f"; see `{path} --help`\n")

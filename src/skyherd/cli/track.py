@@ -43,7 +43,7 @@ def track(
     """Follow robots with markers through overhead recordings, and measure the shape that they form.
 
     Leaves tracks on the ground in marker sides, rectified, and the shape error over time, as tables and a
-    figure. Exit code 0 when done, 1 if no marker was found, 2 for bad input.
+    figure. Exit code 0 when done, 1 if no robot's marker was found, 2 for bad input.
     """
     from skyherd.inspection import output_name
     from skyherd.live.tracking import FIGURE, SHAPE, TRACKS, named_shape, scenario_shape, track_videos
@@ -80,7 +80,10 @@ def track(
         ("file", "frames", "markers", "sightings"), rows, right_aligned=("frames", "markers", "sightings")
     )
     for tracks in recordings:
-        if not tracks.ids.size:
+        if not tracks.ids.size and tracks.strangers:
+            seen = ", ".join(map(str, sorted(tracks.strangers)))
+            warn(f"{tracks.name}: none of --ids {ids} was seen; seen were {seen}")
+        elif not tracks.ids.size:
             warn(f"{tracks.name}: no marker found; `skyherd detect --explain` says why")
     tables = f"{folder / TRACKS}" + (f", {folder / SHAPE}" if source else "")
     say(f"see {folder / FIGURE}, {tables}")

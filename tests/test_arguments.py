@@ -1,4 +1,4 @@
-"""Functions that `skyherd` offers, given what is not meant: one line says which argument, and what is allowed."""
+"""Functions that `skyherd` offers, given what is not meant: one line says which and what is allowed."""
 
 import pytest
 

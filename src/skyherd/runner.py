@@ -101,8 +101,9 @@ def run_mission(
         the run's summary, as `skyherd.analysis.summary.summarize` makes it.
 
     Raises:
-        InputError: an argument is not what is meant; the folder exists without `force`, holds a file that a run would replace and did not make,
-            or cannot be used; or an image that the mission names cannot be read.
+        InputError: an argument is not what is meant; the folder exists without `force`, holds a file that a
+            run would replace and did not make, or cannot be used; or an image that the mission names
+            cannot be read.
         OutputError: a file could not be written, as on a full disk.
     """
     check_kind("run_mission: folder", folder, (str, Path), "a path")

@@ -85,11 +85,8 @@ def unit(
     clock_offset_s: Offset = 0.0,
 ) -> int:
     """Be one aerial unit of a lab: its camera in, goals for its robots out, until Ctrl-C."""
-    from skyherd.errors import InputError
     from skyherd.live.unit_process import run_unit
 
-    if camera is not None and not camera.strip():
-        raise InputError("--camera", "is empty", "an address, or leave the option out for the lab's own")
     with _station(lab_file, out_dir, settings, insecure, supervised, clock_offset_s) as station:
         run_unit(station, number, address=camera, dry_run=dry_run)
     return 0

@@ -81,8 +81,7 @@ def run_session(
     shows = console.is_terminal
     supervisor = Supervisor(folder / "live.log", lines.append if shows else say)
     watched = operator.watch(lab, radio, LiveClock(), "supervisor")
-    options = ["--out", str(folder), "--supervised", *["--insecure"] * insecure, *["--dry-run"] * dry_run]
-    options += [part for setting in settings for part in ("--set", setting)]
+    options = _process_options(folder, settings, insecure=insecure, dry_run=dry_run)
     end_s = float("inf") if duration_s is None else time.monotonic() + duration_s
     waiting_to_arm = armed
     try:
@@ -91,14 +90,7 @@ def run_session(
             while time.monotonic() < end_s and not _gone(supervisor):
                 supervisor.tend()
                 watched.listen(1 / REFRESH_HZ)
-                pressed = key()
-                if pressed == " ":
-                    waiting_to_arm = False
-                    _report(supervisor, "stopped", operator.stop(lab, watched, "space bar", 1.0))
-                elif pressed == "a" or (waiting_to_arm and _all_there(lab, watched)):
-                    outcome = operator.arm(lab, watched, 2.0)
-                    _report(supervisor, "armed", outcome)
-                    waiting_to_arm = waiting_to_arm and bool(outcome.missing)
+                waiting_to_arm = _obey(key(), lab, watched, supervisor, waiting_to_arm=waiting_to_arm)
                 draw(_page(lab, watched, supervisor, lines))
     except KeyboardInterrupt:
         supervisor.say("live", "interrupted")
@@ -113,6 +105,26 @@ def run_session(
         say(line)
     say(f"recorded in {folder}; `skyherd report {folder}` makes a page of it")
     return WRONG if supervisor.refused else 0
+
+
+def _obey(
+    pressed: str, lab: Lab, watched: operator.Watch, supervisor: Supervisor, *, waiting_to_arm: bool
+) -> bool:
+    """Stop or arm as a key says, or as all robots are there; whether to go on waiting to arm."""
+    if pressed == " ":
+        _report(supervisor, "stopped", operator.stop(lab, watched, "space bar", 1.0))
+        return False
+    if pressed == "a" or (waiting_to_arm and _all_there(lab, watched)):
+        outcome = operator.arm(lab, watched, 2.0)
+        _report(supervisor, "armed", outcome)
+        return waiting_to_arm and bool(outcome.missing)
+    return waiting_to_arm
+
+
+def _process_options(folder: Path, settings: Sequence[str], *, insecure: bool, dry_run: bool) -> list[str]:
+    """Options that all processes of a run are started with."""
+    options = ["--out", str(folder), "--supervised", *["--insecure"] * insecure, *["--dry-run"] * dry_run]
+    return options + [part for setting in settings for part in ("--set", setting)]
 
 
 def _gone(supervisor: Supervisor) -> str:

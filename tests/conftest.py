@@ -42,6 +42,10 @@ from skyherd.render import ground
 
 BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
 
+GARBAGE_LOOKED_FOR = 20_000
+"""Number of objects after whose making garbage is looked for. Chosen: of 700, Python's own, looking takes 3 %
+of the time, since steps and figures are many objects; so many of them are some megabytes."""
+
 hypothesis.settings.register_profile("same", derandomize=True, deadline=None, database=None)
 hypothesis.settings.register_profile("random", deadline=None, database=None, print_blob=True)
 
@@ -84,6 +88,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 def pytest_collection_finish() -> None:
     """From here on garbage is looked for, but not among what was there before."""
     gc.freeze()
+    gc.set_threshold(GARBAGE_LOOKED_FOR)
     gc.enable()
 
 

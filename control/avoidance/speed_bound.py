@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skyherd.control.avoidance.detour import DETOUR_RULES, Detour
+from skyherd.control.avoidance.detour import DETOUR_RULES, Detour, out_of_margin
 from skyherd.control.avoidance.neighbor_memory import NeighborMemory
 from skyherd.control.robots.unicycle import RobotLaw, Wheels, wheel_law
 from skyherd.geometry import Array, ComplexArray, IntArray, wrap_angle
@@ -176,7 +176,8 @@ def avoiding_law(
 ) -> tuple[Array, Array]:
     """Speeds v (N,), m/s, and ω (N,), rad/s, that keep robots apart.
 
-    Where nothing blocks a robot it is `wheel_law` to the bit.
+    Where nothing blocks a robot it is `wheel_law` to the bit. A robot that has a body within its margin may
+    not approach it at all, and drives away from it first.
 
     Args:
         rho: (N,) vectors to follow in the robots' frames, in the unit of the law.
@@ -196,5 +197,13 @@ def avoiding_law(
         )
         rho = rho.copy()
         rho[blocked] = velocities / gain
+        within = (bounds.speeds_mps <= 0) & (np.abs(preferred[bounds.rows]) > LEAST_SPEED_MPS)
+        leaving, velocities = out_of_margin(
+            preferred,
+            rows=bounds.rows[within],
+            bearings_rad=bounds.bearings_rad[within],
+            spreads_rad=bounds.slack_rad[within] + rule.wheels.max_turn_radps * rule.lag_s,
+        )
+        rho[leaving] = velocities / gain
     v_mps, omega_radps = wheel_law(rho, law, rule.wheels)
     return slowed(v_mps, omega_radps, bounds=bounds, rule=rule)

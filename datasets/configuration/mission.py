@@ -30,7 +30,7 @@ from skyherd.files.images import Grey, read_grey
 from skyherd.files.reading import is_regular
 from skyherd.geometry import Array, IntArray, to_points
 from skyherd.markers.dictionary import dictionary_size
-from skyherd.messages.checks import check_texts
+from skyherd.messages.checks import check_kind, check_texts
 from skyherd.random_streams import RunStream, generator
 from skyherd.vision import check_detector_name, load_accuracy
 
@@ -154,8 +154,9 @@ def load_mission(name_or_file: str, settings: Iterable[str] = (), *, seed: int |
     Raises:
         InputError: in one line, the file, the key, the value, and what is allowed.
     """
+    check_kind("load_mission: name_or_file", name_or_file, (str, Path), "a scenario's name or file")
     source = read_scenario(name_or_file)
-    for setting in settings:
+    for setting in check_texts("settings", settings):
         _apply_setting(source.tree, setting)
     if seed is not None:
         source.tree["seed"] = seed
@@ -187,7 +188,6 @@ def make_mission(tree: dict[str, Any], *, where: str = "scenario", folder: Path 
 
 def _apply_setting(tree: dict[str, Any], setting: str) -> None:
     """Put one `a.b.0.c=value` over the tree; the value is TOML, or plain text where that fails."""
-    check_texts("settings", [setting])
     key, equals, text = setting.partition("=")
     if not equals or not key.strip():
         raise InputError(f"--set {setting}", "not of the form key=value", "such as --set control.k=0.2")

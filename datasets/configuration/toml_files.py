@@ -1,5 +1,6 @@
 """TOML files that users write: read from a file or built in, and refused in one line where they are wrong."""
 
+import os
 import re
 import tomllib
 from copy import deepcopy
@@ -51,7 +52,7 @@ def built_in_text(package: str, name: str, noun: str) -> str:
     if name not in names:
         raise InputError(
             f"{noun} {name!r}",
-            "no such file, nor a built-in of that name",
+            "is a folder" if os.path.isdir(name) else "no such file, nor a built-in of that name",
             f"a TOML file or one of {', '.join(names)}",
         )
     return files(package).joinpath(f"{name}.toml").read_text("utf-8")

@@ -10,6 +10,7 @@ from skyherd.datasets.labelled.labels import Labels
 from skyherd.datasets.labelled.spec import DatasetSpec
 from skyherd.errors import InputError
 from skyherd.files.images import Grey, read_grey
+from skyherd.messages.checks import check_kind
 
 
 @dataclass(frozen=True)
@@ -74,6 +75,7 @@ def read_dataset(path: Path | str) -> Dataset:
     Raises:
         InputError: the folder has no labelled set, or a table of it is damaged or not there.
     """
+    check_kind("read_dataset: path", path, (str, Path), "a path")
     folder = open_folder(Path(path))
     labels, taken = read_labels(folder.truth), read_table(folder.images, ("image", "split"))
     names = [folder.image_name(index) for index in range(folder.spec.images)]

@@ -7,7 +7,7 @@ import numpy as np
 from skyherd.datasets.shapes.words import PREFIX, word_points
 from skyherd.errors import InputError
 from skyherd.geometry import Array
-from skyherd.messages.checks import check_count
+from skyherd.messages.checks import check_count, check_kind
 
 STAR_INNER_RATIO = 0.515
 """Inner over outer radius of the star. *Derived* from the paper's second simulation: 4.12 / 8."""
@@ -85,6 +85,7 @@ def shape_points(name: str, count: int) -> Array:
         InputError: there is no such shape, or not for so many robots, or `count` is no whole number up to
             MOST_POINTS; the error says what there is.
     """
+    check_kind("template.shape", name, str, "a text")
     check_count("template.shape: count", count, most=MOST_POINTS)
     if name.startswith(PREFIX):
         return word_points(name.removeprefix(PREFIX), count)

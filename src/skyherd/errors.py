@@ -38,6 +38,10 @@ class InputError(SkyherdError, ValueError):
         return type(self), (self.where, self.what, self.allowed), vars(self)
 
 
+class InputWarning(UserWarning):
+    """An input of the user is read in part only; the message is one line, `where: what; what is read`."""
+
+
 def _fitted(*parts: str) -> list[str]:
     """The parts, the longest of them shortened to one length, so that all have `MOST_CHARACTERS` together."""
     most = next(

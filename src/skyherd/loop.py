@@ -10,6 +10,7 @@ from skyherd.control import Decision
 from skyherd.datasets import Mission, Scenario
 from skyherd.geometry import IntArray
 from skyherd.messages import FlightCommand, VelocityCommand
+from skyherd.messages.checks import check_kind
 from skyherd.random_streams import RunStream, generator
 from skyherd.sim.agents import ControllerFactory, UnitAgents, make_controller
 from skyherd.sim.perception import Perception, Sight, make_run_perception
@@ -89,7 +90,11 @@ def run_steps(
         perception: from the world to each unit's detections; by default as the scenario asks for.
         controller_for: makes the controller of a unit (mission, unit), at the start and in each outage anew.
         team_for: makes the robots (mission, world).
+
+    Raises:
+        InputError: `mission` is none.
     """
+    check_kind("run_steps: mission", mission, Mission, "a Mission, as load_mission returns it")
     scenario = mission.scenario
     frame_rng = generator(scenario.seed, RunStream.LOST_FRAMES)
     world, observer = make_world(mission), TruthObserver(mission.template, mission.ids)

@@ -24,6 +24,7 @@ from skyherd.files.atomic import write_text
 from skyherd.files.output_folder import OutputFolder
 from skyherd.loop import Step, run_steps
 from skyherd.messages import TIME_TOLERANCE_S
+from skyherd.messages.checks import check_count, check_kind
 from skyherd.plots import panels
 from skyherd.plots.panels import write_figures
 from skyherd.progress import NO_PROGRESS, Progress
@@ -41,6 +42,9 @@ RECORDING, SUMMARY, FIGURES = "run.mcap", "summary.json", "figures"
 VERB = "run"
 """Verb by which a folder's record knows the files of a run, those that `skyherd report` makes again among
 them."""
+
+MOST_JOBS = 4096
+"""Cores that a run may be told to use. *Chosen*: more than any machine has."""
 
 FREE_BYTES = 100 * 2**20
 """Least free space on the disk, in bytes, to begin a run with. Chosen: more than the files of a mission of
@@ -64,7 +68,7 @@ def _check_free_space(folder: Path) -> None:
 
 def run_mission(
     mission: Mission,
-    folder: Path,
+    folder: Path | str,
     *,
     force: bool = False,
     video: bool = True,
@@ -97,13 +101,18 @@ def run_mission(
         the run's summary, as `skyherd.analysis.summary.summarize` makes it.
 
     Raises:
-        InputError: the folder exists without `force`, holds a file that a run would replace and did not make,
-            or cannot be used; or an image that the mission names cannot be read.
+        InputError: an argument is not what is meant; the folder exists without `force`, holds a file that a
+            run would replace and did not make, or cannot be used; or an image that the mission names
+            cannot be read.
         OutputError: a file could not be written, as on a full disk.
     """
+    check_kind("run_mission: folder", folder, (str, Path), "a path")
+    check_count("run_mission: jobs", jobs, least=1, most=MOST_JOBS)
+    folder = Path(folder)
     output = OutputFolder(folder, VERB, output_names(), force=force)
     output.check()
     started_s = perf_counter()
+    check_kind("run_mission: mission", mission, Mission, "a Mission, as load_mission returns it")
     perception = SideBySide(make_run_perception(mission), jobs)
     steps = run_steps(mission, perception)
     first = next(steps)
@@ -164,7 +173,7 @@ def make_report(folder: Path, *, film: bool = True, jobs: int = 1) -> dict[str, 
     recording = read_recording(folder / RECORDING)
     names = [name for name in output_names() if name not in (RECORDING, VIDEO)]
     filmed = film and recording.has_images
-    output = OutputFolder(folder, VERB, [*names, *([VIDEO] if filmed else [])], resume=True)
+    output = OutputFolder(folder, VERB, [*names, *([VIDEO] if filmed else [])], resume=True, elsewhere=None)
     with output:
         if filmed:
             with VideoRecorder(recording.mission, folder / VIDEO, beside=jobs > 1) as recorder:

@@ -247,3 +247,21 @@ def test_a_mission_that_never_is_ready_has_none(base: History) -> None:
     scenario = base.mission.scenario.model_copy(update={"selection": selection})
     history = replace(flown(base, 2), mission=replace(base.mission, scenario=scenario))
     assert estimate_dwell_time(history) == DwellTime()
+
+
+def test_a_new_shape_ends_a_stretch_and_is_no_change_of_the_topology(base: History) -> None:
+    """Half-way through a slot, from when on robots stand still: V jumps then, and the rate is of before."""
+    at, template = SLOT // 2, base.mission.template
+    other = replace(template, points_px=template.points_px.real + 0.1j * template.points_px.imag)
+    mission = replace(base.mission, later=((at * STEP_S, other),))
+    plain, observer = flown(base, 1), TruthObserver(template, base.ids)
+    V, positions_m = plain.V.copy(), plain.positions_m.copy()
+    positions_m[at:] = positions_m[at]
+    for row in range(at, V.size):
+        sets = {unit: base.ids[mine] for unit, mine in enumerate(plain.controlled[row])}
+        V[row] = observer.observe(
+            positions_m[row], sets, shape=mission.shape_at(row * STEP_S, plain.roles[row])
+        ).V
+    told = estimate_dwell_time(replace(plain, mission=mission, V=V, positions_m=positions_m))
+    assert abs(np.log(V[at] / V[at - 1])) > 0.1, "V jumps"
+    assert told == DwellTime(decay_ps=pytest.approx(0.0, abs=1e-9))

@@ -1,8 +1,18 @@
 """Output of the command line: which stream, one line, tables, and the progress reporter."""
 
+import warnings
+
 import pytest
 
-from skyherd.cli.console import ProgressReporter, complain, say, say_table, warn
+from skyherd.cli.console import (
+    ProgressReporter,
+    complain,
+    printing_input_warnings,
+    say,
+    say_table,
+    warn,
+)
+from skyherd.errors import InputWarning
 
 
 def test_results_go_to_stdout_and_the_rest_to_stderr(capsys):
@@ -10,6 +20,17 @@ def test_results_go_to_stdout_and_the_rest_to_stderr(capsys):
     complain("a line\n  and another")
     warn("look")
     assert capsys.readouterr() == ("[0] of 3\n", "error: a line and another\nwarning: look\n")
+
+
+def test_what_is_warned_of_an_input_is_one_line_said_once(capsys):
+    with printing_input_warnings():
+        for what in ("a.tif: 3 pages", "a.tif: 3 pages", "b.tif: 2 pages"):
+            warnings.warn(InputWarning(what), stacklevel=1)
+        with pytest.raises(UserWarning, match="another"):
+            warnings.warn("another", stacklevel=1)
+    assert capsys.readouterr() == ("", "warning: a.tif: 3 pages\nwarning: b.tif: 2 pages\n")
+    with pytest.raises(InputWarning):
+        warnings.warn(InputWarning("a.tif: 3 pages"), stacklevel=1)
 
 
 def test_a_table_keeps_brackets_and_is_nothing_without_rows(capsys):

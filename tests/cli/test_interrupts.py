@@ -105,10 +105,10 @@ def test_of_a_run_that_is_interrupted_before_its_first_step_nothing_is_left(tmp_
 
 
 def test_sigterm_in_another_process_tidies_up(tmp_path):
-    """A video of 2000 frames, ended in its middle."""
+    """A video of 8000 frames, ended in its middle, however slowly this process gets to it."""
     size = (320, 240)
     writer = cv2.VideoWriter(str(tmp_path / "v.avi"), cv2.VideoWriter_fourcc(*"MJPG"), 25, size)
-    for _ in range(2000):
+    for _ in range(8000):
         writer.write(np.full((240, 320, 3), 90, np.uint8))
     writer.release()
     process = subprocess.Popen(

@@ -2,6 +2,7 @@
 
 import ast
 import importlib
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -126,6 +127,8 @@ def test_type_checkers_see_the_same_names_from_the_same_modules():
 def test_no_module_of_the_package_imports_the_entrance():
     """It would load what it needs through a detour, and close a circle."""
     for path in SOURCE_FILES.values():
+        if not re.search(r"from\s+skyherd\s+import|import\s.*\bskyherd\b(?![.\w])", path.read_text("utf-8")):
+            continue  # what it says is spared its tree, which takes most of the time
         for node in ast.walk(syntax_tree(path)):
             names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
             assert "skyherd" not in names, path

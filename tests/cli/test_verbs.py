@@ -100,6 +100,47 @@ def test_report_makes_the_same_summary_again(tmp_path, capsys):
     assert (out / "report.html").read_text().count("<img") == 1
 
 
+def test_a_report_that_cannot_be_written_advises_what_its_verb_can_do(tmp_path, capsys):
+    out = tmp_path / "run"
+    call(capsys, "run", "star", "--out", out, *SHORT)
+    (out / "report.html").write_text("mine")
+    refused = call(capsys, "report", out)
+    assert_refused(refused, "report.html: was changed since skyherd made it; move it away\n")
+
+
+def test_what_is_no_folder_of_a_run_is_said(tmp_path, capsys):
+    (tmp_path / "a.txt").write_text("mine")
+    (tmp_path / "empty").mkdir()
+    for name, words in (("none", "no such folder"), ("a.txt", "is a file"), ("empty", "no run.mcap in it")):
+        assert_refused(call(capsys, "report", tmp_path / name), f"{name}: {words}")
+
+
+@pytest.mark.parametrize("verb", [("scenario", "check"), ("live", "check"), ("dataset", "make"), ("study",)])
+def test_a_folder_in_place_of_a_file_is_said_to_be_one(verb, tmp_path, capsys):
+    refused = call(capsys, *verb, tmp_path)
+    assert_refused(refused, f"'{tmp_path}': is a folder; a TOML file or one of ")
+
+
+@pytest.mark.parametrize("arguments", [["detect", ""], ["detect", "a.png", "--out", ""], ["track", "--out="]])
+def test_an_empty_argument_is_refused(arguments, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert_refused(call(capsys, *arguments), "is empty; give a name or a value")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "path"),
+    [
+        (["track", "--no"], "skyherd track"),
+        (["dataset", "make", "--no"], "skyherd dataset make"),
+        (["no-verb"], "skyherd"),
+        (["--no"], "skyherd"),
+    ],
+)
+def test_a_wrong_option_names_the_help_of_its_own_verb(arguments, path, capsys):
+    assert_refused(call(capsys, *arguments), f"; see `{path} --help`\n")
+
+
 def test_report_films_again_from_recorded_images(tmp_path, capsys):
     out = tmp_path / "run"
     call(capsys, "run", "triangle", "--out", out, "--set", "duration_s=0.5", "--no-video", "--record-images")
@@ -178,7 +219,7 @@ def test_a_disk_that_fills_up_later_leaves_what_was_recorded(tmp_path, capsys, m
         (["run", "star", "--set", "marker.side_m=nan"], ["marker.side_m", "finite"]),
         (["run", "star", "--colour"], ["--colour"]),
         (["run"], ["Missing", "scenario"]),
-        (["report", "no-such-folder"], ["no-such-folder", "run.mcap"]),
+        (["report", "no-such-folder"], ["no-such-folder", "no such folder"]),
         (["scenario", "show", "nothing"], ["nothing", "star"]),
         (["scenario", "check", "nothing.toml"], ["nothing.toml"]),
     ],

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from PIL import Image, ImageFile, ImageOps
 
-from skyherd.errors import InputError
+from skyherd.errors import InputError, InputWarning
 from skyherd.files import images
 from skyherd.files.images import decode_jpeg, read_grey
 
@@ -155,6 +155,22 @@ def test_files_cut_short_are_refused_in_one_line(tmp_path, suffix, share) -> Non
     with pytest.raises(InputError) as refused:
         read_grey(path)
     assert "\n" not in str(refused.value) and str(path) in str(refused.value)
+
+
+@pytest.mark.parametrize("suffix", ["tif", "gif", "webp"])
+def test_of_several_pages_the_first_is_read_and_the_others_are_counted(tmp_path, suffix) -> None:
+    path, pages = tmp_path / f"a.{suffix}", [GREY, 255 - GREY, GREY // 2]
+    first, *others = map(Image.fromarray, pages)
+    options = {"lossless": True} if suffix == "webp" else {}
+    first.save(path, save_all=True, append_images=others, **options)
+    with pytest.warns(InputWarning, match=rf"a\.{suffix}: 3 pages, of which the first is read$"):
+        np.testing.assert_array_equal(read_grey(path), GREY)
+
+
+def test_a_picture_in_lab_is_refused_as_what_it_is(tmp_path) -> None:
+    Image.fromarray(np.dstack([GREY] * 3)).convert("LAB").save(tmp_path / "a.tif")
+    with pytest.raises(InputError, match="colour space LAB is not read; save it as grey or RGB"):
+        read_grey(tmp_path / "a.tif")
 
 
 def test_what_is_no_picture_is_said(tmp_path) -> None:

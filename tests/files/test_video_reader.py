@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 from video_tags import tag_display
 
-from skyherd.files.video_reader import TAG_PX, UprightGrey, open_clip, read_clip
+from skyherd.errors import InputError, InputWarning
+from skyherd.files.upright_grey import TAG_PX, UprightGrey
+from skyherd.files.video_reader import open_clip, read_clip
 from skyherd.files.video_writer import VideoSink, read_frames
 
 UNEVEN_S = (0.0, 0.04, 0.2, 0.21, 0.9)
@@ -155,3 +157,53 @@ def test_a_frame_is_given_back_as_soon_as_its_image_is(tmp_path, held):
         assert [frame for frame in kept if frame.width > TAG_PX] == []
     finally:
         gc.enable()
+
+
+def noisy(count=30):
+    """Images of which each is as large in the file as the others."""
+    levels = np.random.default_rng(3).integers(0, 256, (count, 64, 96))
+    return list(levels.astype(np.uint8))
+
+
+@pytest.mark.parametrize("name", ["v.mkv", "v.avi"])
+def test_of_a_video_that_was_cut_off_the_beginning_is_read_with_a_warning(tmp_path, name):
+    data = write(tmp_path / name, noisy()).read_bytes()
+    whole = [frame.image for frame in read_clip(open_clip(tmp_path / name))]
+    (tmp_path / name).write_bytes(data[: len(data) // 2])
+    with pytest.warns(
+        InputWarning, match=rf"{name}: cut short or damaged: 1\d frames, 0\.\d s of 1\.2 s$"
+    ) as said:
+        read = [frame.image for frame in read_clip(open_clip(tmp_path / name))]
+    assert len(said) == 1 and len(whole) == 30
+    assert all(np.array_equal(*pair) for pair in zip(read[:-1], whole, strict=False))
+
+
+@pytest.mark.parametrize("name", ["v.mkv", "v.mp4"])
+def test_of_a_damaged_video_what_can_be_read_is_read_with_a_warning(tmp_path, name):
+    """Bytes in the middle are overwritten: frames before them are as they were."""
+    data = bytearray(write(tmp_path / name, noisy()).read_bytes())
+    whole = [frame.image for frame in read_clip(open_clip(tmp_path / name))]
+    middle = slice(len(data) // 2, len(data) * 2 // 3)
+    data[middle] = bytes(level ^ 0x5A for level in data[middle])
+    (tmp_path / name).write_bytes(data)
+    with pytest.warns(InputWarning, match=f"{name}: cut short or damaged: ") as said:
+        read = [frame.image for frame in read_clip(open_clip(tmp_path / name))]
+    assert len(said) == 1 and len(read) >= 12
+    assert all(np.array_equal(*pair) for pair in zip(read[:12], whole, strict=False))
+
+
+def test_a_whole_video_that_begins_late_or_is_uneven_is_not_called_cut_short(tmp_path):
+    """Warnings are errors in tests."""
+    for name in ("v.mkv", "v.mp4", "v.avi"):
+        path = write(tmp_path / name, noisy(5), None if name == "v.avi" else UNEVEN_S, start_s=2.0)
+        assert sum(1 for _ in read_clip(open_clip(path))) == 5
+
+
+def test_a_file_with_sound_only_has_no_picture_in_it(tmp_path):
+    with av.open(str(tmp_path / "v.mp4"), "w") as container:
+        stream = container.add_stream("aac", rate=44100)
+        sound = av.AudioFrame.from_ndarray(np.zeros((1, 1024), np.float32), format="fltp", layout="mono")
+        sound.sample_rate = 44100
+        container.mux([*stream.encode(sound), *stream.encode(None)])
+    with pytest.raises(InputError, match=r"cannot be read as a video \(no picture in it\)"):
+        open_clip(tmp_path / "v.mp4")

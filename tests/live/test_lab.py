@@ -52,6 +52,100 @@ def test_wrong_values_are_one_line(setting, complaint) -> None:
     assert "\n" not in str(refusal.value)
 
 
+@pytest.mark.parametrize(
+    ("setting", "line"),
+    [
+        ("shape.shape=hexagon", "shape.shape: no shape 'hexagon'; one of circle, "),
+        ("shape.shape=word:SKYHERD", "shape.shape: 4 robots to write SKYHERD; "),
+        (
+            "shape.points=[[0, 0], [1, 0]]",
+            "shape: both shape and points; give exactly one of shape and points",
+        ),
+        ("markers.dictionary=foo", "markers.dictionary: no dictionary 'foo'; one of 4X4_100, "),
+        ("team='ü m'", "team: 'ü m'; 1 to 40 letters, digits, _ and -, of which the first is no -"),
+        ("team=''", "team: ''; 1 to 40 letters"),
+        (f"team={'a' * 41}", f"team: '{'a' * 41}'; 1 to 40 letters"),
+        ("robots.2.id=0", "robots.2.id: 0 is there twice; each robot its own marker"),
+        ("robots.1.id=50", "robots.1.id: 4X4_50 has no marker 50; 0 to 49, "),
+        ("cameras.0.detector=eyes", "cameras.0.detector: no detector 'eyes'; one of "),
+        ("limits.period_s=0.5", "limits.goal_timeout_s: 0.6; at least two period_s, which is 1"),
+    ],
+)
+def test_what_is_wrong_with_a_lab_names_file_and_key_and_what_is_allowed(tmp_path, setting, line) -> None:
+    file = tmp_path / "lab.toml"
+    file.write_text(lab_text("webcams"), encoding="utf-8")
+    with pytest.raises(InputError) as refusal:
+        load_lab(str(file), [setting])
+    assert str(refusal.value).startswith(f"{file}: {line}")
+
+
+@pytest.mark.parametrize(
+    ("address", "words"),
+    [
+        ("foo", "no driver 'foo'; ros2://…, mqtt://…, "),
+        ("tcp://a:99999", "no driver 'tcp://a:99999'; ros2://…, "),
+        ("tcp://user:secret@a:9", "no driver 'tcp://a:9'; ros2://…, "),
+        ("os:", "no driver 'os:'"),
+        ("mqtt://", "mqtt://: a host is missing; mqtt://"),
+        ("mqtt://user:secret@a:99999", "Port out of range"),
+        ("mqtt://a/+", "a topic without + and #"),
+        ("udp://a:99999", "udp://a:99999: Port out of range"),
+        ("udp://a", "a host or a port is missing"),
+        ("udp://[::1", "Invalid IPv6 URL"),
+        ("serial://", "no port"),
+        ("serial://dev/ttyUSB0", "no port"),
+        ("serial:///dev/nope?baud=x", "baud 'x'; a number of bits a second"),
+        ("serial:///dev/nope?baud=0", "baud '0'"),
+        ("serial:///dev/nope?speed=9600", "option 'speed'; baud alone"),
+        ("ros2://a:99999/cmd_vel", "Port out of range"),
+        ("ros2:///cmd_vel?type=Pose", "Twist or TwistStamped"),
+    ],
+)
+def test_a_driver_that_cannot_be_is_refused_by_whatever_reads_the_lab(tmp_path, address, words) -> None:
+    file = tmp_path / "lab.toml"
+    file.write_text(lab_text("webcams"), encoding="utf-8")
+    for entry in ("robots.1", "cameras.1"):
+        with pytest.raises(InputError) as refusal:
+            load_lab(str(file), [f"{entry}.driver='{address}'"])
+        line = str(refusal.value)
+        assert line.startswith(f"{file}: {entry}.driver: ") and words in line
+        assert "\n" not in line and "secret" not in line
+
+
+@pytest.mark.parametrize(
+    "address",
+    [
+        "ros2://host/robot{id}/cmd_vel?type=TwistStamped",
+        "mqtts://user:secret@host:8884/topic?ca=broker.pem",
+        "serial:///dev/ttyUSB7?baud=57600",
+        "udp://no-such-host.invalid:9000",
+        "dry-run",
+        "world",
+        "module_on_another_machine:factory=TEXT",
+    ],
+)
+def test_a_driver_that_may_be_elsewhere_is_not_asked_for(address) -> None:
+    assert load_lab("webcams", [f"robots.1.driver='{address}'"]).model.robots[1].driver == address
+
+
+def test_check_looks_for_factories_of_one_s_own(capsys, tmp_path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "wheels_to_check.py").write_text("def make(robot_id, text): raise RuntimeError\n")
+    check = ["live", "check", "webcams", "--no-cameras", "--set"]
+    assert call(capsys, *check, "robots.0.driver='wheels_to_check:make'")[0] == 0, "found, and not called"
+    for address, words in (
+        ("os:path", "'path' is not callable"),
+        ("wheels_to_check:no", "no attribute 'no'"),
+    ):
+        code, out, err = call(capsys, *check, f"robots.0.driver='{address}'")
+        assert code == 2 and not out and f"webcams: robots.0.driver: {address}: " in err and words in err
+
+
+def test_a_team_s_name_may_be_of_any_letters() -> None:
+    assert load_lab("webcams", ["team='ü-2_b'"]).model.team == "ü-2_b"
+
+
 FILES = {"authority": "a.pem", "certificate": "c.pem", "key": "k.pem"}
 
 

@@ -1,4 +1,4 @@
-"""The dashboard's keys: a stop is never lost among others."""
+"""What is refused before a lab starts, when a run ends, and its keys: a stop is never lost among others."""
 
 import os
 import pty
@@ -6,8 +6,139 @@ import sys
 import tty
 
 import pytest
+from command_line import call
 
+from skyherd.errors import InputError
+from skyherd.live.cameras import check_camera
 from skyherd.live.session import _keys
+from skyherd.live.supervisor import Child, Supervisor
+
+
+@pytest.mark.parametrize("verb", ["unit", "robot"])
+@pytest.mark.parametrize("offset", ["nan", "inf", "1e300", "-86401"])
+def test_a_clock_that_is_off_is_off_by_a_number_of_seconds(capsys, tmp_path, verb, offset) -> None:
+    code, out, err = call(capsys, verb, "webcams", 0, "--out", tmp_path / "run", "--clock-offset", offset)
+    assert code == 2 and not out and len(err.splitlines()) == 1
+    assert f"--clock-offset: {float(offset):g}; a number of seconds, 86400 at most either way" in err
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "complaint"),
+    [
+        ("--cameras", ",", "--cameras: address 1 is empty; 2 with commas between"),
+        ("--cameras", "", "the argument after --cameras: is empty; "),
+        ("--cameras", "a.mp4, ", "--cameras: address 2 is empty; "),
+        ("--cameras", "a.mp4", "--cameras: 1 addresses; 2, as in the lab"),
+        ("--duration", "nan", "--duration: nan; a number of seconds above 0"),
+        ("--duration", "inf", "--duration: inf; a number of seconds above 0"),
+        ("--duration", "0", "--duration: 0; a number of seconds above 0"),
+        ("--duration", "-5", "--duration: -5; a number of seconds above 0"),
+    ],
+)
+def test_options_of_a_run_that_mean_nothing_are_refused_first(
+    capsys, tmp_path, monkeypatch, option, value, complaint
+) -> None:
+    monkeypatch.setattr("skyherd.live.session.ZenohRadio", None)
+    code, out, err = call(capsys, "live", "run", "webcams", "--out", tmp_path / "run", option, value)
+    assert code == 2 and not out and len(err.splitlines()) == 1 and complaint in err
+    assert not (tmp_path / "run").exists()
+
+
+def test_an_empty_address_does_not_stand_for_the_lab_s_camera(capsys, tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr("skyherd.live.zenoh_radio.ZenohRadio", None)
+    code, out, err = call(capsys, "unit", "webcams", 0, "--out", tmp_path / "run", "--camera", "")
+    assert code == 2 and not out and "the argument after --camera: is empty; " in err
+
+
+@pytest.mark.parametrize(
+    ("options", "complaint"),
+    [
+        ([], "webcams: cameras.0.address: /dev/video70: no such camera; devices that are there: "),
+        (["--cameras", "{0}/a.mp4,{0}/b.mp4"], "--cameras: address 1: {0}/a.mp4: "),
+        (["--cameras", "tcp://127.0.0.1:9,{0}/notes.txt"], "--cameras: address 2: {0}/notes.txt: "),
+        (["--cameras", "tcp://127.0.0.1:9,nothing"], "--cameras: address 2: no camera 'nothing'; "),
+        (["--set", "robots.3.driver=foo"], "lab webcams: robots.3.driver: no driver 'foo'; "),
+        (["--set", "robots.3.driver=os:path"], "webcams: robots.3.driver: os:path: 'path' is not callable; "),
+    ],
+)
+def test_cameras_and_drivers_that_cannot_be_are_refused_before_anything_starts(
+    capsys, tmp_path, monkeypatch, options, complaint
+) -> None:
+    monkeypatch.setattr("skyherd.live.session.ZenohRadio", None)
+    (tmp_path / "notes.txt").write_text("no video")
+    run = ["live", "run", "webcams", "--out", tmp_path / "run", "--set", "cameras.*.address=/dev/video70"]
+    code, out, err = call(capsys, *run, *(option.format(tmp_path) for option in options))
+    assert code == 2 and not out and len(err.splitlines()) == 1 and complaint.format(tmp_path) in err
+    assert not (tmp_path / "run").exists()
+
+
+def test_streams_and_folders_are_not_asked_for(tmp_path) -> None:
+    check_camera("rtsp://user:secret@no-such-host.invalid/1")
+    check_camera(str(tmp_path))
+    with pytest.raises(InputError, match="no address"):
+        check_camera("ftp://host/1")
+
+
+class Silence:
+    """A radio that nobody else is at."""
+
+    def __init__(self, *places, **options) -> None:
+        pass
+
+    def publish(self, topic, data) -> None:
+        pass
+
+    def subscribe(self, pattern, take) -> None:
+        pass
+
+    def close(self) -> None:
+        pass
+
+
+STAYS, FAILS, ENDS = "import sys; sys.stdin.read()", "raise SystemExit(2)", "pass"
+ENDS_AFTER_A_FAILURE = """
+import pathlib, sys, time
+while "ended with code 2" not in pathlib.Path(sys.argv[1], "live.log").read_text():
+    time.sleep(0.05)
+"""
+
+
+@pytest.mark.parametrize(
+    ("programs", "code", "lines"),
+    [
+        ({"unit/": FAILS}, 2, ["no unit is left", "ended with code 2: unit/0, unit/1; live.log says"]),
+        (
+            {"robot/": FAILS},
+            2,
+            ["no robot is left", "ended with code 2: robot/0, robot/1, robot/2, robot/3;"],
+        ),
+        ({"unit/": ENDS}, 0, ["no unit is left"]),
+        (
+            {"unit/": ENDS_AFTER_A_FAILURE, "robot/2": FAILS},
+            2,
+            ["no unit is left", "ended with code 2: robot/2; live.log says"],
+        ),
+    ],
+)
+def test_a_run_ends_when_nobody_is_left_and_tells_of_wrong_input_by_its_exit_code(
+    capsys, tmp_path, monkeypatch, programs, code, lines
+) -> None:
+    folder = tmp_path / "run"
+
+    def add(supervisor, name, arguments) -> None:
+        program = next((text for begin, text in programs.items() if name.startswith(begin)), STAYS)
+        supervisor.take(Child(name, [sys.executable, "-c", program, str(folder)]))
+
+    monkeypatch.setattr(Supervisor, "add", add)
+    monkeypatch.setattr("skyherd.live.session.ZenohRadio", Silence)
+    streams = "tcp://127.0.0.1:9,tcp://127.0.0.1:9"
+    found, out, _ = call(capsys, "live", "run", "webcams", "--out", folder, "--cameras", streams)
+    assert found == code
+    for text in (out, (folder / "live.log").read_text()):
+        told = [line.partition(" live ")[2].strip() for line in text.splitlines()]
+        told = [line for line in told if "left" in line or "code" in line]
+        assert len(told) == len(lines) and all(map(str.startswith, told, lines)), told
 
 
 @pytest.fixture

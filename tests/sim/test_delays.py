@@ -75,7 +75,7 @@ def test_an_age_that_a_robot_measures_is_too_small_by_the_margin_at_most(case) -
     margin_s = make_avoidance(mission.scenario).clock_margin_s
     assert (margin_s == 0) == (len(set(case[0])) == 1 and case[2] == 0)
     taken_s, short_s = {}, []
-    for step, team in run_for(mission, 20.0):
+    for step, team in run_for(mission, 16.0):
         for unit, frame in step.frames.items():
             taken_s[unit, frame.decision.report.time_s] = step.time_s
         now_s = step.time_s + team.clocks.lead_s(step.time_s)
@@ -99,7 +99,7 @@ def test_no_message_is_faster_than_the_least_delay_and_some_are_as_fast(case) ->
     def heard(detections, reports):
         reported.extend(detections.time_s - report.time_s for report in reports)
 
-    for step, team in run_for(mission, 20.0, heard):
+    for step, team in run_for(mission, 10.0, heard):
         fresh = np.isclose(team.inboxes.received_s, step.time_s)
         received += (step.time_s - team.inboxes.imaged_s[fresh]).tolist()
     least_s, most_s = least_message_delay_s(scenario), most_message_delay_s(scenario)

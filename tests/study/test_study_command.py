@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from command_line import assert_refused
 from study_runs import SMALL, call
 
 from skyherd.datasets import scenario_names
@@ -61,6 +62,20 @@ def test_wrong_arguments_are_refused_in_one_line(
     code, _, err = call(capsys, "study", *arguments)
     assert code == 2
     assert words in err and err.count("\n") == 1
+
+
+@pytest.mark.parametrize("options", [(), ("--dry-run",)])
+@pytest.mark.parametrize("name", ["thesis.txt", "table.parquet"])
+def test_a_folder_of_something_else_is_refused_dry_or_not(
+    write_study: Any, capsys: Any, tmp_path: Path, options: tuple[str, ...], name: str
+) -> None:
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / name).write_text("mine")
+    call_refused = call(capsys, "study", write_study(), *options, "--out", tmp_path / "out")
+    assert_refused(call_refused, "holds something else; a new folder, or that of a study")
+    assert_refused(
+        call(capsys, "study", write_study(), *options, "--out", tmp_path / "out" / name), "is a file"
+    )
 
 
 def test_a_dry_run_lists_the_runs_and_leaves_nothing(write_study: Any, capsys: Any, tmp_path: Path) -> None:

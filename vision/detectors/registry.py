@@ -14,7 +14,7 @@ import numpy as np
 from skyherd.errors import InputError, SkyherdError
 from skyherd.markers.dictionary import with_border
 from skyherd.messages import Detections
-from skyherd.messages.checks import check_flags
+from skyherd.messages.checks import check_flags, check_texts
 from skyherd.plugins import import_factory
 from skyherd.vision.detectors.peers import PeerDetector, peer_names
 from skyherd.vision.grey import Image, check_grey
@@ -161,6 +161,7 @@ def create_detector(
             read by it, its library is not installed; or `module:factory` lacks a part, cannot be imported,
             has no such attribute, is not callable, fails, or returns something without a method `detect`.
     """
+    check_texts("create_detector", (name, dictionary))
     check_flags(
         "create_detector", corrected=corrected, inverted=inverted, repeats=repeats, deferring=deferring
     )

@@ -8,8 +8,9 @@ reported from the next image on.
 
 from skyherd.geometry import SQUARE_CORNERS, Array, to_points
 from skyherd.vision.grey import Image, check_grey
-from skyherd.vision.photometric.detector import CLEAR_CORRELATION, SEARCH_INTERVAL, PhotometricDetector
+from skyherd.vision.photometric.detector import SEARCH_INTERVAL, PhotometricDetector
 from skyherd.vision.photometric.image_estimates import ImageEstimates
+from skyherd.vision.photometric.look import CLEAR_CORRELATION, look_at_quads
 from skyherd.vision.photometric.unknown_blur import with_usual_blur
 from skyherd.vision.search.decode import MIN_CORRELATION
 from skyherd.vision.search.quads import find_quads
@@ -55,7 +56,8 @@ class DeferringDetector(PhotometricDetector):
         there = known.tracks.homographies
         known_px = to_points(there.images(SQUARE_CORNERS))
         correlation = CLEAR_CORRELATION if part else MIN_CORRELATION
-        found = self._look(image, known, self._quads(part, image, known_px), there, correlation).found
+        quads = self._quads(part, image, known_px)
+        found = look_at_quads(image, self.dictionary, known, quads, there, correlation).found
         if found.ids.size:
             known.tracks = known.tracks.with_others(found.ids, found.homographies, with_usual_blur(found))
         if part >= PARTS - 1:

@@ -2,8 +2,9 @@
 
 Each image passes through these stages.
 
-1. *Follow*: markers of the unit's last image are fitted where they should be by now
-   (`skyherd.vision.photometric.tracks`).
+1. *Follow* (`following`): markers of the unit's last image are fitted where they should be by now
+   (`skyherd.vision.photometric.tracks`), and once more where the camera's motion has taken them if that is
+   elsewhere (`skyherd.vision.photometric.common_motion`).
 2. *Search*: the whole image is searched for dark quadrilaterals (`skyherd.vision.search`), in every tenth
    image, and at once when a followed marker is missing or none is known. Their cells are compared with all
    markers of the dictionary; nothing is refused for a doubtful bit yet. Where no marker is found there is a
@@ -17,42 +18,22 @@ Each image passes through these stages.
 5. *Learn*: if markers are followed, the unit's blur, noise and plane are where the next image's fits begin.
 """
 
-from dataclasses import replace
 from functools import reduce
 
 import numpy as np
 
 from skyherd.errors import InputError
-from skyherd.geometry import SQUARE_CORNERS, Array, IntArray, to_points
-from skyherd.markers.dictionary import cells_per_side, code_distance
+from skyherd.geometry import SQUARE_CORNERS, Array, to_points
 from skyherd.messages import Detections
 from skyherd.vision.grey import Image, check_grey
-from skyherd.vision.photometric.acceptance import accepted
-from skyherd.vision.photometric.fitting.fit import MAX_STEPS_FROM_PREDICTION, USUAL_NOISE, image_middle
-from skyherd.vision.photometric.fitting.fit_result import FitResults, no_fit_results, weighted_median
+from skyherd.vision.photometric.fitting.fit_result import FitResults, no_fit_results
 from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
-from skyherd.vision.photometric.fitting.plane import Plane
+from skyherd.vision.photometric.following import follow
 from skyherd.vision.photometric.image_estimates import ImageEstimates
-from skyherd.vision.photometric.image_noise import image_noise
-from skyherd.vision.photometric.look import Look
-from skyherd.vision.photometric.places import best_of_each_place, elsewhere, on_plane, unambiguous
-from skyherd.vision.photometric.streaks import with_streak
-from skyherd.vision.photometric.tracks import in_view
-from skyherd.vision.photometric.unknown_blur import (
-    START_SIGMA_PX,
-    fit_any_blur,
-    is_promising,
-    usual_sigma_px,
-    with_usual_blur,
-)
-from skyherd.vision.photometric.verify import bits_are_right, verified
-from skyherd.vision.search.decode import MIN_CORRELATION, DecodedQuads, decode_quads
+from skyherd.vision.photometric.look import Look, look_at_candidates, look_at_quads, look_twice
+from skyherd.vision.photometric.places import unambiguous
+from skyherd.vision.search.decode import MIN_CORRELATION, DecodedQuads
 from skyherd.vision.search.quads import find_quads
-from skyherd.vision.search.second_look import find_overlooked_quads
-
-LEARNING_RATE = 0.2
-"""Share by which blur and noise move towards what an image shows. Chosen: an average over about five images;
-a larger rate passes on more of each image's error, a smaller one follows a refocused lens more slowly."""
 
 SEARCH_INTERVAL = 10
 """While all markers are followed, the whole image is searched in every image of this number. Chosen: a new
@@ -63,16 +44,6 @@ SECOND_LOOK_INTERVAL = 5
 this number. Chosen: it takes 45 ms of a core where the first look takes 8, and finds what is small or
 blurred, of which there is more where there was some; a marker that it alone can find waits 50 images at
 most."""
-
-CLEAR_CORRELATION = 0.8
-"""Smallest correlation of a quadrilateral's cells with a marker's at the second look. Measured: markers that
-only the second look finds have 0.83 to 0.99; at 0.6 photographs of clutter take twice the time, for fits of
-squares of a few pixels."""
-
-COARSE_CELL_PX = 8.0
-"""Side of a cell from which on markers are fitted in a shrunk image at first, until their blur and bits are
-known. Chosen: cells then have 4 to 8 px; a larger value costs time with its square, at half of it bits of
-sharpened images are lost."""
 
 
 class PhotometricDetector:
@@ -100,7 +71,6 @@ class PhotometricDetector:
             raise InputError("detector", "markers cannot be followed whose ids repeat", "one of the two")
         self.dictionary, self.following, self.repeats = dictionary, following, repeats
         self.estimates: dict[int, ImageEstimates] = {}
-        self._none = no_fit_results(dictionary)
 
     def detect(self, image: Image, *, time_s: float = 0.0, unit_id: int = 0) -> Detections:
         """Return the markers in a grey image (height, width) of 8 bits, in ascending order of id.
@@ -117,39 +87,19 @@ class PhotometricDetector:
         if unit_id not in self.estimates or not self.following:
             self.estimates[unit_id] = ImageEstimates()
         known = self.estimates[unit_id]
-        found, lost = self._follow(image, known, time_s)
+        found, lost = follow(image, self.dictionary, known, time_s)
         known.unsearched += 1
         is_amiss = lost or not len(found.ids)
         if is_amiss or self._is_due(known):
             found = found.joined(self._search(image, known, found.homographies, thoroughly=is_amiss))
             found = found.take(np.argsort(found.ids, kind="stable")) if self.repeats else unambiguous(found)
             known.unsearched = 0
-        self._learn(known, found, time_s)
+        known.learn(found, time_s)
         return _detections(found, known.ratios.factors(), image, time_s, unit_id)
 
     def _is_due(self, known: ImageEstimates) -> bool:
         """Whether the whole image is to be searched though all markers that are known were found."""
         return known.unsearched >= SEARCH_INTERVAL
-
-    def _follow(self, image: Image, known: ImageEstimates, time_s: float) -> tuple[FitResults, bool]:
-        """Markers found where they were predicted, and whether one is missing or has left the view."""
-        start = known.tracks.predicted(time_s)
-        here = in_view(start, image.shape)
-        if not here.any():
-            return self._none, False
-        fits, known.plane = fit_any_blur(
-            image,
-            self.dictionary,
-            known.tracks.ids[here],
-            start.take(here),
-            known.tracks.sigmas_px[here],
-            known.plane,
-            known.noise or USUAL_NOISE,
-            MAX_STEPS_FROM_PREDICTION,
-        )
-        fits, good = accepted(image, self.dictionary, fits, known.plane, start.take(here))
-        fits, good, known.plane = with_streak(image, self.dictionary, fits, good, known.plane)
-        return fits.take(good), not (here.all() and good.all())
 
     def looks(self, image: Image) -> tuple[Look, Look]:
         """Return what both looks at a whole image see, by which an image without memory is searched.
@@ -160,7 +110,8 @@ class PhotometricDetector:
         Raises:
             InputError: the image is not a grey one of 8 bits, or is empty.
         """
-        return self._looks(check_grey(image), ImageEstimates(), self._none.homographies)
+        nowhere = no_fit_results(self.dictionary).homographies
+        return look_twice(check_grey(image), self.dictionary, ImageEstimates(), nowhere)
 
     def look_at(self, image: Image, candidates: DecodedQuads) -> Look:
         """Return what is fitted where candidates are, each by itself, that the search need not have found.
@@ -170,7 +121,9 @@ class PhotometricDetector:
         """
         image, known = check_grey(image), ImageEstimates()
         looks = [
-            self._fitted(image, known, candidates.corners_px, candidates.take(np.array([row])))
+            look_at_candidates(
+                image, self.dictionary, known, candidates.corners_px, candidates.take(np.array([row]))
+            )
             for row in range(candidates.ids.size)
         ]
         return reduce(Look.joined, looks, Look.of_nothing(self.dictionary))
@@ -184,105 +137,12 @@ class PhotometricDetector:
         """
         known.first_looks += 1
         if not thoroughly and known.first_looks < SECOND_LOOK_INTERVAL and not known.is_second_look_worth_it:
-            return self._look(image, known, find_quads(image), followed, MIN_CORRELATION).found
-        first, second = self._looks(image, known, followed)
+            return look_at_quads(
+                image, self.dictionary, known, find_quads(image), followed, MIN_CORRELATION
+            ).found
+        first, second = look_twice(image, self.dictionary, known, followed)
         known.first_looks, known.is_second_look_worth_it = 0, bool(second.good.any())
         return first.found.joined(second.found)
-
-    def _looks(self, image: Image, known: ImageEstimates, followed: LocalHomographies) -> tuple[Look, Look]:
-        """The look at the whole image, and the second one at where the first finds nothing.
-
-        Markers of the second look must be printed like those of the first, and do not change the plane that
-        these lie on.
-        """
-        first = self._look(image, known, find_quads(image), followed, MIN_CORRELATION)
-        found, plane = first.found, known.plane
-        there = followed.joined(found.homographies)
-        quads = find_overlooked_quads(image, to_points(there.images(SQUARE_CORNERS)), self.dictionary)
-        second = self._look(image, known, quads, there, CLEAR_CORRELATION)
-        if not (first.good.any() and second.good.any()):
-            return first, second
-        known.plane = plane
-        alike = verified(found.joined(second.found), image_noise(image), code_distance(self.dictionary))
-        good = second.good.copy()
-        good[good] = alike[found.ids.size :]
-        return first, replace(second, good=good)
-
-    def _look(
-        self,
-        image: Image,
-        known: ImageEstimates,
-        quads: Array,
-        there: LocalHomographies,
-        least_correlation: float,
-    ) -> Look:
-        """What is seen where quadrilaterals (N, 4, 2) are, but for where markers are known to be there."""
-        quads = quads[elsewhere(quads, there)]
-        decoded = decode_quads(image, quads, self.dictionary, known.sigma_px or START_SIGMA_PX)
-        start = LocalHomographies.of_corners(decoded.corners_px)
-        best = best_of_each_place(decoded.ids, start.centers, start.sides_px(), decoded.correlations)
-        best &= decoded.correlations >= least_correlation
-        return self._fitted(image, known, quads, decoded.take(best))
-
-    def _fitted(self, image: Image, known: ImageEstimates, quads: Array, candidates: DecodedQuads) -> Look:
-        """Candidates fitted and verified; the plane that they lie on is known then."""
-        if not candidates.ids.size:
-            return replace(Look.of_nothing(self.dictionary), quads_px=quads)
-        start = LocalHomographies.of_corners(candidates.corners_px)
-        start = on_plane(start, known.plane, image_middle(image))
-        fits, known.plane = self._fit_quads(image, known, candidates.ids, start)
-        fits, good = accepted(image, self.dictionary, fits, known.plane, start)
-        fits, good, known.plane = with_streak(image, self.dictionary, fits, good, known.plane)
-        found = fits.take(good)
-        shapes = found.homographies
-        good = good.copy()
-        good[good] = best_of_each_place(found.ids, shapes.centers, shapes.sides_px(), -found.noise_stds)
-        return Look(quads, candidates, fits, good)
-
-    def _fit_quads(
-        self, image: Image, known: ImageEstimates, ids: IntArray, start: LocalHomographies
-    ) -> tuple[FitResults, Plane]:
-        """Fits of what quadrilaterals may show, coarse ones at first, and the plane that they lie on."""
-        sigma_px, noise = known.sigma_px or START_SIGMA_PX, known.noise or USUAL_NOISE
-        fits, plane = fit_any_blur(
-            image,
-            self.dictionary,
-            ids,
-            start,
-            sigma_px,
-            known.plane,
-            noise,
-            largest_side_px=COARSE_CELL_PX * cells_per_side(self.dictionary),
-        )
-        promising = np.flatnonzero(is_promising(fits))
-        if not promising.size:
-            return fits, known.plane
-        coarse = fits.take(promising)
-        right = bits_are_right(coarse, code_distance(self.dictionary))
-        if right.any():
-            noise = weighted_median(coarse.noise_stds, coarse.pixels * right)
-        fine, plane = fit_any_blur(
-            image, self.dictionary, coarse.ids, coarse.homographies, with_usual_blur(coarse), plane, noise
-        )
-        return fits.put(promising, fine), plane if right.any() else known.plane
-
-    def _learn(self, known: ImageEstimates, found: FitResults, time_s: float) -> None:
-        """Update blur, noise and, if markers are followed, the tracks."""
-        if not len(found.ids):
-            known.tracks = known.tracks.updated(time_s, found.ids, found.homographies, found.sigmas_px)
-            return
-        sigma_px, noise = usual_sigma_px(found), weighted_median(found.noise_stds, found.pixels)
-        known.sigma_px = _moved_towards(sigma_px, known.sigma_px)
-        known.noise = _moved_towards(noise, known.noise)
-        known.ratios = known.ratios.updated(found.variance_ratios, found.boxes)
-        sigmas_px = with_usual_blur(found)
-        sigmas_px[sigmas_px == sigma_px] = known.sigma_px
-        known.tracks = known.tracks.updated(time_s, found.ids, found.homographies, sigmas_px)
-
-
-def _moved_towards(value: float, before: float | None) -> float:
-    """What was known before, moved by `LEARNING_RATE` of the difference, or the value itself."""
-    return value if before is None else before + LEARNING_RATE * (value - before)
 
 
 def _detections(

@@ -3,8 +3,14 @@
 from dataclasses import dataclass, field
 
 from skyherd.vision.photometric.fitting.correlated_noise import PooledRatios
+from skyherd.vision.photometric.fitting.fit_result import FitResults, weighted_median
 from skyherd.vision.photometric.fitting.plane import Plane
 from skyherd.vision.photometric.tracks import Tracks, no_tracks
+from skyherd.vision.photometric.unknown_blur import usual_sigma_px, with_usual_blur
+
+LEARNING_RATE = 0.2
+"""Share by which blur and noise move towards what an image shows. Chosen: an average over about five images;
+a larger rate passes on more of each image's error, a smaller one follows a refocused lens more slowly."""
 
 
 @dataclass
@@ -31,3 +37,20 @@ class ImageEstimates:
     first_looks: int = 0
     is_second_look_worth_it: bool = True
     ratios: PooledRatios = field(default_factory=PooledRatios)
+
+    def learn(self, found: FitResults, time_s: float) -> None:
+        """Take in what was found in an image taken at `time_s`: blur, noise, and the markers to follow."""
+        sigmas_px = found.sigmas_px
+        if len(found.ids):
+            sigma_px, noise = usual_sigma_px(found), weighted_median(found.noise_stds, found.pixels)
+            self.sigma_px = _moved_towards(sigma_px, self.sigma_px)
+            self.noise = _moved_towards(noise, self.noise)
+            self.ratios = self.ratios.updated(found.variance_ratios, found.boxes)
+            sigmas_px = with_usual_blur(found)
+            sigmas_px[sigmas_px == sigma_px] = self.sigma_px
+        self.tracks = self.tracks.updated(time_s, found.ids, found.homographies, sigmas_px)
+
+
+def _moved_towards(value: float, before: float | None) -> float:
+    """What was known before, moved by `LEARNING_RATE` of the difference, or the value itself."""
+    return value if before is None else before + LEARNING_RATE * (value - before)

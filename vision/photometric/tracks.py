@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skyherd.geometry import Array, BoolArray, ComplexArray, IntArray
+from skyherd.geometry import SQUARE_CORNERS, Array, BoolArray, ComplexArray, IntArray
 from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
 
 
@@ -111,3 +111,13 @@ def in_view(homographies: LocalHomographies, image_shape: tuple[int, ...]) -> Bo
     height, width = image_shape
     from_middle = homographies.centers - complex(width - 1, height - 1) / 2
     return np.asarray((np.abs(from_middle.real) < width / 2) & (np.abs(from_middle.imag) < height / 2))
+
+
+def is_whole(homographies: LocalHomographies, image_shape: tuple[int, ...]) -> BoolArray:
+    """Return which markers (N,) have all of their corners inside an image (height, width)."""
+    height, width = image_shape
+    corners = homographies.images(SQUARE_CORNERS)
+    inside = (np.abs(corners.real - (width - 1) / 2) < width / 2) & (
+        np.abs(corners.imag - (height - 1) / 2) < height / 2
+    )
+    return np.asarray(inside.all(axis=1))

@@ -16,7 +16,7 @@ import typer
 from typer.core import TyperGroup
 
 from skyherd.cli.bench import bench_app
-from skyherd.cli.console import complain
+from skyherd.cli.console import complain, printing_input_warnings
 from skyherd.cli.dataset import dataset_app
 from skyherd.cli.detect import detect
 from skyherd.cli.interrupts import (
@@ -35,7 +35,7 @@ from skyherd.cli.scenario import scenario_app
 from skyherd.cli.study import study
 from skyherd.cli.topology import topology
 from skyherd.cli.track import track
-from skyherd.errors import SkyherdError
+from skyherd.errors import InputError, SkyherdError
 from skyherd.version import __version__
 
 UsageError: type[Exception] = typer.BadParameter.__base__ or typer.BadParameter
@@ -91,16 +91,27 @@ def _options(
         typer.echo(context.get_help())
 
 
+def _check_none_is_empty(arguments: list[str]) -> None:
+    """Refuse empty arguments, which no verb takes: an empty path would be the working folder."""
+    for before, argument in zip(["", *arguments], arguments, strict=False):
+        if argument == "" or (argument.startswith("--") and argument.endswith("=")):
+            where = argument.removesuffix("=") or f"the argument after {before or 'skyherd'}"
+            raise InputError(where, "is empty", "give a name or a value, or leave it out")
+
+
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line and exit with its code; what a user got wrong is one line on stderr."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # a terminal without UTF-8 shows what it lacks escaped
             stream.reconfigure(errors="backslashreplace")
     try:
-        with signals_as_interrupts():
+        _check_none_is_empty(sys.argv[1:] if arguments is None else arguments)
+        with signals_as_interrupts(), printing_input_warnings():
             code = app(arguments, standalone_mode=False, prog_name="skyherd")
     except UsageError as error:
-        complain(f"{cast(Any, error).format_message()}; see `skyherd --help`")
+        context = cast(Any, error).ctx
+        verb = "skyherd" if context is None else context.command_path
+        complain(f"{cast(Any, error).format_message()}; see `{verb} --help`")
         code = 2
     except SkyherdError as error:
         complain(str(error))

@@ -1,11 +1,14 @@
 """Output of the command line: results go to stdout; errors, warnings and progress go to stderr."""
 
-from collections.abc import Collection, Iterable, Sequence
+import warnings
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 import typer
 
+from skyherd.errors import InputWarning
 from skyherd.text import printable, shorten
 
 MOST_CHARACTERS = 480
@@ -25,6 +28,25 @@ def complain(text: str) -> None:
 def warn(text: str) -> None:
     """Print a warning on stderr, as one line of less than 500 characters whatever the text."""
     typer.echo(f"warning: {_one_line(text)}", err=True)
+
+
+@contextmanager
+def printing_input_warnings() -> Iterator[None]:
+    """Print what is warned of inputs in the body of the `with` as `warn` does, the same text once only."""
+    said: set[str] = set()
+    usual = warnings.showwarning
+
+    def show(message: Any, category: type[Warning], *where: Any, **more: Any) -> None:
+        if not issubclass(category, InputWarning):
+            usual(message, category, *where, **more)
+        elif str(message) not in said:
+            said.add(str(message))
+            warn(str(message))
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", InputWarning)
+        warnings.showwarning = show
+        yield
 
 
 def _one_line(text: str) -> str:

@@ -53,9 +53,10 @@ def check(
     settings: Settings = None,
 ) -> int:
     """Check a lab file, and open every camera once. Exit code 0 if all is well, 2 if not."""
-    from skyherd.live.lab import load_lab
+    from skyherd.live.lab import check_drivers, load_lab
 
     lab = load_lab(lab_file, settings or [])
+    check_drivers(lab.model, lab_file, imports=True)
     radio = lab.model.radio
     if not radio.is_secured:
         warn("radio: reaches beyond this machine without TLS: `live run` asks for --insecure")
@@ -124,7 +125,7 @@ def run(
         lab,
         lab_file,
         out_dir,
-        cameras=cameras.split(",") if cameras else [],
+        cameras=[] if cameras is None else cameras.split(","),
         dry_run=dry_run,
         armed=armed,
         duration_s=duration_s,

@@ -68,8 +68,9 @@ def _station(
     from skyherd.live.live_clock import LiveClock
     from skyherd.live.station import Station
 
+    clock = LiveClock(clock_offset_s)
     with joined_team(lab_file, settings, insecure) as (lab, radio), _asked_to_end(supervised) as ended:
-        yield Station(lab, radio, LiveClock(clock_offset_s), folder, _tell, ended)
+        yield Station(lab, radio, clock, folder, _tell, ended)
 
 
 def unit(

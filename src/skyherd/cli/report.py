@@ -19,15 +19,20 @@ def report(
 
     The video of a simulated run is made again too if the recording has images.
     """
+    from skyherd.files.output_folder import is_directory
     from skyherd.live.review import make_live_report, recorded_files
     from skyherd.progress.helpers import cores
     from skyherd.report.run_page import PAGE
     from skyherd.runner import RECORDING, make_report
 
     is_simulated = os.path.lexists(folder / RECORDING)
+    allowed = "the output folder of `skyherd run` or `skyherd live run`"
+    if not is_directory(folder):
+        what = "is a file" if os.path.lexists(folder) else "no such folder"
+        raise InputError(str(folder), what, allowed)
     if not is_simulated and not recorded_files(folder):
         what = f"no {RECORDING} in it, and no recordings of units or robots"
-        raise InputError(str(folder), what, "the output folder of `skyherd run` or `skyherd live run`")
+        raise InputError(str(folder), what, allowed)
     summary = make_report(folder, jobs=cores()) if is_simulated else make_live_report(folder)
     if "recording" in summary:
         where = folder / RECORDING if is_simulated else folder

@@ -94,10 +94,9 @@ def _require_extra() -> None:
 
 def _preview(plan: "Plan", folder: Path, retry: bool) -> int:
     """A line for each run: whether it is there, and what makes it differ."""
-    from skyherd.study.conduct import missing_runs
-    from skyherd.study.store import Store
+    from skyherd.study.conduct import preview
 
-    missing = missing_runs(plan, Store(folder), retry=retry)
+    missing = preview(plan, folder, retry=retry)
     for number, run in enumerate(plan.runs, 1):
         say(f"{number:5d}  {'to do' if run.key in missing else 'done '}  {run.text()}")
     say(f"{len(plan.runs)} runs, {len(missing)} to do, in {folder}")

@@ -2,7 +2,7 @@
 
 import os
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -10,6 +10,9 @@ from skyherd.cli.choices import DETECTORS, complete_detector, complete_dictionar
 from skyherd.cli.console import ProgressReporter, say, say_table, warn
 from skyherd.cli.interrupts import telling_of_interrupts
 from skyherd.errors import InputError
+
+if TYPE_CHECKING:
+    from skyherd.live.tracking import GroundTracks
 
 
 def track(
@@ -43,7 +46,7 @@ def track(
     """Follow robots with markers through overhead recordings, and measure the shape that they form.
 
     Leaves tracks on the ground in marker sides, rectified, and the shape error over time, as tables and a
-    figure. Exit code 0 when done, 1 if no marker was found, 2 for bad input.
+    figure. Exit code 0 when done, 1 if no robot's marker was found, 2 for bad input.
     """
     from skyherd.inspection import output_name
     from skyherd.live.tracking import FIGURE, SHAPE, TRACKS, named_shape, scenario_shape, track_videos
@@ -80,8 +83,16 @@ def track(
         ("file", "frames", "markers", "sightings"), rows, right_aligned=("frames", "markers", "sightings")
     )
     for tracks in recordings:
-        if not tracks.ids.size:
-            warn(f"{tracks.name}: no marker found; `skyherd detect --explain` says why")
+        _warn_if_empty(tracks, ids)
     tables = f"{folder / TRACKS}" + (f", {folder / SHAPE}" if source else "")
     say(f"see {folder / FIGURE}, {tables}")
     return 0 if any(tracks.ids.size for tracks in recordings) else 1
+
+
+def _warn_if_empty(tracks: "GroundTracks", ids: str | None) -> None:
+    """Warn of a recording in which no robot was seen, and say what was."""
+    if not tracks.ids.size and tracks.strangers:
+        seen = ", ".join(map(str, sorted(tracks.strangers)))
+        warn(f"{tracks.name}: none of --ids {ids} was seen; seen were {seen}")
+    elif not tracks.ids.size:
+        warn(f"{tracks.name}: no marker found; `skyherd detect --explain` says why")

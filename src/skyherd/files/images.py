@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image, UnidentifiedImageError
 
-from skyherd.errors import InputError
+from skyherd.errors import InputError, InputWarning
 from skyherd.files.reading import read_bytes
 
 Grey = npt.NDArray[np.uint8]
@@ -78,14 +78,16 @@ SUFFIXES = frozenset(
 
 
 def read_grey(path: Path, *, most_pixels: int | None = None) -> Grey:
-    """Read a picture file as grey levels (height, width), upright.
+    """Read a picture file as grey levels (height, width), upright; of several pages, the first.
+
+    Warns with `InputWarning` if there are several.
 
     Args:
         path: the file.
         most_pixels: pixels of the largest picture that is accepted; `MAX_PIXELS` if None.
 
     Raises:
-        InputError: there is no such file, or it is no whole picture, or it is too large.
+        InputError: there is no such file, or it is no whole picture, or it is too large, or in CIE Lab.
     """
     data, most = _read_bytes(path), MAX_PIXELS if most_pixels is None else most_pixels
     with _quiet_pillow():
@@ -98,10 +100,13 @@ def read_grey(path: Path, *, most_pixels: int | None = None) -> Grey:
                 if pixels > max(PLAUSIBLE_PIXELS, PIXELS_A_BYTE * len(data)):
                     what = f"damaged: {pixels / 1e6:.0f} megapixels in {len(data)} bytes"
                     raise _refuse(path, what, f"give {FORMATS} that is whole")
+                if picture.mode == "LAB":
+                    raise _refuse(path, "colour space LAB is not read", "save it as grey or RGB")
                 deep = _is_deep(picture)
                 picture.load()
                 grey = _grey_of_deep(data) if deep else _grey(picture)
-                return np.ascontiguousarray(_turn(grey, _orientation(picture)))
+                upright = np.ascontiguousarray(_turn(grey, _orientation(picture)))
+                pages = _count_pages(picture)
         except InputError:
             raise
         except UnidentifiedImageError:
@@ -109,6 +114,9 @@ def read_grey(path: Path, *, most_pixels: int | None = None) -> Grey:
         except _BROKEN as error:
             why = " ".join(str(error).split()) or type(error).__name__
             raise _refuse(path, f"damaged or cut short ({why})", f"give {FORMATS} that is whole") from None
+    if pages > 1:
+        warnings.warn(InputWarning(f"{path}: {pages} pages, of which the first is read"), stacklevel=2)
+    return upright
 
 
 def decode_jpeg(data: bytes, size_px: tuple[int, int]) -> Grey:
@@ -199,6 +207,14 @@ def _top_level(brightest: float) -> float:
 
 def _scaled(share: npt.NDArray[np.float32]) -> Grey:
     return np.asarray(np.rint(255 * share.clip(0, 1)), dtype=np.uint8)
+
+
+def _count_pages(picture: Image.Image) -> int:
+    """Pages of a TIFF or frames of an animation; 1 if those after the first cannot be counted."""
+    try:
+        return int(getattr(picture, "n_frames", 1))
+    except _BROKEN:
+        return 1
 
 
 def _orientation(picture: Image.Image) -> int:

@@ -45,6 +45,8 @@ class OutputFolder:
         resume: the folder may exist; what the verb made there stays until it is written again.
         inputs: files that are read, none of which may be replaced.
         wait_s: how long to wait if another process writes into the folder.
+        elsewhere: what a complaint advises beside what it says of the folder; None for a verb that writes
+            beside what it reads, and nowhere else.
 
     Entering raises InputError, before anything is changed, if the folder exists without `force` or `resume`,
     is a file, cannot be made, is in use by another process, or holds a file by a claimed name that the verb
@@ -61,9 +63,11 @@ class OutputFolder:
         resume: bool = False,
         inputs: Sequence[Path] = (),
         wait_s: float = 0.0,
+        elsewhere: str | None = "choose another --out",
     ) -> None:
         self.path, self.verb, self.names = path, verb, list(names)
         self._force, self._resume, self._inputs, self._wait_s = force, resume, inputs, wait_s
+        self._or_elsewhere = "" if elsewhere is None else f", or {elsewhere}"
         self._entries: dict[str, Entry] = {}
         self._made_folders: list[Path] = []
         self._new_names: set[str] = set()
@@ -101,13 +105,14 @@ class OutputFolder:
             self._make_folders()
             if not self._lock.acquire(self.path, self._wait_s):
                 self._made_folders = []  # the other one's now
-                raise InputError(str(self.path), writer_of(self.path), "wait for it, or choose another --out")
+                raise InputError(str(self.path), writer_of(self.path), f"wait for it{self._or_elsewhere}")
         except OSError as error:
             self._remove_made_folders()
             if isinstance(error, InputError | OutputError):
                 raise
             what = error.strerror or str(error)
-            raise InputError(str(self.path), what, "a folder that can be written to; see --out") from None
+            allowed = f"make it a folder that can be written to{self._or_elsewhere}"
+            raise InputError(str(self.path), what, allowed) from None
         try:
             self.check_claims()
             if self._force:
@@ -169,7 +174,7 @@ class OutputFolder:
             raise self._foreign(path, "was changed since skyherd made it")
 
     def _foreign(self, path: Path, what: str) -> InputError:
-        return InputError(str(path), what, "move it away, or choose another --out")
+        return InputError(str(path), what, f"move it away{self._or_elsewhere}")
 
     def _make_folders(self) -> None:
         """Make the folder and its parents; remember those that were not there."""

@@ -1,9 +1,12 @@
 """Finds pictures and videos, and reads videos frame by frame as grey images.
 
 Frames are upright, as the video's tag says that the camera was held, and have the times that the stream has
-for them: cameras and phones do not keep an even rate.
+for them: cameras and phones do not keep an even rate. Of a video that was cut short or damaged, what can be
+read is read, with an `InputWarning` at its end.
 """
 
+import re
+import warnings
 from collections.abc import Generator, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -14,28 +17,17 @@ from typing import Any
 import av
 import numpy as np
 import numpy.typing as npt
-from av.video.reformatter import Interpolation, VideoReformatter
 
-from skyherd.errors import InputError, OutputError
+from skyherd.errors import InputError, InputWarning, OutputError
 from skyherd.files.images import MAX_PIXELS, SUFFIXES
 from skyherd.files.reading import is_regular, open_regular
+from skyherd.files.upright_grey import UprightGrey
 
 DEEPER = ("*/*", "*/*/*")
 """Where pictures are looked for, to name their folder, if there are none in the folder itself."""
 
 FEW = 4
 """Such folders that a complaint names at most. *Chosen*: fits a line or two."""
-
-DISPLAY_MATRIX = "DISPLAYMATRIX"
-"""Name of the data beside a frame that say how it is to be turned. *Defined* by FFmpeg."""
-
-ONE_THREAD: dict[str, Any] = {"threads": 1} if int(av.__version__.split(".")[0]) >= 17 else {}
-"""What PyAV is told so that it converts pictures in the thread that asks. *Measured*: 1200 x 800 px take 0.05
-to 0.3 ms; from version 17 on it starts a thread for each core otherwise, and before it knows no such word."""
-
-TAG_PX = 16
-"""Sides of the picture whose tags are read in place of a frame's. *Chosen*: takes 8 microseconds, and
-is of a size that any conversion takes."""
 
 USUAL_RATE_HZ = Fraction(25)
 """Frames a second of a video that says nothing of its rate. *Chosen*: usual, and only times depend on it."""
@@ -52,6 +44,16 @@ FFmpeg has hundreds, some of which (playlists) open other files and addresses.""
 
 OPTIONS = {"format_whitelist": ",".join(CONTAINERS), "protocol_whitelist": "file"}
 """What FFmpeg is told when it opens a video."""
+
+UNSTATED = ("mpegvideo", "h264", "hevc", "m4v", "mpeg", "mpegts")
+"""Formats that do not say how long a file is: FFmpeg finds or guesses the length of what is there."""
+
+DURATION = re.compile(r"(\d{1,9}):(\d{1,9}):(\d{1,9}(?:\.\d{1,9})?)")
+"""How the tag of a stream in a Matroska file says when it ends. *Defined* by FFmpeg, which writes it."""
+
+MOST_MISSING = 5
+"""Frames by which a video may be shorter than its file says before it counts as cut short. *Chosen*: writers
+round, and count frames that a player does not show; a file of which a part is missing lacks more."""
 
 GIVE_A_VIDEO = "give one that plays, such as an MP4"
 """What complaints about videos advise."""
@@ -81,11 +83,13 @@ class Clip:
         path: the file.
         rate_hz: frames a second.
         count: number of frames; 0 if not known.
+        end_s: time in the stream at which its pictures end as the file says; None if it says nothing.
     """
 
     path: Path
     rate_hz: Fraction
     count: int
+    end_s: float | None = None
 
 
 def is_video(path: Path) -> bool:
@@ -152,13 +156,36 @@ def open_clip(path: Path) -> Clip:
         InputError: it is not a video that can be read.
     """
     with _open_container(path) as container:
-        stream = container.streams.video[0]
-        if not hasattr(stream, "width"):  # a stream whose codec is not known
-            raise _unreadable(path, None)
+        stream = _video_stream(path, container)
         _check_size(path, stream.width, stream.height)
-        rate = stream.average_rate or stream.guessed_rate or USUAL_RATE_HZ
+        rate = Fraction(stream.average_rate or stream.guessed_rate or USUAL_RATE_HZ)
         seconds = float((container.duration or 0) / av.time_base)
-        return Clip(path, Fraction(rate), stream.frames or round(seconds * float(rate)))
+        count = stream.frames or round(seconds * float(rate))
+        return Clip(path, rate, count, _end_s(container, stream, rate))
+
+
+def _video_stream(path: Path, container: av.container.InputContainer) -> av.VideoStream:
+    """The stream of pictures; InputError if there is none, or none whose codec is known."""
+    stream = next(iter(container.streams.video), None)
+    if stream is None or not hasattr(stream, "width"):
+        raise _unreadable(path, None)
+    return stream
+
+
+def _end_s(container: av.container.InputContainer, stream: av.VideoStream, rate_hz: Fraction) -> float | None:
+    """When the file says that its pictures end; None if it says nothing, or only for sound as well."""
+    kind = container.format.name
+    if kind in UNSTATED:
+        return None
+    if kind == "avi" and stream.frames:  # of a part of a file, FFmpeg gives the duration of that part
+        return float(stream.frames / rate_hz)
+    if stream.duration is not None and stream.time_base is not None:
+        return float((stream.duration + (stream.start_time or 0)) * stream.time_base)
+    if (tag := DURATION.fullmatch(stream.metadata.get("DURATION", ""))) is not None:
+        return 3600 * float(tag[1]) + 60 * float(tag[2]) + float(tag[3])
+    if container.duration and len(container.streams) == 1:
+        return float(container.duration / av.time_base)
+    return None
 
 
 def _check_size(path: Path, width: int, height: int) -> None:
@@ -168,68 +195,67 @@ def _check_size(path: Path, width: int, height: int) -> None:
 
 
 def read_clip(clip: Clip) -> Generator[Frame]:
-    """Read the frames of a video, one at a time.
+    """Read the frames of a video, one at a time, as far as they can be read.
+
+    Warns with `InputWarning` at the end if the video is damaged, or shorter than its file says.
 
     Raises:
-        InputError: it cannot be read to its end, or has no frame.
+        InputError: not one frame can be read.
     """
-    index = 0
-    time_s = 0.0
-    grey = UprightGrey()
+    index, first_s, time_s, frame_s = 0, 0.0, 0.0, float(1 / clip.rate_hz)
+    grey, damage = UprightGrey(), _Damage()
     with _open_container(clip.path) as container:
-        for picture in container.decode(video=0):
+        stream = _video_stream(clip.path, container)
+        for picture in _pictures(container, stream, damage):
             _check_size(clip.path, picture.width, picture.height)
             own_s: Any = picture.time
             if own_s is not None:
                 time_s = float(own_s)
             elif index:
-                time_s += float(1 / clip.rate_hz)
+                time_s += frame_s
+            first_s = first_s if index else time_s
             yield Frame(index, time_s, grey.of(picture))
             index += 1
     if not index:
-        raise _unreadable(clip.path, None)
+        raise _unreadable(clip.path, damage.error)
+    end_s = time_s + frame_s
+    if damage.found or (clip.end_s is not None and clip.end_s - end_s > MOST_MISSING * frame_s):
+        whole = "" if clip.end_s is None else f" of {clip.end_s - first_s:.1f} s"
+        what = f"cut short or damaged: {index} frames, {end_s - first_s:.1f} s{whole}"
+        warnings.warn(InputWarning(f"{clip.path}: {what}"), stacklevel=2)
 
 
-class UprightGrey:
-    """Turns the decoded frames of a stream into grey images, upright as their display matrix says.
+@dataclass
+class _Damage:
+    """Whether a part of a stream could not be read or decoded, and the last error of it."""
 
-    One is kept for a stream, so that what a conversion needs is set up once. Nothing of a frame stays behind:
-    what it holds is given back as soon as it and its image are no longer used. PyAV's `side_data`, which has
-    the matrix, makes a frame hold itself until Python looks for such circles, hundreds of frames later; so it
-    is asked of a copy of `TAG_PX` pixels, which has a frame's tags without its picture.
-    """
-
-    def __init__(self) -> None:
-        self._levels, self._tags = VideoReformatter(), VideoReformatter()
-
-    def of(self, picture: av.VideoFrame) -> npt.NDArray[np.uint8]:
-        """Grey levels (height, width) of a decoded frame, from 0 to 255 whatever the range of the video's."""
-        grey = self._levels.reformat(picture, format="gray", **ONE_THREAD)
-        tags = self._tags.reformat(
-            picture,
-            width=TAG_PX,
-            height=TAG_PX,
-            format="gray",
-            interpolation=Interpolation.POINT,
-            **ONE_THREAD,
-        )
-        image = np.asarray(grey.to_ndarray(), dtype=np.uint8)
-        return np.ascontiguousarray(_upright(image, tags.side_data))
+    found: bool = False
+    error: Exception | None = None
 
 
-def _upright(image: npt.NDArray[np.uint8], tags: Any) -> npt.NDArray[np.uint8]:
-    """The image (height, width) as the display matrix among its tags turns and mirrors it, by quarter turns.
+def _pictures(
+    container: av.container.InputContainer, stream: av.VideoStream, damage: _Damage
+) -> Iterator[av.VideoFrame]:
+    """The pictures of a stream that can be decoded, as far as it can be read; notes what cannot."""
+    try:
+        for packet in container.demux(stream):
+            damage.found |= packet.is_corrupt
+            pictures = _decoded(packet, damage)
+            while pictures:  # none is held here while it is looked at
+                damage.found |= pictures[-1].is_corrupt
+                yield pictures.pop()
+    except av.FFmpegError as error:
+        damage.found, damage.error = True, error
 
-    The matrix (a, b, ., c, d, ., ...) takes the point (u, v) to (a u + c v, b u + d v), and what is then
-    negative back into view. Of angles in between, the nearest quarter turn is taken.
-    """
-    data: Any = tags.get(DISPLAY_MATRIX)
-    if data is None:
-        return image
-    a, b, _, c, d = np.frombuffer(bytes(data), dtype=np.int32)[:5].tolist()
-    if abs(b) + abs(c) > abs(a) + abs(d):
-        image, a, d = image.T, c, b
-    return image[:: -1 if d < 0 else 1, :: -1 if a < 0 else 1]
+
+def _decoded(packet: Any, damage: _Damage) -> list[av.VideoFrame]:
+    """The pictures that a packet completes, the last first; none of a packet that cannot be decoded."""
+    try:
+        pictures: list[av.VideoFrame] = packet.decode()
+        return pictures[::-1]
+    except av.FFmpegError as error:
+        damage.found, damage.error = True, error
+        return []
 
 
 def _unreadable(path: Path, error: Exception | None) -> InputError:

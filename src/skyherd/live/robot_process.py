@@ -5,10 +5,10 @@ from contextlib import ExitStack
 
 import numpy as np
 
-from skyherd.live.drivers import Motion, RobotDriver, open_driver
+from skyherd.live.drivers import WORLD, Motion, RobotDriver, open_driver
 from skyherd.live.radio import Arrival, Post
 from skyherd.live.robot_core import Order
-from skyherd.live.station import WORLD, Beats, Station, Told
+from skyherd.live.station import Beats, Station, Told
 from skyherd.live.wire import Wheels
 from skyherd.messages import MotionGoals, VelocityCommand
 

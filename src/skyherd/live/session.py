@@ -1,5 +1,6 @@
 """`skyherd live run`: every process of a lab on this machine, one log, and a dashboard with a stop."""
 
+import math
 import os
 import select
 import sys
@@ -16,9 +17,10 @@ from rich.text import Text
 
 from skyherd.errors import InputError
 from skyherd.live import operator
-from skyherd.live.lab import Lab
+from skyherd.live.cameras import check_camera
+from skyherd.live.lab import Lab, check_drivers
 from skyherd.live.live_clock import LiveClock
-from skyherd.live.supervisor import Supervisor
+from skyherd.live.supervisor import WRONG, Supervisor
 from skyherd.live.zenoh_radio import ZenohRadio
 from skyherd.text import printable
 
@@ -45,7 +47,7 @@ def run_session(
     insecure: bool,
     say: Callable[[str], None],
 ) -> int:
-    """Run a lab until Ctrl-C, the end of its videos, or `duration_s`; returns the exit code.
+    """Run a lab until Ctrl-C, the end of its videos, or `duration_s`, and while units and robots are left.
 
     Args:
         lab: the set-up.
@@ -59,11 +61,15 @@ def run_session(
         insecure: allow a radio beyond this machine without TLS.
         say: prints a line.
 
+    Returns:
+        The exit code: that of processes which were given what is wrong, if there were any, and else 0.
+
     Raises:
-        InputError: the folder is there, or the number of cameras is wrong.
+        InputError: a camera is not there or a driver cannot be, the folder is there, an address in place of
+            a camera's is empty, there are more or fewer of them than cameras, or the duration is none.
     """
-    if cameras and len(cameras) != len(lab.model.cameras):
-        raise InputError("--cameras", f"{len(cameras)} addresses", f"{len(lab.model.cameras)}, as in the lab")
+    _check_options(lab, cameras, duration_s)
+    _check_addresses(lab, lab_file, cameras, dry_run=dry_run)
     radio = ZenohRadio(lab.model.radio, lab.folder, insecure=insecure)
     try:
         folder = _make_folder(folder, lab)
@@ -75,33 +81,97 @@ def run_session(
     shows = console.is_terminal
     supervisor = Supervisor(folder / "live.log", lines.append if shows else say)
     watched = operator.watch(lab, radio, LiveClock(), "supervisor")
-    options = ["--out", str(folder), "--supervised", *["--insecure"] * insecure, *["--dry-run"] * dry_run]
-    options += [part for setting in settings for part in ("--set", setting)]
+    options = _process_options(folder, settings, insecure=insecure, dry_run=dry_run)
     end_s = float("inf") if duration_s is None else time.monotonic() + duration_s
     waiting_to_arm = armed
     try:
         _start_all(supervisor, lab, lab_file, cameras, options)
         with _keys() as key, _display(console if shows else None) as draw:
-            while time.monotonic() < end_s and supervisor.goes_on("unit/"):
+            while time.monotonic() < end_s and not _gone(supervisor):
                 supervisor.tend()
                 watched.listen(1 / REFRESH_HZ)
-                pressed = key()
-                if pressed == " ":
-                    waiting_to_arm = False
-                    _report(supervisor, "stopped", operator.stop(lab, watched, "space bar", 1.0))
-                elif pressed == "a" or (waiting_to_arm and _all_there(lab, watched)):
-                    outcome = operator.arm(lab, watched, 2.0)
-                    _report(supervisor, "armed", outcome)
-                    waiting_to_arm = waiting_to_arm and bool(outcome.missing)
+                waiting_to_arm = _obey(key(), lab, watched, supervisor, waiting_to_arm=waiting_to_arm)
                 draw(_page(lab, watched, supervisor, lines))
     except KeyboardInterrupt:
         supervisor.say("live", "interrupted")
     finally:
         operator.stop(lab, watched, "the end", 0.3)
+        last_words = _last_words(supervisor)
+        for line in last_words:
+            supervisor.say("live", line)
         supervisor.end()
         radio.close()
+    for line in last_words if shows else []:
+        say(line)
     say(f"recorded in {folder}; `skyherd report {folder}` makes a page of it")
-    return 0
+    return WRONG if supervisor.refused else 0
+
+
+def _obey(
+    pressed: str, lab: Lab, watched: operator.Watch, supervisor: Supervisor, *, waiting_to_arm: bool
+) -> bool:
+    """Stop or arm as a key says, or as all robots are there; whether to go on waiting to arm."""
+    if pressed == " ":
+        _report(supervisor, "stopped", operator.stop(lab, watched, "space bar", 1.0))
+        return False
+    if pressed == "a" or (waiting_to_arm and _all_there(lab, watched)):
+        outcome = operator.arm(lab, watched, 2.0)
+        _report(supervisor, "armed", outcome)
+        return waiting_to_arm and bool(outcome.missing)
+    return waiting_to_arm
+
+
+def _process_options(folder: Path, settings: Sequence[str], *, insecure: bool, dry_run: bool) -> list[str]:
+    """Options that all processes of a run are started with."""
+    options = ["--out", str(folder), "--supervised", *["--insecure"] * insecure, *["--dry-run"] * dry_run]
+    return options + [part for setting in settings for part in ("--set", setting)]
+
+
+def _gone(supervisor: Supervisor) -> str:
+    """What a lab needs and no longer has: its last unit or robot has ended for good. Empty if it has both."""
+    return next(
+        (f"no {kind} is left" for kind in ("unit", "robot") if not supervisor.goes_on(f"{kind}/")), ""
+    )
+
+
+def _last_words(supervisor: Supervisor) -> list[str]:
+    """Why a run ends, and which processes were given what is wrong."""
+    refused = ", ".join(supervisor.refused)
+    words = f"ended with code {WRONG}: {refused}; live.log says what is wrong" if refused else ""
+    return [line for line in (_gone(supervisor), words) if line]
+
+
+def _check_addresses(lab: Lab, lab_file: str, cameras: Sequence[str], *, dry_run: bool) -> None:
+    """Refuse cameras that are not on this machine, and drivers that cannot be; see `run_session`."""
+    if not dry_run:
+        check_drivers(lab.model, lab_file, imports=True)
+    for unit, address in enumerate(cameras or [camera.address for camera in lab.model.cameras]):
+        try:
+            check_camera(address)
+        except InputError as error:
+            place = f"--cameras: address {unit + 1}" if cameras else f"{lab_file}: cameras.{unit}.address"
+            shown = "" if error.where == "camera" else f": {error.where}"
+            raise InputError(place + shown, error.what, error.allowed) from None
+
+
+def _check_options(lab: Lab, cameras: Sequence[str], duration_s: float | None) -> None:
+    """Refuse options that mean nothing; see `run_session`."""
+    count = len(lab.model.cameras)
+    for number, address in enumerate(cameras, 1):
+        if not address.strip():
+            raise InputError(
+                "--cameras",
+                f"address {number} is empty",
+                f"{count} with commas between, or leave the option out for the lab's own",
+            )
+    if cameras and len(cameras) != count:
+        raise InputError("--cameras", f"{len(cameras)} addresses", f"{count}, as in the lab")
+    if duration_s is not None and not (math.isfinite(duration_s) and duration_s > 0):
+        raise InputError(
+            "--duration",
+            f"{duration_s:g}",
+            "a number of seconds above 0, or leave it out to run until Ctrl-C",
+        )
 
 
 def _make_folder(folder: Path | None, lab: Lab) -> Path:

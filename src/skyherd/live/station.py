@@ -14,9 +14,6 @@ from skyherd.live.radio import Post, Radio
 BEAT_S = 0.25
 """Time between two signs of life, s. Chosen: clocks are compared four times a second."""
 
-WORLD = "world"
-"""Driver address of wheels and autopilots that `skyherd world` simulates."""
-
 _NUMBERS = re.compile(r"[\d.]+")
 
 

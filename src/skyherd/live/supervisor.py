@@ -22,7 +22,10 @@ END_S = 10.0
 """How long processes have to end when they are asked to, before they are killed, s. Chosen: wheels are told
 to stand still at once; the rest is a recording's last chunk."""
 
-DONE = frozenset({0, 2})
+WRONG = 2
+"""Exit code of a process that was given what is wrong."""
+
+DONE = frozenset({0, WRONG})
 """Exit codes after which a process is not started again: it is done, or what it was given is wrong."""
 
 
@@ -99,6 +102,11 @@ class Supervisor:
         """Whether any process runs, or will again, whose name begins with `prefix`."""
         named = (child for child in self.children if child.name.startswith(prefix))
         return any(child.process is not None or child.code not in DONE for child in named)
+
+    @property
+    def refused(self) -> list[str]:
+        """Names of the processes that ended because what they were given is wrong."""
+        return [child.name for child in self.children if child.code == WRONG]
 
     def end(self) -> None:
         """Ask all processes to end, and kill those that do not."""

@@ -13,9 +13,9 @@ from skyherd.live.cameras import CameraReader, Frame, MirrorWatch, open_camera
 from skyherd.live.diaries.album import Album
 from skyherd.live.diaries.diary import Diary
 from skyherd.live.diaries.view import View, view_of
-from skyherd.live.drivers import open_driver
+from skyherd.live.drivers import WORLD, open_driver
 from skyherd.live.radio import Post
-from skyherd.live.station import WORLD, Beats, Station, Told
+from skyherd.live.station import Beats, Station, Told
 from skyherd.live.unit_core import UnitCore, UnitNews
 from skyherd.messages import Detections, FlightCommand
 from skyherd.vision import DeferringDetector, Detector, create_detector, warm_up
@@ -45,7 +45,7 @@ def run_unit(station: Station, unit: int, *, address: str | None = None, dry_run
     with ExitStack() as stack:
         diary = stack.enter_context(station.diary(core.name))
         told = Told(station, diary)
-        reader = _open(station, told, address or camera.address)
+        reader = _open(station, told, camera.address if address is None else address)
         if reader is None:
             return
         stack.enter_context(reader)

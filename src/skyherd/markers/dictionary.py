@@ -165,3 +165,19 @@ def pose_of_corners(corners_px: npt.ArrayLike) -> tuple[Array, Array, Array]:
     """
     squares = fit_squares(to_complex(np.asarray(corners_px, dtype=float).reshape(-1, 4, 2)))
     return to_points(squares.centers), squares.headings_rad(), np.abs(squares.arms)
+
+
+def headings_of_corners(centers_px: Array, corners_px: Array) -> Array:
+    """Headings (N,) of markers with corners (N, 4, 2), from the centre to the middle of the front edge.
+
+    Unlike `pose_of_corners` this also holds for mirrored markers, which no detector decodes.
+    """
+    front = to_complex(corners_px[:, :2])
+    return np.angle((front[:, 0] + front[:, 1]) / 2 - to_complex(centers_px))
+
+
+def sides_of_corners(corners_px: Array) -> Array:
+    """Sides (N,) of markers with corners (N, 4, 2), mirrored ones too: the roots of their areas."""
+    corners = to_complex(corners_px)
+    diagonals = (corners[:, 2] - corners[:, 0]).conj() * (corners[:, 3] - corners[:, 1])
+    return np.asarray(np.sqrt(np.abs(diagonals.imag) / 2))

@@ -80,34 +80,54 @@ def check_flags(where: str, **flags: object) -> None:
             raise InputError(f"{where}: {name}", shown(value), "True or False")
 
 
-def check_texts(where: str, values: Iterable[object]) -> None:
-    """Check values that are texts.
+def check_texts(where: str, values: object) -> list[str]:
+    """A list of texts, checked.
 
     Args:
         where: what they are given as.
-        values: to be checked.
+        values: to be checked; a text in place of a list would be taken for its letters.
 
     Raises:
-        InputError: one is no text.
+        InputError: they are no list, or one is no text.
     """
-    for value in values:
-        if not isinstance(value, str):
-            raise InputError(where, shown(value), "a text")
+    if isinstance(values, str) or not isinstance(values, Iterable):
+        raise InputError(where, shown(values), "a list of texts")
+    texts = list(values)
+    for text in texts:
+        check_kind(where, text, str, "a text")
+    return texts
 
 
-def check_count(where: str, value: object, *, most: int) -> None:
+def check_kind(where: str, value: object, kinds: type | tuple[type, ...], allowed: str) -> None:
+    """Check that an argument is of the kind that is meant, such as a mission or a path.
+
+    Args:
+        where: what it is given as.
+        value: to be checked.
+        kinds: of which it has to be one.
+        allowed: the same in words.
+
+    Raises:
+        InputError: it is of none of them.
+    """
+    if not isinstance(value, kinds):
+        raise InputError(where, shown(value), allowed)
+
+
+def check_count(where: str, value: object, *, most: int, least: int = 0) -> None:
     """Check a number of things.
 
     Args:
         where: what it is given as.
         value: to be checked.
         most: as many as there may be.
+        least: as few as there may be.
 
     Raises:
-        InputError: it is no whole number from 0 to `most`.
+        InputError: it is no whole number from `least` to `most`.
     """
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or not 0 <= value <= most:
-        raise InputError(where, shown(value), f"a whole number from 0 to {most}")
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or not least <= value <= most:
+        raise InputError(where, shown(value), f"a whole number from {least} to {most}")
 
 
 def check_ids(ids: npt.ArrayLike, where: str) -> IntArray:

@@ -15,6 +15,7 @@ from skyherd.datasets import Mission
 from skyherd.errors import InputError
 from skyherd.files.reading import open_regular
 from skyherd.loop import Step
+from skyherd.messages.checks import check_kind
 from skyherd.recording.footer import HEAD_CHANNEL, MAGIC, MALFORMED
 from skyherd.recording.plausible import check_step, read_mission
 from skyherd.recording.step_reader import read_step
@@ -83,6 +84,7 @@ def read_recording(path: Path) -> Recording:
     Raises:
         InputError: the file holds no mission, or not one step, or is of another version of skyherd.
     """
+    check_kind("read_recording: path", path, (str, Path), "a path")
     with _opened(path) as (stream, found):
         mission: Mission | None = None
         versions: dict[str, str] = {}
@@ -125,6 +127,7 @@ def read_steps(path: Path) -> Iterator[Step]:
     Raises:
         InputError: there is no such file, or it is no recording of skyherd.
     """
+    check_kind("read_recording: path", path, (str, Path), "a path")
     with _opened(path) as (stream, found):
         mission: Mission | None = None
         for messages in _chunks(path, stream, found):

@@ -9,8 +9,8 @@ import numpy.typing as npt
 
 from skyherd.datasets import Mission
 from skyherd.errors import InputError
-from skyherd.geometry import Array, BoolArray, IntArray, to_complex
-from skyherd.markers.dictionary import card_side
+from skyherd.geometry import BoolArray, IntArray
+from skyherd.markers.dictionary import card_side, headings_of_corners, sides_of_corners
 from skyherd.messages import Detections
 from skyherd.random_streams import RunStream, generator
 from skyherd.render import (
@@ -267,7 +267,7 @@ class ProjectedPerception(Perception):
     def _sight(self, world: World, unit: int, time_s: float, image: TeamImage, ids: IntArray) -> Sight:
         """What a unit makes of the markers `ids` that are whole in its image."""
         centers, corners, whole_ids = image.centers_px, image.corners_px, ids
-        headings, sides = _headings_rad(centers, corners), _sides_px(corners)
+        headings, sides = headings_of_corners(centers, corners), sides_of_corners(corners)
         covariances = np.zeros((ids.size, 3, 3))
         if self.accuracy is not None:
             found = self.accuracy.found(sides, self.rng)
@@ -277,7 +277,7 @@ class ProjectedPerception(Perception):
             shapes = self.accuracy.draw_shapes(sides[found], error[:, 2], self.rng)
             corners = centers[:, None] + (corners - centers[:, None]) @ shapes.swapaxes(1, 2)
             centers, corners = centers + error[:, :2], corners + error[:, None, :2]
-            headings, sides = headings[found] + error[:, 2], _sides_px(corners)
+            headings, sides = headings[found] + error[:, 2], sides_of_corners(corners)
         detections = Detections(
             unit_id=unit,
             time_s=time_s,
@@ -290,19 +290,3 @@ class ProjectedPerception(Perception):
             covariances=covariances,
         )
         return Sight(detections, whole_ids, ids, 0, None)
-
-
-def _headings_rad(centers_px: Array, corners_px: Array) -> Array:
-    """Headings (N,) of markers with corners (N, 4, 2), towards the middle of the front edge.
-
-    Unlike `pose_of_corners` this also holds for mirrored markers, which no detector decodes.
-    """
-    front = to_complex(corners_px[:, :2])
-    return np.angle((front[:, 0] + front[:, 1]) / 2 - to_complex(centers_px))
-
-
-def _sides_px(corners_px: Array) -> Array:
-    """Sides (N,) of markers with corners (N, 4, 2), mirrored ones too: the roots of their areas."""
-    corners = to_complex(corners_px)
-    diagonals = (corners[:, 2] - corners[:, 0]).conj() * (corners[:, 3] - corners[:, 1])
-    return np.asarray(np.sqrt(np.abs(diagonals.imag) / 2))

@@ -29,7 +29,7 @@ from skyherd.study.invariance.page import invariance_names, write_invariance
 from skyherd.study.methods.page import methods_names, write_methods
 from skyherd.study.plan import Plan, Run
 from skyherd.study.spec import CURVE, Study
-from skyherd.study.store import ERROR, Store, open_store, write_parquet
+from skyherd.study.store import ERROR, Store, check_store, open_store, write_parquet
 from skyherd.study.table import TABLE, make_table
 from skyherd.version import __version__
 
@@ -105,7 +105,7 @@ def conduct(
         OutputError: something cannot be written, or the cluster is gone.
     """
     pages = PAGES[plan.study.spec.pages]
-    with open_store(folder, study_mark(plan.study), [TABLE, *pages.names(plan.study)]) as store:
+    with open_store(folder, study_mark(plan.study), _names(plan)) as store:
         missing = missing_runs(plan, store, retry=retry)
         reused = len({run.key for run in plan.runs}) - len(missing)
         state = f"{reused} were there" if reused else "starting …"
@@ -126,6 +126,21 @@ def conduct(
             made=len(missing),
             elapsed_s=elapsed_s,
         )
+
+
+def preview(plan: Plan, folder: Path, *, retry: bool = False) -> dict[str, Run]:
+    """Runs that `conduct` would make in a folder, by key; changes nothing.
+
+    Raises:
+        InputError: as `conduct` does of the folder.
+    """
+    check_store(folder, _names(plan))
+    return missing_runs(plan, Store(folder), retry=retry)
+
+
+def _names(plan: Plan) -> list[str]:
+    """Files that a study leaves in its folder beside the store's."""
+    return [TABLE, *PAGES[plan.study.spec.pages].names(plan.study)]
 
 
 def _make_runs(

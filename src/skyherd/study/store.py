@@ -103,6 +103,19 @@ def write_parquet(table: pa.Table, path: Path) -> Path:
     return write_whole(path, lambda part: pq.write_table(table, part, compression="zstd"))
 
 
+def check_store(folder: Path, names: Sequence[str] = ()) -> OutputFolder:
+    """The output folder of a study, not yet entered; arguments are those of `open_store`. Changes nothing.
+
+    Raises:
+        InputError: the folder holds something else, or a file that would be replaced and that no study made.
+    """
+    if _is_foreign(folder):
+        raise InputError(str(folder), "holds something else", "a new folder, or that of a study; see --out")
+    output = OutputFolder(folder, VERB, [MARK, f"{PARTS}/", *names], resume=True)
+    output.check()
+    return output
+
+
 @contextmanager
 def open_store(folder: Path, mark: str, names: Sequence[str] = ()) -> Iterator[Store]:
     """Open the store in a folder for one process at a time, and write `mark` to `study.json` beside it.
@@ -115,13 +128,10 @@ def open_store(folder: Path, mark: str, names: Sequence[str] = ()) -> Iterator[S
         names: further files that will be written into the folder.
 
     Raises:
-        InputError: the folder holds something else, or a file that would be replaced and that no study made;
-            or another process uses it.
+        InputError: as `check_store` does, or another process uses the folder.
         OutputError: it cannot be written to.
     """
-    if _is_foreign(folder):
-        raise InputError(str(folder), "holds something else", "a new folder, or that of a study; see --out")
-    with OutputFolder(folder, VERB, [MARK, f"{PARTS}/", *names], resume=True) as output:
+    with check_store(folder, names) as output:
         write_text(folder / MARK, mark)
         (folder / PARTS).mkdir(exist_ok=True)
         yield Store(folder, on_append=output.keep)

@@ -190,6 +190,18 @@ def test_the_verb(video, tmp_path, capsys) -> None:
     assert run(empty, "--detector", "opencv", "--out", tmp_path / "none") == 1
 
 
+@pytest.mark.parametrize("shape", [[], ["--shape", "circle"]], ids=["alone", "shape"])
+@pytest.mark.parametrize("ids", [["--ids", "7"], []], ids=["strangers", "none"])
+def test_robots_that_are_not_seen_are_said_to_be_missing(video, tmp_path, capsys, shape, ids) -> None:
+    empty = write(tmp_path / "empty.mp4", [np.full(SIZE_PX[::-1], 99, np.uint8)] * 2)
+    arguments = [video if ids else empty, *ids, *shape, "--detector", "opencv", "--out", tmp_path / "out"]
+    assert run(*arguments) == 1
+    said = capsys.readouterr().err
+    found = "none of --ids 7 was seen; seen were 0, 1, 2, 3, 4\n" if ids else "no marker found"
+    assert found in said and said.count("\n") == 1
+    assert (tmp_path / "out" / "shape.csv").exists() == bool(shape)
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

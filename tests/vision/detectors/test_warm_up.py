@@ -9,7 +9,7 @@ from skyherd.errors import InputError
 from skyherd.vision import create_detector, detector_names, warm_up
 from skyherd.vision.detectors import warm_up as warming
 
-KERNEL = "skyherd.vision.photometric.fitting.pixel_kernel"
+KERNEL = "skyherd.vision.photometric.fitting.kernels"
 SCRIPT = f"""
 import sys
 from skyherd.vision import create_detector, warm_up

@@ -10,8 +10,7 @@ from skyherd.bench.detectors.design import Cell
 from skyherd.bench.detectors.frames import rendered_frames
 from skyherd.bench.detectors.scorer import Scorer, match
 from skyherd.geometry import wrap_angle
-from skyherd.vision.photometric import detector as detector_module
-from skyherd.vision.photometric import streaks
+from skyherd.vision.photometric import look, streaks
 from skyherd.vision.photometric.detector import PhotometricDetector
 from skyherd.vision.photometric.fitting import occlusion
 
@@ -38,7 +37,7 @@ def test_headings_under_a_streak_are_as_good_as_reported(monkeypatch):
     assert seen.found == 16 and seen.false_positives_per_image == 0
     assert seen.nees_heading < 1 + 4 * 0.35
     assert max(seen.nees_u, seen.nees_v) < 1 + 4 * 0.35
-    monkeypatch.setattr(detector_module, "with_streak", is_round)
+    monkeypatch.setattr(look, "with_streak", is_round)
     assert score(11, 1, 1, motion_px=4.0, blur_px=0.8).nees_heading > 1 + 8 * 0.35
 
 
@@ -133,7 +132,7 @@ def test_without_a_margin_about_covers_headings_are_too_sure(monkeypatch):
 @pytest.mark.slow
 def test_under_round_blur_headings_of_streaks_are_too_sure(monkeypatch):
     """The negative control of streaks."""
-    monkeypatch.setattr(detector_module, "with_streak", is_round)
+    monkeypatch.setattr(look, "with_streak", is_round)
     assert score(31, 3, 4, motion_px=2.0).nees_heading > 1.5
 
 

@@ -1,6 +1,6 @@
 """The linear model of a marker's pixels around a pose: its design matrix, drawn at the image's own pixels.
 
-With T what a blurred marker looks like (`pixel_kernel`) at marker coordinates
+With T what a blurred marker looks like (`kernels.blurred_edges`) at marker coordinates
 z = z(p) = x + iy, the grey level of pixel p is
 
     I(p) ≈ a + b T + b (T_z · δz + T_log σ δ log σ) + g (1 - A) + (l_x x + l_y y) (r + T) + c T (1 - T),
@@ -11,16 +11,15 @@ beyond the card, of which the card covers the share A, light l that changes over
 and a bend c of the tone curve, by which a camera's gamma shifts edges towards black. Everything that the
 pixels depend on is thus an unknown of one linear model, 15 in all; eight of them make up a homography.
 
-The marker and its derivatives are computed *at the image's own pixels*
-(`pixel_kernel`); the image itself is never resampled, so that its noise stays
-white.
+The marker and its derivatives are computed *at the image's own pixels* (`kernels`); the image itself is never
+resampled, so that its noise stays white.
 
 Blur that is round in the image is not round in the coordinates of a marker that is squeezed. A squeeze
 z ↦ z + e z̄ leaves there a blur of variances σ² (1 ∓ 2 e_x) and covariance -2 σ² e_y, to first order, and so
 changes T by `- e_x σ² (T_xx - T_yy) - 2 e_y σ² T_xy`. Towards the horizon the marker shrinks by `w^(-3/2)`
 with `w = 1 + Re(h̄ m z)`, so that the blur grows in its coordinates, and the squeeze changes by `- h m̄ z / 2`.
 Blur that differs more along its directions, at a steep tilt or by a streak, is drawn as what it is
-(`blur_ellipses`, `elliptic_kernel`).
+(`blur_ellipses`, `kernels.elliptic_blur`).
 
 Ground seen through the blur near the card's edge has a texture, which the model does not describe. Pixels are
 therefore weighted by `1 / sqrt(1 + (t (1 - A))²)`, with t the texture's standard deviation over the noise:
@@ -76,15 +75,15 @@ marker can be read under: a thousandth of a cell, and ten thousand markers."""
 
 
 @cache
-def _kernel() -> ModuleType:
+def _kernels() -> ModuleType:
     """The compiled loops, which are loaded, in about a second, when pixels are first read."""
-    return import_module("skyherd.vision.photometric.fitting.pixel_kernel")
+    return import_module("skyherd.vision.photometric.fitting.kernels")
 
 
 @cache
-def _elliptic_kernel() -> ModuleType:
-    """The loops for blur that differs much along its directions, loaded when a marker has it."""
-    return import_module("skyherd.vision.photometric.fitting.elliptic_kernel")
+def _elliptic_blur() -> ModuleType:
+    """The loop for blur that differs much along its directions, loaded when a marker has it."""
+    return import_module("skyherd.vision.photometric.fitting.kernels.elliptic_blur")
 
 
 class DesignMatrices:
@@ -115,19 +114,19 @@ class DesignMatrices:
         """
         self.rows = rows
         markers = _markers(homographies, appearances)
-        size = _kernel().count_pixels(markers, *image.shape)
+        most = _kernels().count_pixels(markers, *image.shape)
         self.bounds = np.empty(rows.size + 1, dtype=np.int64)
+        places, pixels = np.empty((most, 2), dtype=np.float32), np.empty((most, 2), dtype=np.int32)
+        size = _kernels().list_pixels(markers, *image.shape, self.bounds, places, pixels)
+        self.places, self.pixels = places[:size], pixels[:size]
         self.columns = np.empty((size, UNKNOWNS + 1), dtype=np.float32)
-        self.places, self.pixels = np.empty((size, 2), dtype=np.float32), np.empty((size, 2), dtype=np.int32)
         self.bends = np.zeros((0, 3), dtype=np.float32)
         image, elliptic = np.ascontiguousarray(image), appearances.elliptic(homographies)
         if elliptic.any():
             self._fill_apart(image, markers, homographies, appearances, elliptic)
         else:
-            results = self.bounds, self.columns, self.places, self.pixels
-            _kernel().fill(image, markers, appearances.cells, appearances.texture, *results)
-        end = self.bounds[-1]
-        self.columns, self.places, self.pixels = self.columns[:end], self.places[:end], self.pixels[:end]
+            where = self.bounds, self.places, self.pixels
+            _kernels().fill(image, markers, appearances.cells, appearances.texture, *where, self.columns)
         self.counts = np.diff(self.bounds)
 
     def _fill_apart(
@@ -142,19 +141,15 @@ class DesignMatrices:
         self.bends = np.zeros((len(self.columns), 3), dtype=np.float32)
         tables = blur_tables(homographies, markers["sigma"], appearances.streak_px2 or 0j)
         markers["lean"] = np.where(elliptic, homographies.leans(), markers["lean"])
-        self.bounds[0] = 0
         runs = [0, *(np.flatnonzero(np.diff(elliptic)) + 1).tolist(), self.rows.size]
         for first, end in pairwise(runs):
-            own, begin = slice(first, end), self.bounds[first]
-            cells, texture = appearances.cells[own], appearances.texture
-            bounds = np.empty(end - first + 1, dtype=np.int64)
-            results = bounds, self.columns[begin:], self.places[begin:], self.pixels[begin:]
+            own, cells = markers[first:end], appearances.cells[first:end]
+            where = self.bounds[first : end + 1], self.places, self.pixels
             if elliptic[first]:
-                given = markers[own], tables[own], cells, texture
-                _elliptic_kernel().fill(image, *given, *results, self.bends[begin:])
+                given = own, tables[first:end], cells, appearances.texture, *where
+                _elliptic_blur().fill(image, *given, self.columns, self.bends)
             else:
-                _kernel().fill(image, markers[own], cells, texture, *results)
-            self.bounds[first : end + 1] = begin + bounds
+                _kernels().fill(image, own, cells, appearances.texture, *where, self.columns)
 
     def gram_matrices(self) -> Floats:
         """Return the inner products (N, 16, 16) of the weighted columns and the pixels."""
@@ -184,7 +179,7 @@ class DesignMatrices:
     def residuals(self, solutions: Array) -> Floats:
         """Return the weighted residuals (P,), grey levels, of the model at `solutions` (N, 15)."""
         return np.asarray(
-            _kernel().residuals(self.columns, self.bounds, np.ascontiguousarray(solutions, dtype=np.float32))
+            _kernels().residuals(self.columns, self.bounds, np.ascontiguousarray(solutions, dtype=np.float32))
         )
 
     def cell_residuals(self, solutions: Array, n_cells: int) -> tuple[Array, Array]:
@@ -215,7 +210,7 @@ class DesignMatrices:
         boxes = np.zeros(picked.size, dtype=np.int64)
         model, by = (np.ascontiguousarray(factors, dtype=np.float32) for factors in (solutions, influences))
         pixels = self.columns, self.pixels, self.bounds
-        _kernel().add_over_boxes(*pixels, picked, model, by, box_px, small, large, boxes)
+        _kernels().add_over_boxes(*pixels, picked, model, by, box_px, small, large, boxes)
         return small, large, boxes
 
     def cell_support(self, n_cells: int) -> Array:
@@ -227,7 +222,7 @@ class DesignMatrices:
         """Residuals, pixels used and pixels read over each cell (N, n, n), and largest residuals (N,)."""
         sums, used, read = np.zeros((3, self.rows.size, n_cells, n_cells))
         peaks, model = np.zeros(self.rows.size), np.ascontiguousarray(solutions, dtype=np.float32)
-        _kernel().add_over_cells(self.columns, self.places, self.bounds, model, sums, used, read, peaks)
+        _kernels().add_over_cells(self.columns, self.places, self.bounds, model, sums, used, read, peaks)
         return sums, used, read, peaks
 
 
@@ -238,7 +233,7 @@ def _markers(homographies: LocalHomographies, appearances: MarkerAppearances) ->
     deviations `σ |1 ∓ e| / sqrt(1 + |e|²)` along x and y, with σ that of their mean variance
     (`LocalHomographies.blurs`).
     """
-    markers = np.zeros(len(homographies), dtype=_kernel().MARKER)
+    markers = np.zeros(len(homographies), dtype=_kernels().MARKER)
     limits, relative = appearances.read_limits, homographies.squeezes / homographies.arms
     strips = limits / (1 - np.minimum(np.abs(homographies.leans()) * np.sqrt(2) * limits, MAX_GROWTH))
     right = homographies.arms + homographies.squeezes

@@ -13,8 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from skyherd.bench.detectors.design import Cell
-from skyherd.bench.detectors.scene import Shot, camera_shots
-from skyherd.geometry import ROBOT_FRAME_CORNERS, UNIFORM_VARIANCE, Array, BoolArray, IntArray
+from skyherd.bench.detectors.scene import Shot, camera_shots, covering_discs, touching_squares
+from skyherd.geometry import UNIFORM_VARIANCE, Array, BoolArray, IntArray
 from skyherd.markers.blur_model import total_sigma_px
 from skyherd.markers.cramer_rao import pose_covariances
 from skyherd.render import (
@@ -37,9 +37,6 @@ from skyherd.render import (
 EXPOSURE_S = 0.01
 """Exposure of images with motion blur. The length of the streak is the cell's; this sets the camera's speed
 alone."""
-
-COVER_LEVEL = 40.0
-"""Grey level of the discs that cover markers: dark, and neither a marker's black nor its white."""
 
 GOLDEN_ANGLE_RAD = np.pi * (3.0 - 5.0**0.5)
 """Angle by which directions of coma differ from camera to camera: they fill the circle, however many."""
@@ -217,7 +214,7 @@ def _area(corners: Array) -> float:
 
 def _expose(cell: Cell, shot: Shot, renderer: Renderer, rng: np.random.Generator) -> Frame:
     motion, team = _shake(cell, shot, rng), (shot.ids, shot.positions_m, shot.headings_rad)
-    around: list[Disc | Quad] = [*_covers(cell, shot, rng), *_touching(cell, shot)]
+    around: list[Disc | Quad] = [*covering_discs(cell, shot, rng), *touching_squares(cell, shot)]
     image = renderer.render(shot.camera, shot.pose, *team, motion=motion, occluders=around)
     truth = renderer.truth(shot.camera, shot.pose, *team, motion=motion)
     spread = renderer.lens_blur.variances_px2(shot.camera, shot.pose, truth.centers_px)
@@ -282,25 +279,3 @@ def _shake(cell: Cell, shot: Shot, rng: np.random.Generator) -> Motion:
     toward = rng.uniform(-np.pi, np.pi)
     speed = cell.motion_px / EXPOSURE_S * shot.pose.height_m / shot.camera.focal_px
     return Motion(camera_mps=(float(speed * np.cos(toward)), float(speed * np.sin(toward)), 0.0))
-
-
-def _covers(cell: Cell, shot: Shot, rng: np.random.Generator) -> list[Disc]:
-    """A disc about a random corner of each marker; a quarter of it covers `cell.occlusion` of the square."""
-    if not cell.occlusion:
-        return []
-    radius = float(np.sqrt(4.0 * cell.occlusion / np.pi))
-    corners = ROBOT_FRAME_CORNERS[rng.integers(0, 4, len(shot.ids))] * np.exp(1j * shot.headings_rad)
-    places = shot.positions_m + np.column_stack([corners.real, corners.imag])
-    return [Disc((float(x), float(y)), radius, COVER_LEVEL) for x, y in places]
-
-
-def _touching(cell: Cell, shot: Shot) -> list[Quad]:
-    """Black squares outside of the markers' corners, each of which touches its marker in that one point."""
-    if not cell.touching:
-        return []
-    square = np.array([0.0, 1.0, 1.0 + 1.0j, 1.0j]) * cell.touching
-    outwards = np.exp(1j * np.pi / 2 * np.arange(4))
-    corners = (0.5 + 0.5j + square) * outwards[:, None]
-    turned = corners * np.exp(1j * shot.headings_rad)[:, None, None]
-    places = shot.positions_m[:, None, None] + np.stack([turned.real, turned.imag], axis=-1)
-    return [Quad(quad, cell.black) for quad in places.reshape(-1, 4, 2)]

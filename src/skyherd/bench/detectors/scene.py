@@ -1,4 +1,7 @@
-"""Where a cell's cameras and markers are: markers on smooth paths, slow enough for trackers to follow."""
+"""Where a cell's cameras and markers are, and what lies about them.
+
+Markers are on smooth paths, slow enough for trackers to follow.
+"""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -6,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from skyherd.bench.detectors.design import Cell
-from skyherd.geometry import Array, IntArray, apply_homography
+from skyherd.geometry import ROBOT_FRAME_CORNERS, Array, IntArray, apply_homography
 from skyherd.markers.dictionary import card_side, dictionary_size
-from skyherd.render import Camera, CameraPose, homography_image_ground
+from skyherd.render import Camera, CameraPose, Disc, Quad, homography_image_ground
 
 FRAME_RATE_HZ = 30.0
 """Images a second of each camera."""
@@ -25,6 +28,9 @@ MOST_OBLIQUE_DEG = 80.0
 MOST_IDS = 50
 """Only this many first markers of a dictionary are shown, so that the ids are the same in all
 dictionaries."""
+
+COVER_LEVEL = 40.0
+"""Grey level of the discs that cover markers: dark, and neither a marker's black nor its white."""
 
 
 @dataclass(frozen=True)
@@ -140,3 +146,25 @@ def camera_shots(cell: Cell, dictionary: str, unit: int, rng: np.random.Generato
             positions_m=apply_homography(ground_image, points_px),
             headings_rad=headings,
         )
+
+
+def covering_discs(cell: Cell, shot: Shot, rng: np.random.Generator) -> list[Disc]:
+    """A disc about a random corner of each marker; a quarter of it covers `cell.occlusion` of the square."""
+    if not cell.occlusion:
+        return []
+    radius = float(np.sqrt(4.0 * cell.occlusion / np.pi))
+    corners = ROBOT_FRAME_CORNERS[rng.integers(0, 4, len(shot.ids))] * np.exp(1j * shot.headings_rad)
+    places = shot.positions_m + np.column_stack([corners.real, corners.imag])
+    return [Disc((float(x), float(y)), radius, COVER_LEVEL) for x, y in places]
+
+
+def touching_squares(cell: Cell, shot: Shot) -> list[Quad]:
+    """Black squares outside of the markers' corners, each of which touches its marker in that one point."""
+    if not cell.touching:
+        return []
+    square = np.array([0.0, 1.0, 1.0 + 1.0j, 1.0j]) * cell.touching
+    outwards = np.exp(1j * np.pi / 2 * np.arange(4))
+    corners = (0.5 + 0.5j + square) * outwards[:, None]
+    turned = corners * np.exp(1j * shot.headings_rad)[:, None, None]
+    places = shot.positions_m[:, None, None] + np.stack([turned.real, turned.imag], axis=-1)
+    return [Quad(quad, cell.black) for quad in places.reshape(-1, 4, 2)]

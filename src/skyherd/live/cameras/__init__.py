@@ -3,9 +3,9 @@
 Start with `open_camera`. docs/live/cameras.md has the addresses.
 """
 
-from skyherd.live.cameras.addresses import Pace, open_camera
+from skyherd.live.cameras.addresses import Pace, check_camera, open_camera
 from skyherd.live.cameras.frame import Frame, Picture, Source
 from skyherd.live.cameras.mirrored import MirrorWatch
 from skyherd.live.cameras.reader import CameraReader
 
-__all__ = ["CameraReader", "Frame", "MirrorWatch", "Pace", "Picture", "Source", "open_camera"]
+__all__ = ["CameraReader", "Frame", "MirrorWatch", "Pace", "Picture", "Source", "check_camera", "open_camera"]

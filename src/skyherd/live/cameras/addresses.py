@@ -7,6 +7,7 @@ from typing import Literal
 
 from skyherd.errors import InputError
 from skyherd.files.reading import is_regular
+from skyherd.files.video_reader import open_clip
 from skyherd.live.cameras.frame import Clock, Source
 from skyherd.live.cameras.plugins import PluginCamera
 from skyherd.live.cameras.reader import CameraReader
@@ -48,6 +49,16 @@ def open_camera(address: str, *, pace: Pace = "own", clock: Clock = time.monoton
     if pace not in ("own", "fast"):
         raise InputError("pace", repr(pace), "own or fast")
     return CameraReader(_source_of(address, pace), clock=clock).start()
+
+
+def check_camera(address: str) -> None:
+    """Refuse an address that no camera of this machine has; no camera is opened, but videos are.
+
+    Raises:
+        InputError: it means nothing, or there is no such device, video or factory; see `open_camera`.
+    """
+    if isinstance(_source_of(address, "own"), VideoFile):
+        open_clip(Path(address))
 
 
 def _source_of(address: str, pace: Pace) -> Source:

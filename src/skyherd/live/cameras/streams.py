@@ -14,7 +14,7 @@ import av
 
 from skyherd.errors import InputError
 from skyherd.files.images import MAX_PIXELS
-from skyherd.files.video_reader import UprightGrey
+from skyherd.files.upright_grey import UprightGrey
 from skyherd.live.cameras.frame import Picture
 
 OPEN_S, READ_S = 8.0, 5.0

@@ -3,7 +3,7 @@
 Start with `open_driver`. docs/live/drivers.md has the addresses and what goes over the wire.
 """
 
-from skyherd.live.drivers.addresses import open_driver
+from skyherd.live.drivers.addresses import WORLD, check_driver, open_driver
 from skyherd.live.drivers.driver import HOLD_S, RATE_HZ, RobotDriver
 from skyherd.live.drivers.limits import LIMITS, Limiter, SpeedLimits
 from skyherd.live.drivers.link import STILL, Link, Motion
@@ -13,10 +13,12 @@ __all__ = [
     "LIMITS",
     "RATE_HZ",
     "STILL",
+    "WORLD",
     "Limiter",
     "Link",
     "Motion",
     "RobotDriver",
     "SpeedLimits",
+    "check_driver",
     "open_driver",
 ]

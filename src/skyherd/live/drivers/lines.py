@@ -10,7 +10,7 @@ hexadecimal digits. For a unit that flies the line is `F,robot,number,ahead,left
 import socket
 from functools import reduce
 from operator import xor
-from typing import Any
+from typing import Any, NamedTuple
 from urllib.parse import parse_qsl, urlsplit
 
 from skyherd.errors import InputError
@@ -25,6 +25,54 @@ WRITE_S = 0.2
 
 WAITING_BYTES = 64
 """With more than this still waiting to leave, a line is dropped. *Chosen*: about two lines."""
+
+MOST_BAUD = 100_000_000
+"""Greatest speed of a serial port, bit/s. *Chosen*: beyond any."""
+
+
+class UdpPlace(NamedTuple):
+    """Where packets go."""
+
+    host: str
+    port: int
+
+
+class SerialPlace(NamedTuple):
+    """A serial port and its speed, bit/s."""
+
+    path: str
+    baud: int
+
+
+def udp_place(address: str, robot_id: int) -> UdpPlace:
+    """The host and port of `udp://host:port`; the robot's number is not needed.
+
+    Raises:
+        InputError: one of them is missing.
+        ValueError: the port is none.
+    """
+    parts = urlsplit(address)
+    if not parts.hostname or not parts.port:
+        raise InputError(f"driver {address}", "a host or a port is missing", "udp://192.168.1.23:9000")
+    return UdpPlace(parts.hostname, parts.port)
+
+
+def serial_place(address: str, robot_id: int) -> SerialPlace:
+    """The port of `serial:///dev/ttyACM0?baud=57600`, there or not; the robot's number is not needed.
+
+    Raises:
+        InputError: it names no port, an option that is not known, or a speed that is none.
+    """
+    parts, where, example = urlsplit(address), f"driver {address}", "serial:///dev/ttyUSB0?baud=115200"
+    options = dict(parse_qsl(parts.query, keep_blank_values=True))
+    if not parts.path.strip("/") or parts.netloc:
+        raise InputError(where, "no port", example)
+    if unknown := sorted(set(options) - {"baud"}):
+        raise InputError(where, f"option {unknown[0]!r}", f"baud alone, as in {example}")
+    baud = options.get("baud", str(BAUD))
+    if not baud.isdecimal() or not 0 < int(baud) <= MOST_BAUD:
+        raise InputError(where, f"baud {baud!r}", f"a number of bits a second, as in {example}")
+    return SerialPlace(parts.path, int(baud))
 
 
 def line_of(robot_id: int, number: int, motion: Motion) -> bytes:
@@ -51,13 +99,12 @@ class UdpLines:
     def __init__(self, address: str, robot_id: int) -> None:
         self.name, self._robot, self._number = address, robot_id, 0
         try:
-            parts = urlsplit(address)
-            if not parts.hostname or not parts.port:
-                raise ValueError("a host or a port is missing")
-            found = socket.getaddrinfo(parts.hostname, parts.port, type=socket.SOCK_DGRAM)
+            found = socket.getaddrinfo(*udp_place(address, robot_id), type=socket.SOCK_DGRAM)
             self._socket = socket.socket(*found[0][:3])
             self._socket.connect(found[0][4])
             self._socket.setblocking(False)
+        except InputError:
+            raise
         except (OSError, ValueError) as error:
             raise InputError(f"driver {address}", _words(error), "udp://192.168.1.23:9000") from None
 
@@ -83,14 +130,9 @@ class SerialLines:
     """
 
     def __init__(self, address: str, robot_id: int) -> None:
+        self._path, self._baud = serial_place(address, robot_id)
         self._serial = import_extra("serial", "pyserial", f"driver {address}")
         self.name, self._robot, self._number = address, robot_id, 0
-        parts = urlsplit(address)
-        self._path = parts.path
-        baud = dict(parse_qsl(parts.query)).get("baud", str(BAUD))
-        if not self._path or not baud.isdecimal():
-            raise InputError(f"driver {address}", "no port", "serial:///dev/ttyUSB0?baud=115200")
-        self._baud = int(baud)
         try:
             self._port: Any = self._open()
         except (OSError, ValueError) as error:

@@ -11,7 +11,7 @@ import json
 import socket
 import threading
 import time
-from typing import Any
+from typing import Any, NamedTuple
 from urllib.parse import parse_qsl, unquote, urlsplit
 
 from skyherd.errors import InputError
@@ -49,6 +49,38 @@ def payload_of(robot_id: int, number: int, motion: Motion) -> bytes:
     return json.dumps(values | speeds, allow_nan=False).encode()
 
 
+class Broker(NamedTuple):
+    """A broker, and the topic there.
+
+    Attributes:
+        name: the address without user, password and options.
+    """
+
+    name: str
+    host: str
+    port: int
+    topic: str
+
+
+def broker_of(address: str, robot_id: int) -> Broker:
+    """The broker and the topic of `mqtt://user:password@host:1883/topic`.
+
+    Raises:
+        InputError: it names no host, or a topic that none may publish on.
+        ValueError: the port is none.
+    """
+    parts = urlsplit(address)
+    name = f"{parts.scheme}://{parts.netloc.rpartition('@')[2]}{parts.path}"
+    topic = unquote(parts.path.strip("/")) or TOPIC.format(robot=robot_id)
+    if not parts.hostname:
+        raise InputError(
+            f"driver {name}", "a host is missing", f"{parts.scheme}://192.168.1.23/robot3/cmd_vel"
+        )
+    if any(char in topic for char in "+#\0"):
+        raise InputError(f"driver {name}", f"topic {topic!r}", "a topic without + and #")
+    return Broker(name, parts.hostname, parts.port or PORTS[parts.scheme], topic)
+
+
 class Mqtt:
     """Publishes motions to a broker; the connection is made again when it breaks.
 
@@ -61,14 +93,11 @@ class Mqtt:
     """
 
     def __init__(self, address: str, robot_id: int) -> None:
-        parts = urlsplit(address)
-        self.name = f"{parts.scheme}://{parts.netloc.rpartition('@')[2]}{parts.path}"
+        broker, parts = broker_of(address, robot_id), urlsplit(address)
+        self.name, self._topic = broker.name, broker.topic
         self._where = f"driver {self.name}"
         library = import_extra("paho.mqtt.client", "paho-mqtt", self._where)
         self._robot, self._number = robot_id, 0
-        self._topic = unquote(parts.path.strip("/")) or TOPIC.format(robot=robot_id)
-        if any(char in self._topic for char in "+#\0"):
-            raise InputError(self._where, f"topic {self._topic!r}", "a topic without + and #")
         self._client = library.Client(library.CallbackAPIVersion.VERSION2)
         if parts.username:
             self._client.username_pw_set(unquote(parts.username), unquote(parts.password or ""))
@@ -81,7 +110,7 @@ class Mqtt:
         try:
             if parts.scheme == "mqtts":
                 self._client.tls_set(dict(parse_qsl(parts.query)).get("ca"))
-            self._client.connect(parts.hostname or "", parts.port or PORTS[parts.scheme], KEEP_ALIVE_S)
+            self._client.connect(broker.host, broker.port, KEEP_ALIVE_S)
         except (OSError, ValueError) as error:
             words = " ".join(str(getattr(error, "strerror", None) or error).split())
             raise InputError(self._where, words or "no answer", "a broker that can be reached") from None

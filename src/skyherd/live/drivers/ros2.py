@@ -118,12 +118,14 @@ def topic_of(address: str, robot_id: int) -> Topic:
 
     Raises:
         InputError: a name, number or type that cannot be.
+        ValueError: the port is none.
     """
     parts, where = urlsplit(address), f"driver {address}"
     options = dict(parse_qsl(parts.query, keep_blank_values=True))
     if unknown := sorted(set(options) - set(KEYS)):
         raise InputError(where, f"option {unknown[0]!r}", f"of {', '.join(KEYS)}")
     name, kind = parts.path.strip("/") or "cmd_vel", options.get("type", "Twist")
+    _ = parts.port  # which raises where it is none
     domain, node = options.get("domain", "0"), options.get("node", f"skyherd_robot_{robot_id}")
     if kind not in HASHES:
         raise InputError(where, f"type {kind!r}", "Twist or TwistStamped")

@@ -20,6 +20,7 @@ from skyherd.datasets import (
 from skyherd.errors import DegenerateSetError, InputError
 from skyherd.files.reading import is_regular
 from skyherd.geometry import ComplexArray, to_complex
+from skyherd.live.lab.checks import check_drivers, check_model
 from skyherd.live.lab.models import LabModel
 from skyherd.live.lab.set_up import Lab
 from skyherd.messages.checks import check_texts
@@ -66,7 +67,9 @@ def load_lab(name_or_file: str, settings: Iterable[str] = ()) -> Lab:
             put_value(tree, key, parse_toml(f"value = {value}", setting, "key=value")["value"], setting)
         except InputError:
             put_value(tree, key, value, setting)
-    return make_lab(tree, where=where, folder=path.parent if is_file else Path())
+    lab = make_lab(tree, where=where, folder=path.parent if is_file else Path())
+    check_drivers(lab.model, where)
+    return lab
 
 
 def make_lab(tree: dict[str, Any], *, where: str = "lab", folder: Path | None = None) -> Lab:
@@ -79,17 +82,21 @@ def make_lab(tree: dict[str, Any], *, where: str = "lab", folder: Path | None = 
         model = LabModel.model_validate(tree)
     except ValidationError as error:
         raise first_error(error, where, "lab", see="skyherd live schema") from None
+    check_model(model, where)
     ids = [robot.id for robot in model.robots]
+    points = _points(model, len(ids), where)
     try:
-        points = _points(model, len(ids))
         template = Template(np.array(ids), points.conj())
     except DegenerateSetError as error:
         raise InputError(f"{where}: shape", str(error), "at least two distinct points") from None
     return Lab(model, template, folder or Path())
 
 
-def _points(model: LabModel, count: int) -> ComplexArray:
+def _points(model: LabModel, count: int, where: str) -> ComplexArray:
     """The shape's points (N,), x + iy, in map sense, in the order of the file's robots."""
     if model.shape.points is not None:
         return np.array([complex(x, y) for x, y in model.shape.points])
-    return to_complex(shape_points(str(model.shape.shape), count))
+    try:
+        return to_complex(shape_points(str(model.shape.shape), count))
+    except InputError as error:  # which names the key that scenarios have for it
+        raise InputError(f"{where}: shape.shape", error.what, error.allowed) from None

@@ -63,7 +63,7 @@ def make_live_report(folder: Path, progress: Progress = NO_PROGRESS) -> dict[str
     """
     session = read_session(folder, progress)
     figures = [f"{FIGURES}/{panel.name}{kind}" for panel in PANELS for kind in (".png", ".svg")]
-    with OutputFolder(folder, VERB, [SUMMARY, PAGE, *figures], resume=True):
+    with OutputFolder(folder, VERB, [SUMMARY, PAGE, *figures], resume=True, elsewhere=None):
         summary = summarize_session(session)
         cards = [figure_card(figure) for figure in write_panels(PANELS, session, folder / FIGURES)]
         write_text(folder / SUMMARY, json.dumps(summary, indent=2) + "\n")

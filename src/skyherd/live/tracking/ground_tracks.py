@@ -43,11 +43,13 @@ class GroundTracks:
         name: of the recording.
         members: the robots; other markers help to rectify the ground, and are left out. None for all.
         sightings: one for each image, in order.
+        strangers: markers that were seen and are none of the members.
     """
 
     name: str
     members: frozenset[int] | None = None
     sightings: list[Sighting] = field(default_factory=list)
+    strangers: set[int] = field(default_factory=set)
     _rectifier: Rectifier = field(default_factory=Rectifier)
 
     def add(self, index: int, found: Detections) -> None:
@@ -55,6 +57,7 @@ class GroundTracks:
         seen = found.unambiguous()
         flat = self._rectifier.rectify(seen)
         if self.members is not None:
+            self.strangers |= set(found.ids.tolist()) - self.members
             seen, flat = seen.select(self.members), flat.select(self.members)
         positions = positions_in_sides(flat)
         self.sightings.append(Sighting(index, found.time_s, seen, positions, -flat.headings_rad))

@@ -94,7 +94,7 @@ def track_videos(
         errors = _errors(recordings, shape)
         if shape:
             with _table(folder / SHAPE, SHAPE_COLUMNS) as table:
-                for tracks, error in zip(recordings, errors, strict=True):
+                for tracks, error in zip(recordings, errors, strict=bool(errors)):
                     table.writerows(_shape_rows(tracks, error))
         figure = draw_tracks(recordings, errors)
         write_whole(folder / FIGURE, lambda part: figure.savefig(part, format="png"))
@@ -112,14 +112,10 @@ def _follow(tracks: GroundTracks, video: Path, detector: Detector, progress: Pro
 
 
 def _errors(recordings: Sequence[GroundTracks], shape: ShapeSource | None) -> list[ShapeErrors]:
-    """The shape errors of each recording; none without a shape."""
+    """The shape errors of each recording; none without a shape, or without any robot."""
     ids = np.unique(np.concatenate([tracks.ids for tracks in recordings]))
-    if shape is None:
+    if shape is None or ids.size == 0:
         return []
-    if ids.size == 0:
-        raise InputError(
-            "--shape", "no marker was found", "another --dictionary; see `skyherd detect --explain`"
-        )
     template = shape(ids)
     return [shape_errors(tracks, template) for tracks in recordings]
 

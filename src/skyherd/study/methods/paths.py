@@ -14,8 +14,8 @@ from skyherd.plots.style import new_figure, plain, robot_colors
 from skyherd.study.methods.outcomes import Method, Outcomes
 
 COLUMNS = 5
-"""Panels in a row. Chosen: with seven they are too small to see single ways, with three the figure of ten
-methods is higher than a screen."""
+"""Panels in a row, at most. Chosen: with seven they are too small to see single ways, with three the figure
+of ten methods is higher than a screen."""
 
 MOST_ZOOM = 2.2
 """Half the width of the frame over the distance of the farthest start from its middle, at most. Chosen: twice
@@ -42,9 +42,10 @@ def draw_paths(task: str, methods: Sequence[Method], bodies: Mapping[str, Any]) 
     ]
     if not shown:
         return None
-    rows = -(-len(shown) // COLUMNS)
-    figure = new_figure(2.75 * rows + 0.3, 2.45 * COLUMNS)
-    panels = figure.subplots(rows, COLUMNS, squeeze=False)
+    columns = min(len(shown), COLUMNS)
+    rows = -(-len(shown) // columns)
+    figure = new_figure(2.75 * rows + 0.3, 2.45 * columns)
+    panels = figure.subplots(rows, columns, squeeze=False)
     middle, reach = _frame([places for _, _, places in shown])
     for axes, (name, runs, places) in zip(panels.flat, shown, strict=False):
         _draw_ways(axes, places, bodies)
@@ -91,7 +92,7 @@ def _result(runs: Outcomes) -> str:
 
 
 def _draw_scale(axes: Axes, middle: Array, reach: float) -> None:
-    """A bar of one metre, in the lower left corner."""
-    left, low = middle - 0.92 * reach
-    axes.plot([left, left + 1.0], [low, low], color=INK, linewidth=1.6)
-    axes.text(left + 0.5, low + 0.03 * reach, "1 m", ha="center", va="bottom", fontsize="x-small", color=INK)
+    """A bar of one metre, in the lower left corner, below the bodies."""
+    left, low = middle - reach
+    axes.plot([left, left + 1.0], [low, low], color=INK, linewidth=1.6, clip_on=False)
+    axes.text(left + 0.5, low - 0.03 * reach, "1 m", ha="center", va="top", fontsize="x-small", color=INK)

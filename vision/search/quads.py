@@ -199,7 +199,8 @@ def _is_quad(corners: ComplexArray, area: Array, growth_px: float) -> BoolArray:
     """Which corners (N, 4) make a convex quadrilateral, not too oblong, of the region's own area."""
     sides = np.roll(corners, -1, axis=1) - corners
     lengths = np.abs(sides)
-    convex = (_cross(sides, np.roll(sides, -1, axis=1)) > 0).all(axis=1)
+    following, products = np.roll(sides, -1, axis=1), lengths * np.roll(lengths, -1, axis=1)
+    convex = (_cross(sides, following) > MIN_CROSSING * products).all(axis=1)
     inside = _cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1]) / 2
     grown = area + growth_px * lengths.sum(axis=1)
     shortest = lengths.min(axis=1)

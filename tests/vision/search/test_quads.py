@@ -6,6 +6,7 @@ import pytest
 
 from skyherd.geometry import SQUARE_CORNERS, to_complex, to_points
 from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
+from skyherd.vision.search import quads
 from skyherd.vision.search.quads import MIN_QUAD_SIDE_PX, SHRINKS, find_quads
 
 HEADINGS = {"upright": 0.0, "a little turned": 0.02, "diagonal": np.pi / 4, "any": None}
@@ -130,3 +131,10 @@ def test_squares_whose_corners_touch_others_are_parted(side_px, blur_px):
             truth.append(to_complex(low - 0.5 + side_px * np.array([[0, 0], [1, 0], [1, 1], [0, 1]])))
     worst = match(find_quads(cv2.GaussianBlur(image, (0, 0), blur_px)), np.array(truth)).max(axis=1)
     assert worst.max() < side_px / 10, worst
+
+
+@pytest.mark.parametrize("bend_px", [0.0, 1e-14, 1e-6, 0.5])
+def test_three_corners_on_a_line_make_no_quadrilateral(bend_px) -> None:
+    """Also where rounding makes them convex: what has no fourth corner has no homography to read cells by."""
+    corners = np.array([[0, 20, 20 + 20j, 10 + 10j + bend_px * (1j - 1)]])
+    assert quads._is_quad(corners, np.array([200.0]), 0.0).tolist() == [bend_px == 0.5]

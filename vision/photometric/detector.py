@@ -71,6 +71,7 @@ class PhotometricDetector:
             raise InputError("detector", "markers cannot be followed whose ids repeat", "one of the two")
         self.dictionary, self.following, self.repeats = dictionary, following, repeats
         self.estimates: dict[int, ImageEstimates] = {}
+        self._nothing = no_fit_results(dictionary)
 
     def detect(self, image: Image, *, time_s: float = 0.0, unit_id: int = 0) -> Detections:
         """Return the markers in a grey image (height, width) of 8 bits, in ascending order of id.
@@ -110,8 +111,7 @@ class PhotometricDetector:
         Raises:
             InputError: the image is not a grey one of 8 bits, or is empty.
         """
-        nowhere = no_fit_results(self.dictionary).homographies
-        return look_twice(check_grey(image), self.dictionary, ImageEstimates(), nowhere)
+        return look_twice(check_grey(image), self.dictionary, ImageEstimates(), self._nothing.homographies)
 
     def look_at(self, image: Image, candidates: DecodedQuads) -> Look:
         """Return what is fitted where candidates are, each by itself, that the search need not have found.

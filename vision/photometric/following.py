@@ -56,6 +56,7 @@ def follow(image: Image, dictionary: str, known: ImageEstimates, time_s: float) 
     fits, start = _fit_tracks(image, dictionary, known, ids, start, known.tracks.sigmas_px[here])
     lost = ~is_promising(fits)
     near = _find_near(image, dictionary, known, start.take(lost), fits.homographies.take(~lost))
+    near = near.take(np.isin(near.ids, ids))  # others are for the search, which compares their prints
     rest = ~np.isin(ids, near.ids)
     fits, start = fits.take(rest), start.take(rest)
     if fits.ids.size:

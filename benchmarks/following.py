@@ -9,6 +9,8 @@ and then all robots begin to turn at once. Told are the images, how many of them
 """
 
 import argparse
+from collections import deque
+from itertools import islice
 from time import process_time
 from typing import Any
 
@@ -42,8 +44,7 @@ def measure(seed: int, steps: int) -> dict[str, Any]:
 
     stages.look_twice, PhotometricDetector.detect = counted, timed  # type: ignore[method-assign]
     try:
-        for _, _step in zip(range(steps), run_steps(make_mission(tree)), strict=False):
-            pass
+        deque(islice(run_steps(make_mission(tree)), steps), maxlen=0)
     finally:
         stages.look_twice, PhotometricDetector.detect = look_twice, detect  # type: ignore[method-assign]
     return {

@@ -1,6 +1,7 @@
 """Lab files: the examples are right, and what is wrong is one line that names the key."""
 
 import tomllib
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,6 +9,14 @@ from command_line import call
 
 from skyherd.errors import InputError
 from skyherd.live.lab import LabRadio, lab_names, lab_text, load_lab, make_lab
+
+
+@pytest.fixture
+def webcams(tmp_path) -> Path:
+    """The built-in lab with webcams, as a file of one's own."""
+    file = tmp_path / "lab.toml"
+    file.write_text(lab_text("webcams"), encoding="utf-8")
+    return file
 
 
 @pytest.mark.parametrize("name", lab_names())
@@ -71,12 +80,10 @@ def test_wrong_values_are_one_line(setting, complaint) -> None:
         ("limits.period_s=0.5", "limits.goal_timeout_s: 0.6; at least two period_s, which is 1"),
     ],
 )
-def test_what_is_wrong_with_a_lab_names_file_and_key_and_what_is_allowed(tmp_path, setting, line) -> None:
-    file = tmp_path / "lab.toml"
-    file.write_text(lab_text("webcams"), encoding="utf-8")
+def test_what_is_wrong_with_a_lab_names_file_and_key_and_what_is_allowed(webcams, setting, line) -> None:
     with pytest.raises(InputError) as refusal:
-        load_lab(str(file), [setting])
-    assert str(refusal.value).startswith(f"{file}: {line}")
+        load_lab(str(webcams), [setting])
+    assert str(refusal.value).startswith(f"{webcams}: {line}")
 
 
 @pytest.mark.parametrize(
@@ -101,14 +108,12 @@ def test_what_is_wrong_with_a_lab_names_file_and_key_and_what_is_allowed(tmp_pat
         ("ros2:///cmd_vel?type=Pose", "Twist or TwistStamped"),
     ],
 )
-def test_a_driver_that_cannot_be_is_refused_by_whatever_reads_the_lab(tmp_path, address, words) -> None:
-    file = tmp_path / "lab.toml"
-    file.write_text(lab_text("webcams"), encoding="utf-8")
+def test_a_driver_that_cannot_be_is_refused_by_whatever_reads_the_lab(webcams, address, words) -> None:
     for entry in ("robots.1", "cameras.1"):
         with pytest.raises(InputError) as refusal:
-            load_lab(str(file), [f"{entry}.driver='{address}'"])
+            load_lab(str(webcams), [f"{entry}.driver='{address}'"])
         line = str(refusal.value)
-        assert line.startswith(f"{file}: {entry}.driver: ") and words in line
+        assert line.startswith(f"{webcams}: {entry}.driver: ") and words in line
         assert "\n" not in line and "secret" not in line
 
 

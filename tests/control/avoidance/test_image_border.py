@@ -29,7 +29,7 @@ from skyherd.control.avoidance.proximity import proximity
 from skyherd.control.avoidance.speed_bound import closing_bounds, slowed
 from skyherd.control.rectification.ground_map import HORIZON, LENS, SQUEEZE, UNKNOWNS
 from skyherd.geometry import to_complex, to_points
-from skyherd.messages import BORDER_IDS, Detections, Proximity
+from skyherd.messages import BORDER_IDS, Detections, Proximity, UnitReport
 from skyherd.sim.world import move_bodies
 
 SIZE = np.array([640, 480])
@@ -107,10 +107,8 @@ def test_with_a_lens_each_line_touches_the_bent_side_at_its_innermost_point(lens
 @pytest.mark.parametrize("side", range(4))
 def test_a_side_is_a_robot_that_stands_at_the_nearest_hidden_place(make_detections, side, heading) -> None:
     """The same gap, bearing and share as an obstacle's that is drawn there."""
-    at = 60 + 0.0j
-    border = ImageBorder.of(SIZE, GroundMap())
-    depth = border.depths_px(np.array([at + 70j]))[0, side]
-    robot = at + 70j
+    robot, border = 60 + 70j, ImageBorder.of(SIZE, GroundMap())
+    depth = border.depths_px(np.array([robot]))[0, side]
     there = robot - border.normals[side] * (depth - HIDDEN_SIDES * SIDE_PX)
     seen = make_detections([0, 9], [robot, there], headings=[heading, 0], sides=[SIDE_PX] * 2, size=SIZE)
     wide = BodyRule(1.0, margin_sides=0.3, horizon_sides=40.0, obstacles={9: 1.0})
@@ -261,14 +259,6 @@ def test_without_the_border_it_is_driven_over(make_detections) -> None:
     assert sum(gap < 0 for gap in gaps) >= 6
 
 
-def test_the_message_is_told_from_one_without_a_border_by_its_ids_alone(make_detections) -> None:
-    """No field is added: robots of before find no body of such an id, and leave it aside."""
-    seen = make_detections([0], [50 + 240j], size=SIZE)
-    message = proximity(seen, TEAM, BODIES, HiddenBeyond(ImageBorder.of(SIZE, GroundMap()), TEAM))
-    assert isinstance(message, Proximity) and message.ids.tolist() == [0]
-    assert message.other_ids.tolist() == [-2]
-
-
 @dataclass
 class KnownCamera:
     """Stands for a rectifier that knows its camera, and is given detections that are rectified already."""
@@ -280,15 +270,15 @@ class KnownCamera:
 
 
 @pytest.mark.parametrize("ground_map", [GroundMap(), map_with(horizon=0.1)])
-def test_a_unit_reports_its_border_while_it_misses_a_robot(make_detections, ground_map) -> None:
-    """As far off as it is in the rectified image."""
+def test_a_unit_reports_its_border_while_it_misses_a_robot(make_detections, make_report, ground_map) -> None:
+    """As far off as it is in the rectified image; and not while another unit has the robot."""
     template = Template(TEAM, np.array([0, 100, 100j]))
     policy, near_only = SafetyRadius(radius=1.5), BodyRule(1.0, margin_sides=0.0, horizon_sides=4.0)
     unit = AerialController(template, policy, Hover(), rectifier=KnownCamera(ground_map), bodies=near_only)
 
-    def near(time_s: float, ids: list[int]) -> Proximity:
+    def near(time_s: float, ids: list[int], *reports: UnitReport) -> Proximity:
         seen = make_detections(ids, [50 + 240j, 320 + 240j, 330 + 300j][: len(ids)], size=SIZE, time_s=time_s)
-        return unit.step(seen).proximity
+        return unit.step(seen, reports).proximity
 
     for tick in range(6):
         assert not (near(0.2 * tick, [0, 1]).other_ids < 0).any()
@@ -296,4 +286,7 @@ def test_a_unit_reports_its_border_while_it_misses_a_robot(make_detections, grou
     assert message.other_ids.tolist() == [BORDER_IDS[3]]
     depth = ImageBorder.of(SIZE, ground_map).depths_px(np.array([50 + 240j]))[0, 3]
     assert message.distances_sides == pytest.approx([depth / SIDE_PX])
-    assert not (near(1.4, [0, 1, 2]).other_ids < 0).any()
+    elsewhere = replace(make_report(1, [2], [100.0], [2]), time_s=1.3)
+    assert not (near(1.4, [0, 1], elsewhere).other_ids < 0).any()
+    assert (near(2.6, [0, 1], elsewhere).other_ids < 0).any()
+    assert not (near(2.8, [0, 1, 2]).other_ids < 0).any()

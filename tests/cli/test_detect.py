@@ -272,7 +272,9 @@ def test_other_kinds_of_markers_are_found_if_asked_for(tmp_path, capsys, image, 
     cv2.imwrite(str(tmp_path / "it.png"), image)
     assert call(capsys, tmp_path / "it.png", "--out", tmp_path / "told", *options)[0] == 0
     assert ids_in(tmp_path / "told") == ids
-    assert call(capsys, tmp_path / "it.png", "--out", tmp_path / "plain")[0] == 0
+    code, _, said = call(capsys, tmp_path / "it.png", "--out", tmp_path / "plain")
+    assert code == 0 and (otherwise or "no marker found: its markers are " in said)
+    assert otherwise or f"try {' '.join(options)}\n" in said
     assert ids_in(tmp_path / "plain") == otherwise
 
 

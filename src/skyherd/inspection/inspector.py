@@ -109,15 +109,17 @@ class Inspector:
 
     def _dictionary_of(self, image: Grey) -> str | None:
         """The dictionary to look for in an image, None if it is to be found and the image shows no marker."""
-        return find_dictionary(self._dark_on_light(image)) if self.dictionary == AUTO else self.dictionary
+        if self.dictionary != AUTO:
+            return self.dictionary
+        return find_dictionary(image, border_bits=self.border_bits, inverted=self.inverted)
 
     def _dark_on_light(self, image: Grey) -> Grey:
-        """The image, or its negative where markers are white on black."""
+        """The image in which markers are black on white: its negative, if they are white on black."""
         return np.asarray(255 - image, dtype=np.uint8) if self.inverted else image
 
     def _hint(self, image: Grey, dictionary: str) -> str | None:
-        """What to try where little was found; nothing where the dictionary was found by trying all."""
-        return None if self.dictionary == AUTO else suggest(self._dark_on_light(image), dictionary)
+        """What to try where little was found."""
+        return suggest(image, dictionary, border_bits=self.border_bits, inverted=self.inverted)
 
     def inspect(self, target: Path, folder: Path, *, force: bool = False) -> list[FileResult]:
         """Run the detector over a picture, a video, or all pictures and videos in a folder.

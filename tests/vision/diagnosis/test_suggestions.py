@@ -1,0 +1,101 @@
+"""What is suggested for an image of few detections: markers that are drawn otherwise than looked for."""
+
+import numpy as np
+import pytest
+
+from skyherd.errors import InputError
+from skyherd.markers.dictionary import marker_cells
+from skyherd.vision import create_detector
+from skyherd.vision.diagnosis.suggestions import find_dictionary, suggest
+
+IDS = [4, 11, 30]
+
+
+def drawn(ids=IDS, *, dictionary="4X4_50", inverted=False) -> np.ndarray:
+    """Markers in a row, 8 px a cell, white on black if inverted."""
+    image = np.full((140, 140 * len(ids)), 140, np.uint8)
+    for k, marker_id in enumerate(ids):
+        cells = np.pad(marker_cells(dictionary, marker_id), 1, constant_values=True)
+        card = np.kron(np.where(cells, 230, 30), np.ones((8, 8)))
+        half = len(card) // 2
+        image[70 - half : 70 + half, 70 + 140 * k - half : 70 + 140 * k + half] = card
+    return 255 - image if inverted else image
+
+
+@pytest.mark.parametrize(
+    ("there", "looked_for", "said"),
+    [
+        ({"inverted": True}, {}, "white on black; try --inverted"),
+        ({}, {"inverted": True}, "black on white; try without --inverted"),
+        (
+            {"dictionary": "4X4_50@2"},
+            {},
+            "drawn with a border of 2 cell(s); try --border-bits 2",
+        ),
+        ({}, {"border_bits": 2}, "drawn with a border of 1 cell(s); try --border-bits 1"),
+        (
+            {"dictionary": "4X4_50@3", "inverted": True},
+            {},
+            "white on black and drawn with a border of 3 cell(s); try --inverted --border-bits 3",
+        ),
+        (
+            {"dictionary": "5X5_50@2"},
+            {"border_bits": 2},
+            "of another dictionary; try --dictionary 5X5_50",
+        ),
+        (
+            {"dictionary": "5X5_50", "inverted": True},
+            {},
+            "white on black and of another dictionary; try --inverted --dictionary 5X5_50",
+        ),
+        (
+            {"dictionary": "5X5_50", "inverted": True},
+            {"inverted": True},
+            "of another dictionary; try --dictionary 5X5_50",
+        ),
+    ],
+)
+def test_what_is_suggested_names_the_difference_and_finds_the_markers(there, looked_for, said) -> None:
+    image = drawn(**there)
+    assert suggest(image, "4X4_50", **looked_for) == f"its markers are {said}"
+    options = _options(said, looked_for)
+    found = create_detector(**options).detect(image).ids
+    assert found.tolist() == IDS
+    assert create_detector(**{"dictionary": "4X4_50"} | looked_for).detect(image).ids.size < len(IDS)
+
+
+def _options(said: str, looked_for: dict) -> dict:
+    """The options of `create_detector` that a suggestion amounts to."""
+    words = said.partition("try ")[2].split()
+    options = {"dictionary": "4X4_50"} | looked_for
+    if "--inverted" in words:
+        options["inverted"] = "without" not in words
+    for name, kind in (("--border-bits", int), ("--dictionary", str)):
+        if name in words:
+            options[name.strip("-").replace("-", "_")] = kind(words[words.index(name) + 1])
+    return options
+
+
+@pytest.mark.parametrize("options", [{}, {"inverted": True}])
+def test_nothing_is_suggested_where_markers_are_as_they_were_looked_for(options) -> None:
+    """Also not where one of three repeats and is left out, since no other print has more of them."""
+    image = drawn(inverted=bool(options))
+    assert suggest(image, "4X4_50", **options) is None
+    assert suggest(drawn([4, 4, 6], inverted=bool(options)), "4X4_50", **options) is None
+
+
+def test_nothing_is_suggested_for_an_image_of_nothing() -> None:
+    assert suggest(np.full((120, 160), 140, np.uint8), "4X4_50") is None
+
+
+@pytest.mark.parametrize("border_bits", [1, 2])
+def test_a_dictionary_is_found_in_the_print_that_is_told(border_bits) -> None:
+    name = "5X5_50" + ("@2" if border_bits == 2 else "")
+    image = drawn(dictionary=name, inverted=True)
+    assert find_dictionary(image, border_bits=border_bits, inverted=True) == "5X5_50"
+    assert find_dictionary(drawn(dictionary=name), border_bits=border_bits) == "5X5_50"
+
+
+def test_a_border_that_cannot_be_is_refused() -> None:
+    with pytest.raises(InputError, match="border bits: 4"):
+        suggest(drawn(), "4X4_50", border_bits=4)

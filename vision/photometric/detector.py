@@ -43,7 +43,8 @@ SECOND_LOOK_INTERVAL = 5
 """While all markers are followed and the last second look found nothing new, there is one at every search of
 this number. Chosen: it takes 45 ms of a core where the first look takes 8, and finds what is small or
 blurred, of which there is more where there was some; a marker that it alone can find waits 50 images at
-most."""
+most. So does a small one close beside markers that are followed, around which the other searches do not
+look."""
 
 
 class PhotometricDetector:
@@ -137,9 +138,8 @@ class PhotometricDetector:
         """
         known.first_looks += 1
         if not thoroughly and known.first_looks < SECOND_LOOK_INTERVAL and not known.is_second_look_worth_it:
-            return look_at_quads(
-                image, self.dictionary, known, find_quads(image), followed, MIN_CORRELATION
-            ).found
+            quads = find_quads(image, to_points(followed.images(SQUARE_CORNERS)))
+            return look_at_quads(image, self.dictionary, known, quads, followed, MIN_CORRELATION).found
         first, second = look_twice(image, self.dictionary, known, followed)
         known.first_looks, known.is_second_look_worth_it = 0, bool(second.good.any())
         return first.found.joined(second.found)

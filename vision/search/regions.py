@@ -3,8 +3,7 @@
 A pixel is dark if it is below the mean of its surroundings by a constant. An image of half the size shows
 first where dark pixels crowd: around a marker's edge they are dark by much and in number, those of noise and
 texture are not. The places found are laid side by side in one smaller image, so that empty parts of the image
-cost nothing, and all of them are treated at once. A second look leaves out the places around markers that are
-known already.
+cost nothing, and all of them are treated at once. Places around markers that are known already are left out.
 """
 
 from dataclasses import dataclass

@@ -3,6 +3,7 @@
     python benchmarks/nightly.py                          # all, with seeds of today; hours on two cores
     python benchmarks/nightly.py --only trees crowds --share 0.02
     python benchmarks/nightly.py --table docs/nightly.md  # the table put there
+    python benchmarks/nightly.py --only "slow tests" --table docs/nightly.md  # that row alone replaced
 
 `.ci/nightly` runs it in a fresh environment. Every step that is not what it should be is named at the end,
 and the exit code is 1 then. The seeds of missions and random tests follow from the day (`--day` for another
@@ -114,6 +115,12 @@ class Outcome:
     told: str
     took_s: float
 
+    def row(self, date: datetime.date) -> str:
+        """The step's row of the table, with the date of the night."""
+        verdict, told = "yes" if self.is_right else "**no**", self.told.replace("|", "\\|")
+        cells = (self.name, date.isoformat(), verdict, told, f"{self.took_s / 60:.1f}", f"`{self.command}`")
+        return f"| {' | '.join(cells)} |"
+
 
 def run_tests(name: str, jobs: int, day: int) -> Outcome:
     """Run one group of tests."""
@@ -152,22 +159,28 @@ def run_missions(name: str, share: float, jobs: int, seed: int) -> Outcome:
     return Outcome(name, " ".join(command), is_right, missions.told(summary), perf_counter() - began_s)
 
 
-def as_table(outcomes: list[Outcome], date: datetime.date) -> str:
-    """The page with all outcomes."""
+def as_page(outcomes: list[Outcome], date: datetime.date, page_before: str = "") -> str:
+    """Return the page with the last outcome of each step, of which some may be of earlier nights.
+
+    Args:
+        outcomes: of this night.
+        date: of this night, from which its seeds follow.
+        page_before: the page as it was; rows of steps that were not run now are taken from it.
+    """
+    rows = {outcome.name: outcome.row(date) for outcome in outcomes}
+    for line in page_before.splitlines():
+        name = line.strip("| ").split(" | ")[0]
+        if name in {**MISSIONS, **TESTS}:
+            rows.setdefault(name, line)
     lines = [
-        "# The last night",
+        "# The last nights",
         "",
-        f"Run on {date.isoformat()} by `.ci/nightly`, with seeds of that day.",
+        "What `.ci/nightly` ran, each step on its last night, with seeds that follow from the date.",
         "",
-        "| step | as it should be | what came of it | minutes | command |",
-        "|---|---|---|---|---|",
+        "| step | night | as it should be | what came of it | minutes | command |",
+        "|---|---|---|---|---|---|",
+        *(rows[name] for name in {**MISSIONS, **TESTS} if name in rows),
     ]
-    for outcome in outcomes:
-        verdict = "yes" if outcome.is_right else "**no**"
-        told = outcome.told.replace("|", "\\|")
-        lines.append(
-            f"| {outcome.name} | {verdict} | {told} | {outcome.took_s / 60:.1f} | `{outcome.command}` |"
-        )
     return "\n".join(lines) + "\n"
 
 
@@ -182,15 +195,16 @@ def main() -> None:
     options = parser.parse_args()
     chosen = options.only or [*MISSIONS, *TESTS]
     seed = 1000 * options.day.toordinal()
+    page_before = options.table.read_text() if options.table and options.table.exists() else ""
     outcomes = []
     for name in chosen:
         if name in TESTS:
             outcomes.append(run_tests(name, options.jobs, options.day.toordinal()))
         else:
             outcomes.append(run_missions(name, options.share, options.jobs, seed))
-        print(as_table(outcomes[-1:], options.day).splitlines()[-1], flush=True)
+        print(outcomes[-1].row(options.day), flush=True)
         if options.table:
-            write_text(options.table, as_table(outcomes, options.day))
+            write_text(options.table, as_page(outcomes, options.day, page_before))
     wrong = [outcome.name for outcome in outcomes if not outcome.is_right]
     print(f"not as it should be: {', '.join(wrong)}" if wrong else "all as it should be")
     sys.exit(bool(wrong))

@@ -56,17 +56,30 @@ def test_a_benchmark_that_breaks_or_says_nothing_is_not_as_it_should_be(
     assert commands[0][-6:] == ["--missions", "20", "--seed", "7000", "--jobs", "2"]
 
 
-def test_the_table_has_a_row_for_each_step_and_shows_what_is_wrong(nightly) -> None:
+def test_the_page_has_a_row_for_each_step_and_shows_what_is_wrong(nightly) -> None:
     outcomes = [
-        nightly.Outcome("trees", "a", True, "all", 60.0),
         nightly.Outcome("slow tests", "b", False, "1 failed | x", 90.0),
+        nightly.Outcome("trees", "a", True, "all", 60.0),
     ]
-    rows = nightly.as_table(outcomes, datetime.date(2026, 1, 2)).splitlines()
-    assert "2026-01-02" in rows[2]
-    assert rows[-2:] == [
-        "| trees | yes | all | 1.0 | `a` |",
-        "| slow tests | **no** | 1 failed \\| x | 1.5 | `b` |",
+    assert nightly.as_page(outcomes, datetime.date(2026, 1, 2)).splitlines()[-2:] == [
+        "| trees | 2026-01-02 | yes | all | 1.0 | `a` |",
+        "| slow tests | 2026-01-02 | **no** | 1 failed \\| x | 1.5 | `b` |",
     ]
+
+
+def test_rows_of_earlier_nights_stay_until_their_step_is_run_again(nightly) -> None:
+    def page(names, day, before=""):
+        outcomes = [nightly.Outcome(name, "c", True, f"on {day}", 60.0) for name in names]
+        return nightly.as_page(outcomes, datetime.date(2026, 1, day), before)
+
+    first = page(["trees", "slow tests"], 2)
+    rows = page(["crowds", "trees"], 3, first).splitlines()[-3:]
+    assert [row.split(" | ")[:2] for row in rows] == [
+        ["| trees", "2026-01-03"],
+        ["| crowds", "2026-01-03"],
+        ["| slow tests", "2026-01-02"],
+    ]
+    assert page([], 4, first) == first
 
 
 def test_missions_of_two_days_have_no_seed_in_common(nightly) -> None:

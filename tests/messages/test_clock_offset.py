@@ -109,13 +109,6 @@ def test_a_clock_that_is_set_is_noticed_and_followed(jump_s) -> None:
     assert error_s <= bound_s < 0.02
 
 
-def test_age_of_news_is_by_our_clock() -> None:
-    line = Exchange(12.0)
-    now_s = line.both(5.0, 0.01, 0.01)
-    news = line.compared.age(line.theirs(4.0), now_s)
-    assert abs(news.age_s - (now_s - 4.0)) <= news.uncertainty_s < 0.011
-
-
 def test_a_wrong_drift_is_refused() -> None:
     with pytest.raises(InputError, match="drift"):
         ClockOffset(-1.0)

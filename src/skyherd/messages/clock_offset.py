@@ -70,19 +70,6 @@ class OffsetEstimate:
         return self.uncertainty_s < float("inf")
 
 
-@dataclass(frozen=True)
-class NewsAge:
-    """How old something is that another clock stamped, by our clock.
-
-    Attributes:
-        age_s: now less the instant of the stamp; negative for a stamp in the future.
-        uncertainty_s: the truth is within this of `age_s`.
-    """
-
-    age_s: float
-    uncertainty_s: float
-
-
 class ClockOffset:
     """The bounds on one other clock's offset, from the stamps of the messages exchanged with it.
 
@@ -127,8 +114,3 @@ class ClockOffset:
         if lowest_s == float("-inf") or highest_s == float("inf"):
             return OffsetEstimate(0.0, float("inf"))
         return OffsetEstimate((lowest_s + highest_s) / 2, (highest_s - lowest_s) / 2)
-
-    def age(self, their_stamp_s: float, now_s: float) -> NewsAge:
-        """How old what they stamped is now."""
-        known = self.estimate(now_s)
-        return NewsAge(now_s - (their_stamp_s - known.offset_s), known.uncertainty_s)

@@ -7,9 +7,9 @@ Each image passes through these stages.
    elsewhere (`skyherd.vision.photometric.common_motion`).
 2. *Search*: the whole image is searched for dark quadrilaterals (`skyherd.vision.search`), in every tenth
    image, and at once when a followed marker is missing or none is known. Their cells are compared with all
-   markers of the dictionary; nothing is refused for a doubtful bit yet. Where no marker is found there is a
-   second look (`skyherd.vision.search.second_look`), which also has what OpenCV's detector finds; less often
-   while markers are followed and it finds nothing.
+   markers of the dictionary; what is much paler than the unit's other markers is refused, but nothing for a
+   doubtful bit yet. Where no marker is found there is a second look (`skyherd.vision.search.second_look`),
+   which also has what OpenCV's detector finds; less often while markers are followed and it finds nothing.
 3. *Fit*: the known pattern of each marker is fitted to the image's own pixels (`fitting.fit`), under whatever
    blur it has (`unknown_blur`), a streak of motion too (`streaks`); large markers in a shrunk image.
 4. *Verify*: a fit counts only if it shows its marker's bits and leaves little else (`acceptance`, `verify`).

@@ -9,8 +9,9 @@ from skyherd.vision.photometric.tracks import Tracks, no_tracks
 from skyherd.vision.photometric.unknown_blur import usual_sigma_px, with_usual_blur
 
 LEARNING_RATE = 0.2
-"""Share by which blur and noise move towards what an image shows. Chosen: an average over about five images;
-a larger rate passes on more of each image's error, a smaller one follows a refocused lens more slowly."""
+"""Share by which blur, noise and print move towards what an image shows. Chosen: an average over about five
+images; a larger rate passes on more of each image's error, a smaller one follows a refocused lens more
+slowly."""
 
 
 @dataclass
@@ -21,6 +22,8 @@ class ImageEstimates:
         sigma_px: usual standard deviation of the blur, lens and pixel together; None until markers have been
             seen.
         noise: standard deviation of a pixel, grey levels; None until markers have been seen.
+        print_contrast: usual print contrast of markers, `(white - black) / white`; None until markers have
+            been seen.
         plane: that the markers lie on.
         tracks: the markers being followed.
         unsearched: number of images since the whole image was searched.
@@ -31,6 +34,7 @@ class ImageEstimates:
 
     sigma_px: float | None = None
     noise: float | None = None
+    print_contrast: float | None = None
     plane: Plane = field(default_factory=Plane)
     tracks: Tracks = field(default_factory=no_tracks)
     unsearched: int = 0
@@ -39,12 +43,14 @@ class ImageEstimates:
     ratios: PooledRatios = field(default_factory=PooledRatios)
 
     def learn(self, found: FitResults, time_s: float) -> None:
-        """Take in what was found in an image taken at `time_s`: blur, noise, and the markers to follow."""
+        """Take in what an image taken at `time_s` showed: blur, noise, print, and the markers to follow."""
         sigmas_px = found.sigmas_px
         if len(found.ids):
             sigma_px, noise = usual_sigma_px(found), weighted_median(found.noise_stds, found.pixels)
             self.sigma_px = _moved_towards(sigma_px, self.sigma_px)
             self.noise = _moved_towards(noise, self.noise)
+            print_contrast = weighted_median(found.print_contrasts(), found.pixels)
+            self.print_contrast = _moved_towards(print_contrast, self.print_contrast)
             self.ratios = self.ratios.updated(found.variance_ratios, found.boxes)
             sigmas_px = with_usual_blur(found)
             sigmas_px[sigmas_px == sigma_px] = self.sigma_px

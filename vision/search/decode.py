@@ -33,6 +33,9 @@ MIN_CELL_DEVIATION = 3.0
 """Smallest standard deviation of a quadrilateral's cells, grey levels. Chosen: less is flat ground or
 noise."""
 
+MIN_WHITE = 1.0
+"""Smallest white level, grey levels, that contrasts are divided by. Chosen: nothing is printed on black."""
+
 
 @dataclass(frozen=True)
 class DecodedQuads(RowRecord):
@@ -42,16 +45,19 @@ class DecodedQuads(RowRecord):
         ids: (N,) the marker that each resembles most.
         corners_px: (N, 4, 2) corners in that marker's own order.
         correlations: (N,) of the quadrilateral's cells with those of the marker, -1 to 1.
+        print_contrasts: (N,) `(white - black) / white` of the marker's levels that the cells agree with best,
+            under the blur that was assumed.
     """
 
     ids: IntArray
     corners_px: Array
     correlations: Array
+    print_contrasts: Array
 
 
 def no_decoded_quads() -> DecodedQuads:
     """Return a record of no quadrilateral."""
-    return DecodedQuads(np.zeros(0, dtype=np.int64), np.zeros((0, 4, 2)), np.zeros(0))
+    return DecodedQuads(np.zeros(0, dtype=np.int64), np.zeros((0, 4, 2)), np.zeros(0), np.zeros(0))
 
 
 def decode_quads(
@@ -72,27 +78,49 @@ def decode_quads(
     corners = to_complex(quads_px)
     n_cells = cells_per_side(dictionary)
     cells = _read_cells(image, corners, n_cells)
-    deviation = cells.std(axis=1)
+    mean, deviation = cells.mean(axis=1), cells.std(axis=1)
     best, likeness = np.empty(len(corners), dtype=np.int64), np.empty(len(corners))
+    contrast, white = np.empty(len(corners)), np.empty(len(corners))
     cells_px = np.abs(np.roll(corners, 1, axis=1) - corners).mean(axis=1) / n_cells
     buckets = np.rint(np.log(sigma_px / cells_px) / np.log(BLUR_STEP)).astype(int)
     for bucket in np.unique(buckets):
         rows = np.flatnonzero(buckets == bucket)
-        scores = standardised(cells[rows]) @ _codes(dictionary, int(bucket)).T / cells.shape[1]
+        codes = _codes(dictionary, int(bucket))
+        scores = standardised(cells[rows]) @ codes.patterns.T / cells.shape[1]
         best[rows], likeness[rows] = scores.argmax(axis=1), scores.max(axis=1)
+        contrast[rows] = likeness[rows] * deviation[rows] / codes.deviations[best[rows]]
+        white[rows] = mean[rows] + contrast[rows] * codes.means[best[rows]]
     marker, turn = np.divmod(best, 4)
     order = (turn[:, None] + np.arange(4)) % 4
-    found = DecodedQuads(marker, np.take_along_axis(quads_px, order[..., None], axis=1), likeness)
+    turned_px = np.take_along_axis(quads_px, order[..., None], axis=1)
+    found = DecodedQuads(marker, turned_px, likeness, contrast / np.maximum(white, MIN_WHITE))
     return found.take((likeness >= MIN_CORRELATION) & (deviation >= MIN_CELL_DEVIATION))
 
 
+@dataclass(frozen=True)
+class BlurredCodes:
+    """What the cells of all markers look like under a blur; row 4 i + k is marker i with corner k first.
+
+    Attributes:
+        patterns: (4 x markers, cells) brightness, standardised.
+        means: (4 x markers,) mean darkness, 0 to 1.
+        deviations: (4 x markers,) standard deviation of the darkness.
+    """
+
+    patterns: npt.NDArray[np.float32]
+    means: Array
+    deviations: Array
+
+
 @lru_cache(maxsize=32)
-def _codes(dictionary: str, bucket: int) -> npt.NDArray[np.float32]:
-    """(4 x markers, cells), standardised: row 4 i + k is marker i under blur, seen with corner k first."""
+def _codes(dictionary: str, bucket: int) -> BlurredCodes:
+    """The codes of a dictionary under a blur of `BLUR_STEP ** bucket` cells; the last 32 are kept."""
     cells = np.stack([marker_cells(dictionary, i) for i in range(dictionary_size(dictionary))])
     dark = blurred_darkness(cells, BLUR_STEP**bucket, samples_per_cell=1, samples=SAMPLES_PER_CELL)
     codes = np.stack([np.rot90(dark, -turn, axes=(1, 2)) for turn in range(4)], axis=1)
-    return np.asarray(standardised(-codes.reshape(4 * len(cells), -1).astype(np.float32)))
+    darkness = codes.reshape(4 * len(cells), -1)
+    patterns = np.asarray(standardised(-darkness.astype(np.float32)))
+    return BlurredCodes(patterns, darkness.mean(axis=1), darkness.std(axis=1))
 
 
 def _read_cells(image: npt.NDArray[np.uint8], corners: ComplexArray, n_cells: int) -> npt.NDArray[np.float32]:

@@ -65,6 +65,24 @@ def test_likeness_does_not_depend_on_gain_and_offset(place_markers, draw_markers
     np.testing.assert_allclose(one.correlations, other.correlations, atol=2e-3)
 
 
+@pytest.mark.parametrize("levels", [(30, 230), (90, 150)])
+@pytest.mark.parametrize("side_px", [8.0, 12.0, 30.0])
+def test_the_print_is_that_of_the_levels_under_any_blur_that_is_known(
+    place_markers, draw_markers, side_px, levels
+):
+    """(white - black) / white; up to an eighth less in the median, since cells are read between pixels, which
+    blurs those of two pixels once more."""
+    rng = np.random.default_rng([5, int(side_px)])
+    matrices, corners, size = grid(place_markers, side_px, rng.uniform(-np.pi, np.pi, 16))
+    drawn = draw_markers(matrices, range(16), size, rng, noise=2.0)
+    black, white = levels
+    image = np.rint(black + (white - black) / 200 * (drawn.astype(float) - 30)).astype(np.uint8)
+    found = decode_quads(image, corners, "4X4_50", SIGMA_PX)
+    assert found.ids.size == 16
+    share = np.median(found.print_contrasts) / (1 - black / white)
+    assert 7 / 8 - 0.01 < share < 1.02
+
+
 def test_flat_quadrilaterals_and_none_at_all_are_no_candidates():
     flat = np.full((60, 60), 77, np.uint8)
     quad = np.array([[[10.0, 10], [40, 10], [40, 40], [10, 40]]])

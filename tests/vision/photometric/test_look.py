@@ -1,0 +1,65 @@
+"""What of an image is fitted at all, once the unit's other images have told how its markers are printed."""
+
+import numpy as np
+import pytest
+
+from skyherd.vision import PhotometricDetector
+from skyherd.vision.photometric.fitting.fit_result import no_fit_results
+from skyherd.vision.photometric.image_estimates import ImageEstimates
+from skyherd.vision.photometric.look import look_at_quads
+from skyherd.vision.search.decode import MIN_CORRELATION
+from skyherd.vision.search.quads import find_quads
+
+DICTIONARY, SIZE, SIDE_PX = "4X4_50", (400, 140), 30.0
+PLACES = np.array([70 + 70j, 200 + 70j, 330 + 70j])
+USUAL_PRINT = 1 - 30 / 230
+"""Of the markers that are drawn, black 30 on white 230."""
+
+
+@pytest.fixture
+def markers(place_markers, draw_markers):
+    """An image of three markers, the last one's contrast and white times a factor, or blurred."""
+
+    def draw(number=0, *, faded=1.0, blurred_px=0.0):
+        places = place_markers(PLACES + number, [0.3, 1.2, 2.5], SIDE_PX)
+        image = draw_markers(places, [3, 7, 12], SIZE, np.random.default_rng([9, number]), noise=0.0)
+        last = image[:, 265:].astype(float)
+        if blurred_px:
+            last = draw_markers(
+                places, [3, 7, 12], SIZE, np.random.default_rng([9, number]), noise=0.0, psf_px=blurred_px
+            )[:, 265:].astype(float)
+        image[:, 265:] = np.rint(170 + faded * (last - 170)).astype(np.uint8)
+        return image
+
+    return draw
+
+
+def candidates(image, print_contrast) -> list[int]:
+    """Ids of the candidates that are fitted."""
+    known = ImageEstimates(sigma_px=0.85, noise=2.0, print_contrast=print_contrast)
+    nothing = no_fit_results(DICTIONARY).homographies
+    look = look_at_quads(image, DICTIONARY, known, find_quads(image), nothing, MIN_CORRELATION)
+    return sorted(look.candidates.ids.tolist())
+
+
+def test_what_is_much_paler_than_a_units_markers_is_not_fitted(markers) -> None:
+    """Levels of 142 and 182: a print of 0.22, as dark patches of the ground have, beside 0.87."""
+    pale = markers(faded=0.2)
+    assert candidates(pale, None) == [3, 7, 12]
+    assert candidates(pale, USUAL_PRINT) == [3, 7]
+    assert candidates(pale, 0.22) == [3, 7, 12]
+
+
+@pytest.mark.parametrize("how", [{"faded": 0.4}, {"blurred_px": 2.4}], ids=["in shade", "out of focus"])
+def test_markers_that_only_light_or_focus_make_paler_are_fitted(markers, how) -> None:
+    """Levels of 114 and 194, a print of 0.41; or a blur of three times the usual."""
+    assert candidates(markers(**how), USUAL_PRINT) == [3, 7, 12]
+
+
+def test_the_print_of_a_units_markers_is_learnt(markers) -> None:
+    """From the fits, to a hundredth; and nothing is known where nothing is followed."""
+    detector = PhotometricDetector(DICTIONARY)
+    for number in range(3):
+        assert len(detector.detect(markers(number), time_s=float(number))) == 3
+    assert detector.estimates[0].print_contrast == pytest.approx(USUAL_PRINT, rel=0.01)
+    assert ImageEstimates().print_contrast is None

@@ -21,9 +21,9 @@ class ImageEstimates:
     Attributes:
         sigma_px: usual standard deviation of the blur, lens and pixel together; None until markers have been
             seen.
-        noise: standard deviation of a pixel, grey levels; None until markers have been seen.
-        print_contrast: usual print contrast of markers, `(white - black) / white`; None until markers have
-            been seen.
+        noise: standard deviation of a pixel, grey levels; None until then.
+        contrast: usual difference of white and black of markers, grey levels; None until then.
+        print_contrast: usual print contrast of markers, `(white - black) / white`; None until then.
         plane: that the markers lie on.
         tracks: the markers being followed.
         unsearched: number of images since the whole image was searched.
@@ -34,6 +34,7 @@ class ImageEstimates:
 
     sigma_px: float | None = None
     noise: float | None = None
+    contrast: float | None = None
     print_contrast: float | None = None
     plane: Plane = field(default_factory=Plane)
     tracks: Tracks = field(default_factory=no_tracks)
@@ -49,6 +50,8 @@ class ImageEstimates:
             sigma_px, noise = usual_sigma_px(found), weighted_median(found.noise_stds, found.pixels)
             self.sigma_px = _moved_towards(sigma_px, self.sigma_px)
             self.noise = _moved_towards(noise, self.noise)
+            contrast = weighted_median(found.contrasts, found.pixels)
+            self.contrast = _moved_towards(contrast, self.contrast)
             print_contrast = weighted_median(found.print_contrasts(), found.pixels)
             self.print_contrast = _moved_towards(print_contrast, self.print_contrast)
             self.ratios = self.ratios.updated(found.variance_ratios, found.boxes)

@@ -70,7 +70,7 @@ MAX_AREA_MISMATCH = 0.3
 through four corners of some other outline misses more."""
 
 
-def find_quads(image: Image, known_px: Array | None = None) -> Array:
+def find_quads(image: Image, known_px: Array | None = None, least_darkness: float = 0.0) -> Array:
     """Return the corners (N, 4, 2), px, of the dark quadrilaterals in a grey image (height, width).
 
     Corners run clockwise as seen and begin with any of the four. A quadrilateral may be found several times:
@@ -83,12 +83,15 @@ def find_quads(image: Image, known_px: Array | None = None) -> Array:
         known_px: (K, 4, 2) corners of squares, px, that need not be found again, which takes time. Measured:
             of markers beside them, 1.6 sides from middle to middle, all are found from 14 px on, and a third
             of those of 10 px.
+        least_darkness: of `crowded_places`. Measured under usual blur: squares of 9 px and more have 0.075 of
+            their contrast or more, those of 8 px 0.05.
     """
     found = []
     for shrink in SHRINKS:
         small = image if shrink == 1 else block_means(image, shrink)
         middle = (shrink - 1) / 2
-        mosaic = crowded_places(small, None if known_px is None else (known_px - middle) / shrink)
+        known = None if known_px is None else (known_px - middle) / shrink
+        mosaic = crowded_places(small, known, least_darkness)
         if mosaic is None:
             continue
         regions = dark_regions(mosaic)

@@ -91,6 +91,18 @@ def test_beside_known_squares_a_marker_is_found_too(place_markers, draw_markers,
         assert len(quads) < all_of_them / 2
 
 
+@pytest.mark.parametrize(("side_px", "light"), [(12, 1.0), (14, 0.5), (30, 0.4)])
+def test_markers_stay_where_only_strong_darkness_is_looked_at(place_markers, draw_markers, side_px, light):
+    """A fortieth of the contrast of markers in full light: those in shade are found as without it."""
+    rng = np.random.default_rng([6, side_px])
+    drawn, corners = scene(place_markers, draw_markers, rng, side_px, noise=2.0)
+    image = np.rint(light * drawn).astype(np.uint8)
+    everyone = match(find_quads(image), corners).max(axis=1) < 2.0
+    still = match(find_quads(image, None, 200 / 40), corners).max(axis=1) < 2.0
+    assert everyone.mean() > 0.9
+    np.testing.assert_array_equal(still, everyone)
+
+
 def test_corners_run_clockwise_as_seen(place_markers, draw_markers):
     """With v down, the cross product of successive sides is positive all round."""
     image, _ = scene(place_markers, draw_markers, np.random.default_rng(3), 25.0)

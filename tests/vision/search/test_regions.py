@@ -78,6 +78,19 @@ def test_places_are_laid_out_where_they_are_few_and_the_image_is_taken_whole_whe
     assert crowded_places(many).image.shape == many.shape
 
 
+def test_where_only_strong_darkness_counts_texture_is_not_looked_at():
+    """Ground with a texture of 5 grey levels over a few pixels is dark in many places, though by little."""
+    rng = np.random.default_rng(8)
+    texture = cv2.GaussianBlur(rng.standard_normal(SIZE_PX[::-1]), (0, 0), 2.0)
+    shapes = squares(5, count=4)
+    image = np.clip(drawn(shapes) + 5 * texture / texture.std(), 0, 255).astype(np.uint8)
+    assert crowded_places(image).image.shape == image.shape
+    few = crowded_places(image, least_darkness=5.0)
+    assert few.image.size < image.size / 4
+    middles = middles_of(few)
+    assert all(np.abs(middles - complex(*corners.mean(axis=0))).min() < 1 for corners in shapes)
+
+
 @pytest.mark.parametrize("noise", [2.0, 5.0, 10.0])
 def test_noise_alone_is_not_looked_at(noise):
     """Noise of deviation σ is dark by 0.4 σ on average, to 0.12 σ over 25 pixels: 2.2 times as much is four
@@ -85,7 +98,7 @@ def test_noise_alone_is_not_looked_at(noise):
     for what neighbouring pixels have in common."""
     rng = np.random.default_rng(7)
     image = np.clip(np.rint(rng.normal(128, noise, (600, 800))), 0, 255).astype(np.uint8)
-    assert (regions._crowded(image, np.zeros((0, 4, 2))) > 0).mean() < 0.025
+    assert (regions._crowded(image, np.zeros((0, 4, 2)), 0.0) > 0).mean() < 0.025
 
 
 @pytest.mark.parametrize("size_px", [(1, 1), (1, 7), (7, 1), (2, 2), (3, 5), (33, 47)])

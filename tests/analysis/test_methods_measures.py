@@ -1,5 +1,7 @@
 """What methods are compared by: affine images, the shortest way, waypoints, and what had to be told."""
 
+import math
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -7,6 +9,7 @@ import pytest
 
 from skyherd.analysis.history import WAYPOINTS, make_history
 from skyherd.analysis.shortest_paths import shortest_path
+from skyherd.analysis.traffic import count_traffic
 from skyherd.control import AerialController, GoalFollowers
 from skyherd.datasets import load_mission
 from skyherd.loop import run_steps
@@ -134,3 +137,13 @@ def test_messages_of_units_are_counted_as_robots_and_units_receive_them(monkeypa
     in_reports = history.traffic.numbers - values
     points = sum(report.points_px.size + report.ids.size for report in reports)
     assert points < in_reports < 12 * points
+
+
+def test_a_law_that_a_recording_names_is_not_imported_to_count_its_messages(tmp_path, monkeypatch) -> None:
+    """A recording may be a stranger's: nothing in it is run, and of a law of one's own nothing is known."""
+    (tmp_path / "strangers_law.py").write_text("raise SystemExit('this ran')")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    traffic = count_traffic(load_mission("star", ["control.method=strangers_law:law"]), [])
+    assert math.isnan(traffic.messages) and math.isnan(traffic.numbers)
+    assert "strangers_law" not in sys.modules

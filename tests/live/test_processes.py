@@ -20,7 +20,7 @@ from skyherd.live.diaries.replay import replay
 from skyherd.live.lab import LabRadio, lab_text
 from skyherd.live.review import make_live_report
 from skyherd.live.supervisor import Child, Supervisor
-from skyherd.live.world.camera_stream import CameraStream
+from skyherd.live.world.camera_stream import CameraStream, _yuv
 
 
 def test_zenoh_is_named_where_it_is_missing(monkeypatch, tmp_path) -> None:
@@ -96,11 +96,26 @@ def test_a_peer_that_found_nobody_is_joined_by_who_comes_later(tmp_path) -> None
         first.close()
 
 
+@pytest.mark.parametrize("shape", [(240, 320), (239, 320), (240, 319), (1, 1)])
+def test_pictures_of_odd_sides_are_streamed_with_their_last_line_repeated(shape) -> None:
+    """H.264 has even sides; the pixels of the picture keep their places."""
+    av = pytest.importorskip("av")
+    picture = np.random.default_rng(0).integers(0, 256, shape, dtype=np.uint8)
+    frame = av.VideoFrame.from_ndarray(_yuv(picture), format="yuv420p")
+    assert (frame.height, frame.width) == tuple(side + side % 2 for side in shape)
+    luma = frame.to_ndarray()[: frame.height]
+    np.testing.assert_array_equal(luma[: shape[0], : shape[1]], picture)
+    np.testing.assert_array_equal(luma[: shape[0], -1], picture[:, -1])
+    np.testing.assert_array_equal(luma[-1, : shape[1]], picture[-1])
+
+
 @pytest.mark.slow
-def test_a_stream_shows_the_newest_picture_to_whoever_connects_and_connects_again() -> None:
+@pytest.mark.parametrize("size_px", [(320, 240), (319, 239)])
+def test_a_stream_shows_the_newest_picture_to_whoever_connects_and_connects_again(size_px) -> None:
     rng = np.random.default_rng(0)
-    picture = np.repeat(np.repeat(rng.integers(30, 230, (12, 16), dtype=np.uint8), 20, 0), 20, 1)
-    stream = CameraStream((320, 240), 10.0, 0)
+    whole = np.repeat(np.repeat(rng.integers(30, 230, (12, 16), dtype=np.uint8), 20, 0), 20, 1)
+    picture = whole[: size_px[1], : size_px[0]]
+    stream = CameraStream(size_px, 10.0, 0)
     began_s = time.monotonic()
     seen = []
 
@@ -131,7 +146,8 @@ def test_a_stream_shows_the_newest_picture_to_whoever_connects_and_connects_agai
                 over.set()
                 feeder.join()
             # H.264 at this quality is off by a grey level or two at the edges of the squares.
-            assert np.abs(seen[-1].image.astype(int) - picture).mean() < 2.0
+            shown = seen[-1].image[: size_px[1], : size_px[0]]
+            assert np.abs(shown.astype(int) - picture).mean() < 2.0
             assert seen[-1].stamped_by == "stream"
     finally:
         stream.close()

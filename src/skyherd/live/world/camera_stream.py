@@ -89,7 +89,7 @@ class CameraStream:
         """Send pictures to one viewer until it leaves."""
         container = av.open(_Pipe(viewer), "w", format="flv")
         stream = container.add_stream("libx264", rate=max(1, round(self._rate_hz)), options=QUALITY)
-        stream.width, stream.height = self._size_px
+        stream.width, stream.height = (side + side % 2 for side in self._size_px)
         stream.pix_fmt = "yuv420p"
         context = stream.codec_context
         context.thread_count = 1
@@ -127,7 +127,11 @@ class _Pipe:
 
 
 def _yuv(image: Image) -> Image:
-    """A grey image (height, width) with the colour planes that H.264 wants, both even, colourless."""
+    """A grey image (height, width) with the colour planes that H.264 wants, colourless.
+
+    H.264 has even sides: where one is odd, the last line or column is repeated.
+    """
+    image = np.pad(image, [(0, side % 2) for side in image.shape], mode="edge")
     height, width = image.shape
     plane = np.full((height // 2, width), 128, dtype=np.uint8)
     return np.concatenate([image, plane])

@@ -189,7 +189,8 @@ class GoalModel(Model):
     """When a run counts as converged: the shape is reached, and kept to the end."""
 
     shape_error: Positive = Field(
-        0.01, description="RMS distance to the best-fitting shape, over the shape's RMS radius, to stay under"
+        0.01,
+        description="RMS distance to the best-fitting shape, over the formation's RMS radius, to stay under",
     )
     hold_s: NotNegative = Field(
         5.0, description="s; how long before the run's end it must have stayed under that"

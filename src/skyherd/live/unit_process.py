@@ -205,5 +205,6 @@ def _autopilot(
         return lambda command: None
     if address == WORLD:
         return post.send
-    driver = stack.enter_context(open_driver(address, robot_id=unit, limits=station.lab.speed_limits))
+    limits = station.lab.speed_limits
+    driver = stack.enter_context(open_driver(address, robot_id=unit, limits=limits, flies=True))
     return driver.send_flight

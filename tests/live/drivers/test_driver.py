@@ -167,15 +167,34 @@ def test_a_team_s_command_without_the_robot_is_refused(rig) -> None:
 
 def test_flight_in_the_body_s_frame(rig) -> None:
     driver, wire, steps = rig
+    driver.flies = True
     # Towards the right of the image is to the right, and towards its top is ahead.
     driver.send_flight(FlightCommand(3, np.array([0.5, -2.0]), climb_mps=1.0, yaw_rate_radps=0.25))
     steps.round()
-    assert wire.written[-1] == Motion(2.0, 0.25, left_mps=-0.5, up_mps=1.0)
+    assert wire.written[-1] == Motion(2.0, 0.25, left_mps=-0.5, up_mps=1.0, flies=True)
+
+
+def test_all_that_a_flying_unit_is_sent_says_so(rig) -> None:
+    """Straight ahead, and when its command is old: what a robot on wheels would be sent two speeds for."""
+    driver, wire, steps = rig
+    driver.flies = True
+    driver.send_flight(FlightCommand(3, np.array([0.0, -1.0]), climb_mps=0.0, yaw_rate_radps=0.0))
+    for _ in range(5):
+        steps.round()
+    assert Motion(1.0, 0.0, flies=True) in wire.written
+    assert wire.written[-1] == Motion(0.0, 0.0, flies=True)
+    assert {motion.flies for motion in wire.written[1:]} == {True}
+
+
+def test_wheels_take_no_flight_command(rig) -> None:
+    with pytest.raises(InputError, match="a flight command for wheels"):
+        rig[0].send_flight(FlightCommand.hold(3))
 
 
 def test_a_dry_run_says_what_changes(capsys) -> None:
     link = DryRun(4)
-    for motion in (STILL, Motion(0.1, -0.2), Motion(0.1, -0.2), STILL, Motion(0.1, 0.0, 0.2, 0.3)):
+    flight = Motion(0.1, 0.0, 0.2, 0.3, flies=True)
+    for motion in (STILL, Motion(0.1, -0.2), Motion(0.1, -0.2), STILL, flight):
         link.write(motion)
     assert capsys.readouterr().out.splitlines() == [
         "robot 4: +0.100 m/s, -0.200 rad/s",

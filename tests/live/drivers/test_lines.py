@@ -23,7 +23,7 @@ def read_line(line: bytes) -> list[str]:
 def test_the_documented_line() -> None:
     assert line_of(3, 17, Motion(0.125, -0.4)) == b"V,3,17,0.1250,-0.4000*4C\n"
     assert read_line(line_of(3, 65536 + 4, Motion(-0.00001, 0.0)))[2:] == ["4", "-0.0000", "0.0000"]
-    assert read_line(line_of(1, 0, Motion(1, 2, 3, 4))) == [
+    assert read_line(line_of(1, 0, Motion(1, 2, 3, 4, flies=True))) == [
         "F",
         "1",
         "0",
@@ -32,6 +32,8 @@ def test_the_documented_line() -> None:
         "4.0000",
         "2.0000",
     ]
+    # A flying unit's stop has four speeds too: whoever reads F lines alone must get it.
+    assert read_line(line_of(1, 0, Motion(0.0, 0.0, flies=True))) == ["F", "1", "0", *["0.0000"] * 4]
 
 
 def test_any_flipped_bit_is_noticed() -> None:

@@ -21,7 +21,8 @@ def test_the_documented_payload() -> None:
     assert payload_of(3, 17, Motion(0.125, -0.4)) == (
         b'{"robot": 3, "number": 17, "forward_mps": 0.125, "turn_radps": -0.4}'
     )
-    assert json.loads(payload_of(3, 0, Motion(1, 2, 3, 4)))["up_mps"] == 4
+    assert json.loads(payload_of(3, 0, Motion(1, 2, 3, 4, flies=True)))["up_mps"] == 4
+    assert json.loads(payload_of(3, 0, Motion(0, 0, flies=True)))["left_mps"] == 0
     with pytest.raises(ValueError, match="JSON compliant"):
         payload_of(3, 0, Motion(float("nan"), 0.0))
 
@@ -99,6 +100,7 @@ def test_the_broker_stops_the_robot_when_the_driver_is_gone(broker) -> None:
     link._client._sock_close()  # the connection is gone without a farewell, as when a process is killed
     topic, payload, _ = heard.get(timeout=20)
     assert topic == "robots/seven" and payload["forward_mps"] == payload["turn_radps"] == 0
+    assert payload["left_mps"] == payload["up_mps"] == 0, "the will of a unit that flies, too"
     link._client.loop_stop()
     client.disconnect()
     client.loop_stop()

@@ -39,6 +39,7 @@ def open_driver(
     *,
     robot_id: int,
     limits: SpeedLimits = LIMITS,
+    flies: bool = False,
     rate_hz: float = RATE_HZ,
     hold_s: float = HOLD_S,
     clock: Callable[[], float] = time.monotonic,
@@ -58,6 +59,7 @@ def open_driver(
         address: see above; `{id}` in it stands for the robot's number.
         robot_id: the robot.
         limits: on speed, turn and acceleration.
+        flies: whether it is a unit that flies.
         rate_hz: how often something is written.
         hold_s: age at which a command is forgotten and zero is sent.
         clock: gives the time, s.
@@ -66,7 +68,8 @@ def open_driver(
         InputError: it cannot be opened; one clear line, without a password that the address may contain.
     """
     link = _link_of(address, robot_id)
-    return RobotDriver(link, robot_id=robot_id, limits=limits, rate_hz=rate_hz, hold_s=hold_s, clock=clock)
+    usual = {"limits": limits, "rate_hz": rate_hz, "hold_s": hold_s, "clock": clock}
+    return RobotDriver(link, robot_id=robot_id, flies=flies, **usual)
 
 
 def check_driver(address: str, robot_id: int, *, imports: bool = False) -> None:

@@ -3,12 +3,13 @@
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from types import TracebackType
 from typing import Self
 
 import numpy as np
 
-from skyherd.errors import MessageError
+from skyherd.errors import InputError, MessageError
 from skyherd.live.drivers.limits import LIMITS, Limiter, SpeedLimits
 from skyherd.live.drivers.link import STILL, Link, Motion
 from skyherd.messages import FlightCommand, VelocityCommand
@@ -39,8 +40,9 @@ class RobotDriver:
 
     Args:
         link: where motions are written to.
-        robot_id: the robot, or of flight commands the unit.
+        robot_id: the robot, or the unit that flies.
         limits: on speed, turn and acceleration.
+        flies: whether it is a unit that flies, which all that is written says.
         rate_hz: how often something is written.
         hold_s: age at which a command is forgotten.
         clock: gives the time, s.
@@ -60,12 +62,13 @@ class RobotDriver:
         *,
         robot_id: int,
         limits: SpeedLimits = LIMITS,
+        flies: bool = False,
         rate_hz: float = RATE_HZ,
         hold_s: float = HOLD_S,
         clock: Callable[[], float] = time.monotonic,
         pause: Callable[[float], object] | None = None,
     ) -> None:
-        self.robot_id, self.rate_hz, self.hold_s = robot_id, rate_hz, hold_s
+        self.robot_id, self.flies, self.rate_hz, self.hold_s = robot_id, flies, rate_hz, hold_s
         check_numbers(self, positive=("rate_hz", "hold_s"))
         self.name = link.name
         self.written = self.failed = 0
@@ -94,7 +97,13 @@ class RobotDriver:
         self.send_motion(Motion(command.v_mps[row[0]], command.omega_radps[row[0]]))
 
     def send_flight(self, command: FlightCommand) -> None:
-        """Take over a flight command of a unit whose camera looks down with its image's top ahead."""
+        """Take over a flight command of a unit whose camera looks down with its image's top ahead.
+
+        Raises:
+            InputError: it is the driver of a robot on wheels.
+        """
+        if not self.flies:
+            raise InputError(f"driver {self.name}", "a flight command for wheels", "a driver with flies=True")
         right_mps, back_mps = command.lateral_mps.tolist()
         self.send_motion(
             Motion(
@@ -161,7 +170,7 @@ class RobotDriver:
         self._written_s = now_s
         self.written += 1
         try:
-            self._link.write(allowed)
+            self._link.write(replace(allowed, flies=self.flies))
             self._trouble = None
         except Exception as error:  # a link of one's own may fail in any way, and zero must still be tried
             self.failed += 1

@@ -1,6 +1,7 @@
 """The driver that only says what a robot would do."""
 
 import sys
+from dataclasses import replace
 from typing import TextIO
 
 from skyherd.live.drivers.link import STILL, Motion
@@ -21,7 +22,7 @@ class DryRun:
 
     def write(self, motion: Motion) -> None:
         """See `Link.write`."""
-        if motion == self._last or (self._last is None and motion == STILL):
+        if motion == self._last or (self._last is None and replace(motion, flies=False) == STILL):
             return
         self._last = motion
         line = f"robot {self._robot}: {motion.forward_mps:+.3f} m/s, {motion.turn_radps:+.3f} rad/s"

@@ -13,17 +13,15 @@ class Motion:
         turn_radps: counter-clockwise seen from above.
         left_mps: to the left; flying units only.
         up_mps: upwards; flying units only.
+        flies: whether it is a flying unit's, which is sent four speeds, also to stop; a robot on wheels is
+            sent two.
     """
 
     forward_mps: float
     turn_radps: float
     left_mps: float = 0.0
     up_mps: float = 0.0
-
-    @property
-    def flies(self) -> bool:
-        """Whether it is more than wheels can do."""
-        return bool(self.left_mps or self.up_mps)
+    flies: bool = False
 
 
 STILL = Motion(0.0, 0.0)

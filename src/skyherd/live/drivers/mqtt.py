@@ -11,6 +11,7 @@ import json
 import socket
 import threading
 import time
+from dataclasses import replace
 from typing import Any, NamedTuple
 from urllib.parse import parse_qsl, unquote, urlsplit
 
@@ -106,7 +107,7 @@ class Mqtt:
         self._client.on_socket_open = _small_buffer
         self._client.connect_timeout = CONNECT_S
         self._client.reconnect_delay_set(1, 8)
-        self._client.will_set(self._topic, payload_of(robot_id, 0, STILL))
+        self._client.will_set(self._topic, payload_of(robot_id, 0, replace(STILL, flies=True)))
         try:
             if parts.scheme == "mqtts":
                 self._client.tls_set(dict(parse_qsl(parts.query)).get("ca"))

@@ -33,10 +33,10 @@ only the second look finds have 0.83 to 0.99; at 0.6 photographs of clutter take
 squares of a few pixels."""
 
 PALE_SHARE = 0.3
-"""Candidates whose cells show less than this share of the print contrast of the unit's other markers are not
-fitted. Measured: markers of 8 to 30 px at noise up to 10 show 0.79 or more, those that are blurred three
-times as much as the others 0.36, and 95 % of the dark patches of ground that resemble markers 0.29 or less,
-which took a quarter of the detector's time in missions."""
+"""While markers are known in an image, candidates whose cells show less than this share of the unit's usual
+print contrast are not fitted. Measured: markers of 8 to 30 px at noise up to 10 show 0.79 or more, those that
+are blurred three times as much as the others 0.36, and 95 % of the dark patches of ground that resemble
+markers 0.29 or less, which took a quarter of the detector's time in missions."""
 
 COARSE_CELL_PX = 8.0
 """Side of a cell from which on markers are fitted in a shrunk image at first, until their blur and bits are
@@ -129,7 +129,8 @@ def look_at_quads(
     """
     quads = quads[elsewhere(quads, there)]
     decoded = decode_quads(image, quads, dictionary, known.sigma_px or START_SIGMA_PX)
-    decoded = decoded.take(decoded.print_contrasts >= PALE_SHARE * (known.print_contrast or 0.0))
+    if len(there) and known.print_contrast is not None:
+        decoded = decoded.take(decoded.print_contrasts >= PALE_SHARE * known.print_contrast)
     start = LocalHomographies.of_corners(decoded.corners_px)
     best = best_of_each_place(decoded.ids, start.centers, start.sides_px(), decoded.correlations)
     best &= decoded.correlations >= least_correlation

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from skyherd.vision import PhotometricDetector
-from skyherd.vision.photometric.fitting.fit_result import no_fit_results
+from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
 from skyherd.vision.photometric.image_estimates import ImageEstimates
 from skyherd.vision.photometric.look import look_at_quads
 from skyherd.vision.search.decode import MIN_CORRELATION
@@ -34,26 +34,32 @@ def markers(place_markers, draw_markers):
     return draw
 
 
-def candidates(image, print_contrast) -> list[int]:
-    """Ids of the candidates that are fitted."""
+def candidates(image, print_contrast, *, first_is_known=True) -> list[int]:
+    """Ids of the candidates that are fitted beside marker 3, or with it if that is not known."""
     known = ImageEstimates(sigma_px=0.85, noise=2.0, print_contrast=print_contrast)
-    nothing = no_fit_results(DICTIONARY).homographies
-    look = look_at_quads(image, DICTIONARY, known, find_quads(image), nothing, MIN_CORRELATION)
+    arms = np.array([SIDE_PX * 1j * np.exp(0.3j)])
+    first = LocalHomographies(PLACES[:1], arms, np.zeros(1, complex), np.zeros(1, complex))
+    there = first.take(np.arange(int(first_is_known)))
+    look = look_at_quads(image, DICTIONARY, known, find_quads(image), there, MIN_CORRELATION)
     return sorted(look.candidates.ids.tolist())
 
 
 def test_what_is_much_paler_than_a_units_markers_is_not_fitted(markers) -> None:
     """Levels of 142 and 182: a print of 0.22, as dark patches of the ground have, beside 0.87."""
     pale = markers(faded=0.2)
-    assert candidates(pale, None) == [3, 7, 12]
-    assert candidates(pale, USUAL_PRINT) == [3, 7]
-    assert candidates(pale, 0.22) == [3, 7, 12]
+    assert candidates(pale, USUAL_PRINT) == [7]
+    assert candidates(pale, None) == candidates(pale, 0.22) == [7, 12]
+
+
+def test_an_image_in_which_no_marker_is_known_is_searched_for_pale_ones_too(markers) -> None:
+    """Haze, or a lamp, may have lifted all blacks since: the unit must find its markers again."""
+    assert candidates(markers(faded=0.2), USUAL_PRINT, first_is_known=False) == [3, 7, 12]
 
 
 @pytest.mark.parametrize("how", [{"faded": 0.4}, {"blurred_px": 2.4}], ids=["in shade", "out of focus"])
 def test_markers_that_only_light_or_focus_make_paler_are_fitted(markers, how) -> None:
     """Levels of 114 and 194, a print of 0.41; or a blur of three times the usual."""
-    assert candidates(markers(**how), USUAL_PRINT) == [3, 7, 12]
+    assert candidates(markers(**how), USUAL_PRINT) == [7, 12]
 
 
 def test_the_print_of_a_units_markers_is_learnt(markers) -> None:

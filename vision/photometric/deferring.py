@@ -8,13 +8,17 @@ reported from the next image on.
 
 from skyherd.geometry import SQUARE_CORNERS, Array, to_points
 from skyherd.vision.grey import Image, check_grey
-from skyherd.vision.photometric.detector import SEARCH_INTERVAL, PhotometricDetector
+from skyherd.vision.photometric.detector import PhotometricDetector
 from skyherd.vision.photometric.image_estimates import ImageEstimates
 from skyherd.vision.photometric.look import CLEAR_CORRELATION, look_at_quads
 from skyherd.vision.photometric.unknown_blur import with_usual_blur
 from skyherd.vision.search.decode import MIN_CORRELATION
 from skyherd.vision.search.quads import find_quads
 from skyherd.vision.search.second_look import find_opencv_quads, find_small_quads
+
+LOOK_AROUND_INTERVAL = 10
+"""Whole images are searched once in so many. Chosen: the machine of a live unit has other things to do while
+it waits for the next image."""
 
 PARTS = 3
 """In so many parts the whole image is searched: for the quadrilaterals of the first look, for those that are
@@ -50,7 +54,7 @@ class DeferringDetector(PhotometricDetector):
             InputError: the image is not a grey one of 8 bits, or is empty.
         """
         image, known = check_grey(image), self.estimates.get(unit_id)
-        part = -1 if known is None else known.unsearched - (SEARCH_INTERVAL - PARTS + 1)
+        part = -1 if known is None else known.unsearched - (LOOK_AROUND_INTERVAL - PARTS + 1)
         if known is None or part < 0:
             return
         there = known.tracks.homographies

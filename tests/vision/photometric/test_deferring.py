@@ -6,12 +6,13 @@ import pytest
 from skyherd.errors import InputError
 from skyherd.vision import DeferringDetector, PhotometricDetector, create_detector
 from skyherd.vision.photometric import deferring
+from skyherd.vision.photometric.deferring import LOOK_AROUND_INTERVAL
 from skyherd.vision.photometric.detector import SEARCH_INTERVAL
 
 DICTIONARY, SIZE = "4X4_50", (400, 320)
 HOMES = np.array([80 + 80j, 200 + 80j, 320 + 80j, 80 + 230j, 200 + 230j, 320 + 230j])
 IDS = np.array([3, 8, 21, 30, 34, 45])
-COMES, LATEST = 2, 2 + SEARCH_INTERVAL
+COMES, LATEST = 2, 2 + LOOK_AROUND_INTERVAL
 """Image from which on one more marker is in view, and the last one in which it may not be reported yet."""
 
 
@@ -36,7 +37,7 @@ def look(detector, image, number):
 
 def test_without_news_all_is_as_if_searched_at_once(draw) -> None:
     both = PhotometricDetector(DICTIONARY), DeferringDetector(DICTIONARY)
-    for number in range(2 * SEARCH_INTERVAL + 3):
+    for number in range(2 * LOOK_AROUND_INTERVAL + 3):
         image = draw(number, IDS, HOMES)
         at_once, later = (look(detector, image, number) for detector in both)
         assert later.ids.tolist() == IDS.tolist()
@@ -51,12 +52,13 @@ def test_an_image_whose_markers_are_all_there_is_not_searched_before_it_is_repor
     monkeypatch.setattr(
         detector, "_search", lambda *given, **how: searched.append(1) or search(*given, **how)
     )
-    for number in range(2 * SEARCH_INTERVAL):
+    for number in range(2 * LOOK_AROUND_INTERVAL):
         look(detector, draw(number, IDS, HOMES), number)
     assert searched == [1], "the first image alone"
 
 
-def test_a_marker_that_comes_is_found_as_soon_as_by_who_searches_at_once(draw) -> None:
+def test_a_marker_that_comes_is_found_in_its_turn(draw) -> None:
+    """By the next search of who searches at once, by the end of the look around of who does so later."""
     first: dict[type, int] = {}
     for detector in (PhotometricDetector(DICTIONARY), DeferringDetector(DICTIONARY)):
         for number in range(LATEST + 3):
@@ -66,7 +68,8 @@ def test_a_marker_that_comes_is_found_as_soon_as_by_who_searches_at_once(draw) -
             if IDS[5] in seen.ids:
                 first.setdefault(type(detector), number)
                 assert seen.ids.tolist() == IDS.tolist()
-    assert first[DeferringDetector] <= first[PhotometricDetector] + 1 <= LATEST
+    assert COMES < first[PhotometricDetector] <= COMES + SEARCH_INTERVAL
+    assert COMES < first[DeferringDetector] <= LATEST
 
 
 def test_each_part_is_searched_once_in_ten_images_and_no_two_in_one(draw, monkeypatch) -> None:
@@ -76,7 +79,7 @@ def test_each_part_is_searched_once_in_ten_images_and_no_two_in_one(draw, monkey
     monkeypatch.setattr(
         detector, "_quads", lambda part, *given: done.append((number, part)) or quads(part, *given)
     )
-    for number in range(3 * SEARCH_INTERVAL + 1):
+    for number in range(3 * LOOK_AROUND_INTERVAL + 1):
         look(detector, draw(number, IDS, HOMES), number)
     assert done == [(tens + 8 + part, part) for tens in (0, 10, 20) for part in range(3)]
 
@@ -112,7 +115,7 @@ def test_an_id_that_is_seen_at_a_second_place_is_not_reported_any_more(draw) -> 
 
 def test_units_are_kept_apart_and_nothing_is_searched_of_a_unit_that_was_not_seen(draw) -> None:
     detector = DeferringDetector(DICTIONARY)
-    for number in range(SEARCH_INTERVAL - 1):
+    for number in range(LOOK_AROUND_INTERVAL - 1):
         detector.detect(draw(number, IDS, HOMES), time_s=0.1 * number, unit_id=0)
     before = detector.estimates[0].unsearched
     detector.look_around(draw(number, IDS, HOMES), unit_id=1)

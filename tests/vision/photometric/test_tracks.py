@@ -136,7 +136,7 @@ def test_a_followed_marker_is_measured_as_one_that_is_searched_for(place_markers
             [one.centers_px - other.centers_px, one.headings_rad - other.headings_rad]
         )
         off.append(difference / deviation)
-    assert follows.estimates[0].unsearched == 8
+    assert follows.estimates[0].first_looks == 1, "a search was due once, and no marker was missed"
     assert np.sqrt(np.square(off).mean()) < 0.2, np.sqrt(np.square(off).mean())
 
 

@@ -107,13 +107,13 @@ def without(image, middle):
     return covered
 
 
-def test_while_all_are_followed_there_is_a_second_look_at_every_fifth_search(monkeypatch):
-    """Searches are every tenth image; at first nothing is known, and the second look finds some of these."""
+def test_while_all_are_followed_there_is_a_second_look_at_every_tenth_search(monkeypatch):
+    """Searches are every fifth image; at first nothing is known, and the second look finds some of these."""
     counted = Counted(monkeypatch)
     image, _ = sheet()
     found = counted.follow([image] * 65)
     assert found == [set(range(25))] * 65
-    assert counted.images == [0, 10, 60], "the one after a success is at the next search"
+    assert counted.images == [0, 10, 60], "the one after a success is at the next search but one"
 
 
 def test_a_marker_that_only_the_second_look_finds_is_found_within_fifty_images(monkeypatch):

@@ -68,8 +68,9 @@ def open_driver(
         InputError: it cannot be opened; one clear line, without a password that the address may contain.
     """
     link = _link_of(address, robot_id)
-    usual = {"limits": limits, "rate_hz": rate_hz, "hold_s": hold_s, "clock": clock}
-    return RobotDriver(link, robot_id=robot_id, flies=flies, **usual)
+    return RobotDriver(
+        link, robot_id=robot_id, limits=limits, flies=flies, rate_hz=rate_hz, hold_s=hold_s, clock=clock
+    )
 
 
 def check_driver(address: str, robot_id: int, *, imports: bool = False) -> None:

@@ -17,8 +17,8 @@ from skyherd.vision.search.quads import find_quads
 from skyherd.vision.search.second_look import find_opencv_quads, find_small_quads
 
 LOOK_AROUND_INTERVAL = 10
-"""Whole images are searched once in so many. Chosen: the machine of a live unit has other things to do while
-it waits for the next image."""
+"""Of so many images one is searched whole, by parts. Chosen: the machine of a live unit has other things to
+do while it waits for the next image."""
 
 PARTS = 3
 """In so many parts the whole image is searched: for the quadrilaterals of the first look, for those that are

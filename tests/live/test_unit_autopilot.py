@@ -1,0 +1,28 @@
+"""Where a unit's flight commands go: to a driver that writes them as those of a unit that flies."""
+
+import socket
+from contextlib import ExitStack
+from types import SimpleNamespace
+
+import numpy as np
+
+from skyherd.live.drivers import SpeedLimits
+from skyherd.live.unit_process import _autopilot
+from skyherd.messages import FlightCommand
+
+
+def test_a_units_autopilot_is_sent_flight_and_its_stop_too() -> None:
+    """Straight ahead first: lines of four speeds all the same, and so are the zeros at the end."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as autopilot:
+        autopilot.bind(("127.0.0.1", 0))
+        autopilot.settimeout(20)
+        camera = SimpleNamespace(driver=f"udp://127.0.0.1:{autopilot.getsockname()[1]}")
+        lab = SimpleNamespace(camera=lambda unit: camera, speed_limits=SpeedLimits(acceleration_mps2=1e6))
+        with ExitStack() as stack:
+            fly = _autopilot(SimpleNamespace(lab=lab), None, stack, 2, dry_run=False)
+            fly(FlightCommand(2, np.array([0.0, -0.1]), climb_mps=0.0, yaw_rate_radps=0.0))
+            lines = [autopilot.recv(100)]
+            while b",0.1000," not in lines[-1]:
+                lines.append(autopilot.recv(100))
+        lines += [autopilot.recv(100) for _ in range(2)]
+    assert all(line.startswith(b"F,2,") for line in lines)

@@ -7,6 +7,7 @@ from pathlib import Path
 import av
 import numpy as np
 import pytest
+from av.sidedata.sidedata import SideDataContainer
 from video_tags import tag_display
 
 from skyherd.errors import InputError, InputWarning
@@ -143,6 +144,20 @@ def test_a_conversion_starts_no_thread():
     for frame in frames:
         grey.of(frame)
     assert {path.name for path in Path("/proc/self/task").iterdir()} <= threads
+
+
+def test_an_upright_frame_raises_nothing_in_pyav(monkeypatch):
+    """A signal that comes while PyAV raises an error is lost, and Ctrl-C was ignored now and then."""
+    asked = []
+    look_up = SideDataContainer.__getitem__
+    monkeypatch.setattr(
+        SideDataContainer, "__getitem__", lambda tags, key: asked.append(key) or look_up(tags, key)
+    )
+    frame = coloured("yuv420p", 2)
+    assert frame.side_data.get("DISPLAYMATRIX") is None
+    assert asked.pop() == "DISPLAYMATRIX"
+    UprightGrey().of(frame)
+    assert asked == []
 
 
 @pytest.mark.parametrize("held", ["upright", "half turn"])

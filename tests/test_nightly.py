@@ -58,12 +58,12 @@ def test_a_benchmark_that_breaks_or_says_nothing_is_not_as_it_should_be(
 
 def test_the_page_has_a_row_for_each_step_and_shows_what_is_wrong(nightly) -> None:
     outcomes = [
-        nightly.Outcome("slow tests", "b", False, "1 failed | x", 90.0),
+        nightly.Outcome("other slow tests", "b", False, "1 failed | x", 90.0),
         nightly.Outcome("trees", "a", True, "all", 60.0),
     ]
     assert nightly.as_page(outcomes, datetime.date(2026, 1, 2)).splitlines()[-2:] == [
         "| trees | 2026-01-02 | yes | all | 1.0 | `a` |",
-        "| slow tests | 2026-01-02 | **no** | 1 failed \\| x | 1.5 | `b` |",
+        "| other slow tests | 2026-01-02 | **no** | 1 failed \\| x | 1.5 | `b` |",
     ]
 
 
@@ -72,14 +72,24 @@ def test_rows_of_earlier_nights_stay_until_their_step_is_run_again(nightly) -> N
         outcomes = [nightly.Outcome(name, "c", True, f"on {day}", 60.0) for name in names]
         return nightly.as_page(outcomes, datetime.date(2026, 1, day), before)
 
-    first = page(["trees", "slow tests"], 2)
+    first = page(["trees", "other slow tests"], 2)
     rows = page(["crowds", "trees"], 3, first).splitlines()[-3:]
     assert [row.split(" | ")[:2] for row in rows] == [
         ["| trees", "2026-01-03"],
         ["| crowds", "2026-01-03"],
-        ["| slow tests", "2026-01-02"],
+        ["| other slow tests", "2026-01-02"],
     ]
     assert page([], 4, first) == first
+
+
+def test_every_slow_test_is_in_one_step_and_no_more(nightly) -> None:
+    """A folder that has a step of its own is left out of the others', and is there."""
+    steps = [arguments for arguments in nightly.TESTS.values() if "slow and not random" in arguments]
+    folders = {f"tests/{part}" for part in nightly.SLOW_PARTS}
+    assert sorted(arguments[2] for arguments in steps if len(arguments) == 3) == sorted(folders)
+    (others,) = (arguments[2:] for arguments in steps if len(arguments) != 3)
+    assert set(others) == {f"--ignore={folder}" for folder in folders}
+    assert all((nightly.ROOT / folder).is_dir() for folder in folders)
 
 
 def test_missions_of_two_days_have_no_seed_in_common(nightly) -> None:

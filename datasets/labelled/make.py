@@ -31,7 +31,7 @@ from skyherd.datasets.labelled.sampling import make_scene, station_number
 from skyherd.datasets.labelled.spec import SpecFile
 from skyherd.errors import OutputError
 from skyherd.files.atomic import write_text, write_whole
-from skyherd.progress import NO_PROGRESS, Progress
+from skyherd.jobs.progress import NO_PROGRESS, Progress
 
 BATCH = 8
 """Most images that a worker is given at a time, all of one camera. *Chosen*: the ground of a camera takes as

@@ -22,12 +22,12 @@ from skyherd.datasets import Mission
 from skyherd.errors import InputError, OutputError, SkyherdError
 from skyherd.files.atomic import write_text
 from skyherd.files.output_folder import OutputFolder
+from skyherd.jobs.progress import NO_PROGRESS, Progress
 from skyherd.loop import Step, run_steps
 from skyherd.messages import TIME_TOLERANCE_S
 from skyherd.messages.checks import check_count, check_kind
 from skyherd.plots import panels
 from skyherd.plots.panels import write_figures
-from skyherd.progress import NO_PROGRESS, Progress
 from skyherd.recording.reader import Recording, read_recording, read_steps
 from skyherd.recording.survey import describe_flaws
 from skyherd.recording.writer import McapRecorder, Recorder

@@ -8,8 +8,8 @@ import pytest
 
 from skyherd.datasets import load_mission
 from skyherd.errors import OutputError
+from skyherd.jobs.helpers import can_help
 from skyherd.loop import run_steps
-from skyherd.progress.helpers import can_help
 from skyherd.runner import run_mission
 from skyherd.sim.perception import RenderedPerception, make_run_perception
 from skyherd.sim.side_by_side import SideBySide

@@ -10,8 +10,8 @@ import pytest
 from skyherd.datasets import load_mission
 from skyherd.errors import OutputError
 from skyherd.files.video_writer import VideoSink, count_frames
+from skyherd.jobs.helpers import can_help
 from skyherd.loop import run_steps
-from skyherd.progress.helpers import can_help
 from skyherd.video import recorder
 from skyherd.video.composer import Composer
 from skyherd.video.recorder import VideoRecorder

@@ -26,7 +26,7 @@ from typing import Any
 
 from skyherd.bench.table import short
 from skyherd.errors import InputError
-from skyherd.progress import NO_PROGRESS, Progress
+from skyherd.jobs.progress import NO_PROGRESS, Progress
 
 LOOP = """
 import json, sys

@@ -15,9 +15,9 @@ from skyherd.bench.detectors.frames import Frame, FrameSource, rendered_frames
 from skyherd.bench.detectors.scorer import Scorer
 from skyherd.bench.entrants import EntrantError, dictionary_for, make_entrant
 from skyherd.errors import SkyherdError
+from skyherd.jobs.helpers import one_thread
+from skyherd.jobs.progress import NO_PROGRESS, Progress
 from skyherd.messages import Detections
-from skyherd.progress import NO_PROGRESS, Progress
-from skyherd.progress.helpers import one_thread
 from skyherd.vision import Detector
 
 Row = dict[str, Any]

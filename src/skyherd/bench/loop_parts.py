@@ -15,9 +15,9 @@ import cv2
 import numpy as np
 
 from skyherd.datasets import Mission, load_mission
+from skyherd.jobs.helpers import one_thread
 from skyherd.loop import run_steps
 from skyherd.markers.dictionary import load_dictionary
-from skyherd.progress.helpers import one_thread
 from skyherd.recording.writer import McapRecorder
 from skyherd.sim.agents import make_controller
 from skyherd.sim.perception import Image, RenderedPerception, make_run_perception

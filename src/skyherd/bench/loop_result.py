@@ -12,7 +12,7 @@ from skyherd.bench.result import environment
 from skyherd.bench.table import Table, short
 from skyherd.datasets import load_mission
 from skyherd.files.atomic import write_text
-from skyherd.progress import NO_PROGRESS, Progress
+from skyherd.jobs.progress import NO_PROGRESS, Progress
 
 RESULT = "loop.json"
 """Name of the file with the result."""

@@ -77,7 +77,7 @@ def say_table(
 
 
 class ProgressReporter:
-    """A `skyherd.progress.Progress` that draws a bar on stderr; nothing where stderr is no terminal.
+    """A `skyherd.jobs.progress.Progress` that draws a bar on stderr; nothing where stderr is no terminal.
 
     One bar is shown at a time. An `update` with a new name replaces it, so that the parts of a job, or its
     files, follow each other. Use it in a `with` block, at the end of which the bar disappears.

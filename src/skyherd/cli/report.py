@@ -20,8 +20,8 @@ def report(
     The video of a simulated run is made again too if the recording has images.
     """
     from skyherd.files.output_folder import is_directory
+    from skyherd.jobs.helpers import cores
     from skyherd.live.review import make_live_report, recorded_files
-    from skyherd.progress.helpers import cores
     from skyherd.report.run_page import PAGE
     from skyherd.runner import RECORDING, make_report
 

@@ -48,7 +48,7 @@ def run(
     Exit code 0 if the shape was reached, 1 if not, 2 for bad input.
     """
     from skyherd.datasets import load_mission
-    from skyherd.progress.helpers import cores
+    from skyherd.jobs.helpers import cores
     from skyherd.runner import run_mission
 
     if jobs is not None and jobs < 1:

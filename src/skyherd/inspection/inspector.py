@@ -30,9 +30,9 @@ from skyherd.inspection.table import (
     open_table,
     rejection_rows,
 )
+from skyherd.jobs.progress import NO_PROGRESS, Progress
 from skyherd.markers.dictionary import load_dictionary, with_border
 from skyherd.messages import Detections
-from skyherd.progress import NO_PROGRESS, Progress
 from skyherd.vision import (
     DEFAULT_DICTIONARY,
     Detector,

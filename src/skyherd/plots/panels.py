@@ -11,11 +11,11 @@ from matplotlib.figure import Figure
 from skyherd.analysis.history import History
 from skyherd.errors import OutputError
 from skyherd.files.atomic import write_whole
+from skyherd.jobs.helpers import shared
 from skyherd.plots import curves, maps
 from skyherd.plots.graph import draw_graph
 from skyherd.plots.style import DPI, drawing_style
 from skyherd.plots.topology import draw_topology
-from skyherd.progress.helpers import shared
 
 
 @dataclass(frozen=True)

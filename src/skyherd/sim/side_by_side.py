@@ -21,7 +21,7 @@ from typing import Self
 import numpy as np
 
 from skyherd.errors import OutputError
-from skyherd.progress.helpers import Helper, can_help, one_thread
+from skyherd.jobs.helpers import Helper, can_help, one_thread
 from skyherd.sim.perception import Image, Perception, RenderedPerception, Scene, Sight
 from skyherd.sim.world import World
 

@@ -22,7 +22,7 @@ from typing import NamedTuple
 
 import pyarrow as pa
 
-from skyherd.progress import NO_PROGRESS, Progress
+from skyherd.jobs.progress import NO_PROGRESS, Progress
 from skyherd.study.cluster import open_client, run_missions
 from skyherd.study.figures import figure_names, write_figure_pages
 from skyherd.study.invariance.page import invariance_names, write_invariance

@@ -7,9 +7,9 @@ from types import TracebackType
 from skyherd.datasets import Mission
 from skyherd.errors import OutputError
 from skyherd.files.video_writer import VideoSink
+from skyherd.jobs.helpers import Helper, can_help, one_thread
 from skyherd.loop import Step
 from skyherd.messages import TIME_TOLERANCE_S
-from skyherd.progress.helpers import Helper, can_help, one_thread
 from skyherd.video.composer import Composer
 
 FPS = 20

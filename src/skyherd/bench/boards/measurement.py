@@ -26,8 +26,8 @@ from skyherd.bench.photographs.sightings import Reader, Sightings, make_readers
 from skyherd.bench.result import Row
 from skyherd.errors import InputError
 from skyherd.geometry import MEDIAN_PER_SIGMA
-from skyherd.progress import NO_PROGRESS, Progress
-from skyherd.progress.helpers import one_thread
+from skyherd.jobs.helpers import one_thread
+from skyherd.jobs.progress import NO_PROGRESS, Progress
 
 ADDED_NOISE = 5.0
 """Standard deviation of the noise added to images, grey levels. Chosen: moves detections by several times

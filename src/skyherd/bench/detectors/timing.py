@@ -14,8 +14,8 @@ import numpy as np
 from skyherd.bench.detectors.design import Cell
 from skyherd.bench.entrants import REFERENCE, dictionary_for
 from skyherd.bench.execution import Entrant, Plan, Row, time_row
-from skyherd.progress import NO_PROGRESS, Progress
-from skyherd.progress.helpers import one_thread
+from skyherd.jobs.helpers import one_thread
+from skyherd.jobs.progress import NO_PROGRESS, Progress
 
 WARM_UP = 3
 """Number of first frames that do not count: caches are filled, memory is allocated, and trackers find their

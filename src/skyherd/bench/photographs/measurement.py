@@ -12,8 +12,8 @@ from skyherd.bench.photographs.confirmation import Judged, Place, judge
 from skyherd.bench.photographs.contact_sheet import PlaceTile, cut_tile
 from skyherd.bench.photographs.sightings import Reader, make_readers
 from skyherd.bench.result import Row
-from skyherd.progress import NO_PROGRESS, Progress
-from skyherd.progress.helpers import one_thread
+from skyherd.jobs.helpers import one_thread
+from skyherd.jobs.progress import NO_PROGRESS, Progress
 
 JUDGES = ("opencv", "apriltag3", "locus-tag", "photometric")
 """Names of the detectors by which markers are confirmed, whichever are reported: at least one of each family

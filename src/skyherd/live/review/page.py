@@ -12,6 +12,7 @@ import numpy as np
 from skyherd.analysis.summary_fields import UNKNOWN, number_text
 from skyherd.files.atomic import write_text
 from skyherd.files.output_folder import OutputFolder
+from skyherd.jobs.progress import NO_PROGRESS, Progress
 from skyherd.live.review.figures import PANELS
 from skyherd.live.review.latency import Stage, latency_stages
 from skyherd.live.review.process_log import ProcessLog
@@ -19,7 +20,6 @@ from skyherd.live.review.reasons import driving_share, time_by_reason
 from skyherd.live.review.session_log import SessionLog, clock_of, read_session
 from skyherd.live.robot_core import DRIVING
 from skyherd.plots.panels import write_panels
-from skyherd.progress import NO_PROGRESS, Progress
 from skyherd.report.pages import Tile, figure_card, render_page
 from skyherd.report.run_page import SummaryRow
 

@@ -8,10 +8,10 @@ import numpy as np
 
 from skyherd.errors import InputError
 from skyherd.geometry import Array
+from skyherd.jobs.progress import NO_PROGRESS, Progress
 from skyherd.live.lab import Lab
 from skyherd.live.review.process_log import ProcessLog, read_log
 from skyherd.messages.clock_offset import OffsetEstimate
-from skyherd.progress import NO_PROGRESS, Progress
 
 ALLOWED = "a folder of `skyherd live run`"
 """What is to be given where something else was, as complaints say it."""

@@ -13,8 +13,8 @@ import pytest
 
 from skyherd.errors import InputError, OutputError
 from skyherd.files.folder_lock import FolderLock
-from skyherd.progress import helpers
-from skyherd.progress.helpers import Helper, can_help, cores, one_thread, shared
+from skyherd.jobs import helpers
+from skyherd.jobs.helpers import Helper, can_help, cores, one_thread, shared
 
 pytestmark = pytest.mark.skipif(not can_help(), reason="processes are forked on Linux only")
 
@@ -131,7 +131,7 @@ def test_helpers_end_with_their_maker(how):
     """Three of them: those forked later have copies of the pipes of those before."""
     code = f"""
 import time
-from skyherd.progress.helpers import Helper
+from skyherd.jobs.helpers import Helper
 all = [Helper(lambda request: request, RuntimeError()) for _ in range(3)]
 print(*[helper._process.pid for helper in all], flush=True)
 {"time.sleep(600)" if how == "killed" else ""}

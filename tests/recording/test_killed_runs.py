@@ -70,6 +70,18 @@ def test_a_killed_run_loses_at_most_half_a_second(tmp_path, capsys, monkeypatch)
     check_killed(tmp_path, 0.15, capsys, monkeypatch)
 
 
+def test_a_run_that_is_killed_after_its_first_step_has_a_report(tmp_path, monkeypatch):
+    """Whole, with its figures."""
+    monkeypatch.setattr(sys, "argv", ["skyherd", "report", str(tmp_path)])
+    mission = load_mission("triangle", ["perception=ideal"])
+    with McapRecorder(tmp_path / "run.mcap", mission) as recorder:
+        recorder.write(next(run_steps(mission)))
+        with pytest.raises(SystemExit) as ended:
+            main()
+    assert ended.value.code == 0
+    assert (tmp_path / "report.html").is_file()
+
+
 @pytest.mark.parametrize("step_s", [0.04, 0.1, 0.3, 1.0])
 def test_after_every_step_the_file_lacks_at_most_half_a_second(tmp_path, step_s):
     """What SIGKILL leaves is what the operating system was given: here it is read after each step."""

@@ -134,7 +134,8 @@ def _counted(history: History) -> BoolArray:
 
 def _change(values: np.ndarray) -> BoolArray:
     """Whether values (T, ...) of each step (T,) are not what they were a step before."""
-    return np.concatenate([[False], (values[1:] != values[:-1]).reshape(len(values) - 1, -1).any(axis=1)])
+    differs = (values[1:] != values[:-1]).any(axis=tuple(range(1, values.ndim)))
+    return np.concatenate([[False], differs])
 
 
 def _stretches(history: History) -> Iterator[_Stretch]:

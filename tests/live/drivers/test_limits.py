@@ -42,7 +42,7 @@ def test_speeds_and_their_growth_stay_within_the_limits(most, wanted) -> None:
         counted_s = min(passed_s, LONGEST_S) if passed_s > 0 else 0.0
         for old, new, cap, growth in zip(speeds(before), speeds(after), caps, growths, strict=True):
             assert isinstance(new, float) and math.isfinite(new) and abs(new) <= cap
-            kept = abs(old) if old * new > 0 else 0.0
+            kept = abs(old) if (old > 0) == (new > 0) else 0.0  # a product may be too small for a number
             assert abs(new) <= (kept + growth * counted_s) * ROUNDING
 
 

@@ -86,6 +86,6 @@ def _is_finite(value: object) -> bool:
 
 def _limited(wanted: float, last: float, most: float, growth: float) -> float:
     """A speed within ±most whose size exceeds that of the last, if of its sign, by no more than growth."""
-    before = abs(last) if last * wanted > 0 else 0.0
+    before = abs(last) if (last > 0) == (wanted > 0) else 0.0
     size = min(abs(wanted), most, before + growth)
     return float(math.copysign(size, wanted)) if size else 0.0

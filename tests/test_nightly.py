@@ -58,18 +58,18 @@ def test_a_benchmark_that_breaks_or_says_nothing_is_not_as_it_should_be(
 
 def test_the_page_has_a_row_for_each_step_and_shows_what_is_wrong(nightly) -> None:
     outcomes = [
-        nightly.Outcome("other slow tests", "b", False, "1 failed | x", 90.0),
-        nightly.Outcome("trees", "a", True, "all", 60.0),
+        nightly.Outcome("other slow tests", False, "1 failed | x", 90.0),
+        nightly.Outcome("trees", True, "all", 60.0),
     ]
     assert nightly.as_page(outcomes, datetime.date(2026, 1, 2)).splitlines()[-2:] == [
-        "| trees | 2026-01-02 | yes | all | 1.0 | `a` |",
-        "| other slow tests | 2026-01-02 | **no** | 1 failed \\| x | 1.5 | `b` |",
+        "| trees | 2026-01-02 | yes | 1.0 | all |",
+        "| other slow tests | 2026-01-02 | **no** | 1.5 | 1 failed \\| x |",
     ]
 
 
 def test_rows_of_earlier_nights_stay_until_their_step_is_run_again(nightly) -> None:
     def page(names, day, before=""):
-        outcomes = [nightly.Outcome(name, "c", True, f"on {day}", 60.0) for name in names]
+        outcomes = [nightly.Outcome(name, True, f"on {day}", 60.0) for name in names]
         return nightly.as_page(outcomes, datetime.date(2026, 1, day), before)
 
     first = page(["trees", "other slow tests"], 2)

@@ -179,9 +179,9 @@ def as_page(outcomes: list[Outcome], date: datetime.date, page_before: str = "")
     lines = [
         "# The last nights",
         "",
-        "What `.ci/nightly` ran, each step on its last night, with seeds that follow from the date. Any of them",
-        'is had again by `python benchmarks/nightly.py --only "STEP" --day NIGHT`. All missions should form',
-        "their shape, and stay inside P where the radio holds all units together and nobody is killed.",
+        "What `.ci/nightly` ran, each step on its last night, with seeds that follow from the date; again:",
+        '`python benchmarks/nightly.py --only "STEP" --day NIGHT`. All missions should form their shape, and',
+        "stay inside P where the radio holds all units together and nobody is killed.",
         "",
         "| step | night | as it should be | minutes | what came of it |",
         "|---|---|---|---|---|",

@@ -99,8 +99,8 @@ MISSIONS: Mapping[str, Missions] = {
 """Missions by name, each with what is published of it."""
 
 SLOW_PARTS = ("vision", "control", "recording", "render", "paper", "sim", "live")
-"""Folders of tests whose slow tests are a step each; those of all others are one. *Chosen*: they take the
-longest, and what is found in one is told before the next has begun."""
+"""Folders of tests whose slow tests are a step each; those of all others are one. *Chosen*: most slow tests
+are in them, and what is found in one is told before the next has begun."""
 
 TESTS: Mapping[str, tuple[str, ...]] = {
     **{f"slow tests of {part}": ("-m", "slow and not random", f"tests/{part}") for part in SLOW_PARTS},

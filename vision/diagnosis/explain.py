@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from skyherd.geometry import Array
-from skyherd.markers.dictionary import card_side, cells_per_side, code_distance
+from skyherd.markers.dictionary import card_side, code_distance
 from skyherd.messages import Detections
 from skyherd.vision.detectors.registry import create_detector
 from skyherd.vision.diagnosis.candidates import bright_groups, cut_squares, dark_patches, dark_quads
@@ -114,7 +114,7 @@ def explain(image: Image, dictionary: str, detections: Detections | None = None)
         if not suspect.seen:
             suspect = replace(suspect, failed=_failed_all_the_same(image, detector, reading))
         again = there[reading.nearest_id] > 1
-        reason, measured = find_reason(suspect, cells_per_side(dictionary), again=again)
+        reason, measured = find_reason(suspect, again=again)
         if reason is Reason.NO_BITS and not is_dark(reading):
             continue
         words = describe(reason, measured, reading, dictionary)

@@ -23,9 +23,11 @@ START_SIGMA_PX = 0.6
 """Blur assumed before any marker was seen, standard deviation of lens and pixel together, px. Measured: the
 median of 1190 markers on photographs of six kinds is 0.56 px."""
 
-MIN_SIGMA_PX, MAX_SIGMA_SHARE = 0.25, 0.1
-"""Limits of the blur: px, and a share of the marker's side. Chosen: the pixel alone has 0.29 px, and drawings
-less; a tenth of a side is 0.6 cells of a marker of 6 cells, beyond which bits cannot be told."""
+MIN_SIGMA_PX, MAX_SIGMA_CELLS = 0.25, 1.2
+"""Limits of the blur that markers are fitted under, px and cells. Chosen: the pixel alone has 0.29 px, and
+drawings less; the upper limit is a third beyond `MAX_BLUR_CELLS`, so that what is refused for its blur was
+fitted under it. Fits under less blur than there is are off by more than they tell: at 0.6 cells where there
+are 0.8, by 0.1 px and more in markers of 10 px."""
 
 BLUR_ROUNDS, BLUR_SETTLED = 6, 0.06
 """The blur is found by so many more rounds of fitting at most, until its logarithm changes by less than the
@@ -111,7 +113,8 @@ def with_usual_blur(fits: FitResults) -> Array:
 
 
 def _within_limits(fits: FitResults) -> Array:
-    most_px = np.maximum(MAX_SIGMA_SHARE * fits.homographies.sides_px(), MIN_SIGMA_PX)
+    cells_px = fits.homographies.sides_px() / fits.cell_means.shape[1]
+    most_px = np.maximum(MAX_SIGMA_CELLS * cells_px, MIN_SIGMA_PX)
     return np.clip(fits.sigmas_px, MIN_SIGMA_PX, most_px)
 
 

@@ -55,7 +55,7 @@ MAX_LEAN = 0.45
 """Largest lean of a marker's image. Derived: a marker tilted by 75 degrees leans so where the camera is twice
 its side away."""
 
-MAX_BLUR_CELLS = 0.75
+MAX_BLUR_CELLS = 0.9
 """Largest blur, standard deviation in cells. Chosen: beyond it other markers, and even texture, can pass for
 a marker."""
 

@@ -14,7 +14,14 @@ from skyherd.render import Camera, CameraPose, Ground, Renderer, Sensor
 from skyherd.vision import PhotometricDetector, create_detector
 from skyherd.vision.diagnosis.explain import Rejection, explain
 from skyherd.vision.diagnosis.quad_reading import read_quad
-from skyherd.vision.diagnosis.reasons import OF_QUANTITY, Reason, Suspect, failed_test, find_reason
+from skyherd.vision.diagnosis.reasons import (
+    LEGIBLE_BLUR_CELLS,
+    OF_QUANTITY,
+    Reason,
+    Suspect,
+    failed_test,
+    find_reason,
+)
 from skyherd.vision.diagnosis.suggestions import suggest
 from skyherd.vision.diagnosis.templates import load_templates
 from skyherd.vision.diagnosis.wording import describe
@@ -118,12 +125,12 @@ def test_low_contrast(draw, contrast) -> None:
 
 
 def test_too_blurred(draw) -> None:
-    """Cells of 6.7 px under 5.5 px; fits take blurs of a tenth of a side."""
+    """Cells of 6.7 px under 5.5 px, in which no outline is right."""
     rejected = likely(draw(psf_px=5.5))
     assert len(rejected) >= 2
     for r in rejected:
         assert r.reason is Reason.BLURRED and "focus" in r.words
-        assert r.measured.limit == pytest.approx(0.6)
+        assert r.measured.limit == LEGIBLE_BLUR_CELLS
         assert r.measured.value == pytest.approx(5.5 / (40 / 6), abs=0.15)
 
 
@@ -226,7 +233,7 @@ def broken(fits: FitResults, quantity: Quantity) -> FitResults:
     changes = {
         Quantity.CONTRAST: {"contrasts": [11.0]},
         Quantity.WHITE: {"blacks": [150.0]},
-        Quantity.BLUR: {"blurs_cells": [0.76]},
+        Quantity.BLUR: {"blurs_cells": [0.91]},
         Quantity.AREA: {"pixels": [0.7 * side**2]},
         Quantity.SQUEEZE: {"homographies": grown},
         Quantity.LEAN: {"homographies": leaning},
@@ -262,7 +269,7 @@ def test_each_test_of_a_fit_is_named_with_its_value_and_limit(draw, quantity) ->
     assert named is quantity
     reading = read_quad(image, to_points(fits.homographies.images(SQUARE_CORNERS))[1], DICTIONARY)
     suspect = Suspect(reading, seen=True, fitted=True, failed=(named, measured))
-    reason, told = find_reason(suspect, 6, again=False)
+    reason, told = find_reason(suspect, again=False)
     assert reason is OF_QUANTITY[quantity] and told is measured
     assert str(measured) in describe(reason, measured, reading, DICTIONARY)
     assert (measured.value < measured.limit) == measured.at_least

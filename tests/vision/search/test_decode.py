@@ -43,12 +43,13 @@ def test_every_turn_is_told_and_corners_come_in_the_markers_own_order(
     assert (found.correlations >= MIN_CORRELATION).all() and (found.correlations <= 1 + 1e-6).all()
 
 
-def test_small_and_blurred_markers_are_told_by_their_greys(place_markers, draw_markers):
-    """2 px a cell under a blur of 1.2 px, where no cell shows its own colour: 48 of 50 or more."""
+@pytest.mark.parametrize("assumed_px", [1.23, 0.6])
+def test_small_and_blurred_markers_are_told_by_their_greys(place_markers, draw_markers, assumed_px):
+    """2 px a cell under a blur of 1.23 px, where no cell shows its own colour: 48 of 50 or more, known or not."""
     rng = np.random.default_rng(2)
     matrices, corners, size = grid(place_markers, 12.0, rng.uniform(-np.pi, np.pi, 50))
     image = draw_markers(matrices, range(50), size, rng, psf_px=1.2)
-    found = decode_quads(image, corners, "4X4_50", 1.23)
+    found = decode_quads(image, corners, "4X4_50", assumed_px)
     at = {tuple(c): i for i, c in enumerate(corners[:, 0])}
     right = [i for i, c in zip(found.ids, found.corners_px, strict=True) if at.get(tuple(c[0])) == i]
     assert len(right) >= 48

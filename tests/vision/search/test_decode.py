@@ -45,7 +45,7 @@ def test_every_turn_is_told_and_corners_come_in_the_markers_own_order(
 
 @pytest.mark.parametrize("assumed_px", [1.23, 0.6])
 def test_small_and_blurred_markers_are_told_by_their_greys(place_markers, draw_markers, assumed_px):
-    """2 px a cell under a blur of 1.23 px, where no cell shows its own colour: 48 of 50 or more, known or not."""
+    """2 px a cell under a blur of 1.23 px, known or not: no cell shows its own colour; 48 of 50 or more."""
     rng = np.random.default_rng(2)
     matrices, corners, size = grid(place_markers, 12.0, rng.uniform(-np.pi, np.pi, 50))
     image = draw_markers(matrices, range(50), size, rng, psf_px=1.2)

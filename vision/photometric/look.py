@@ -1,6 +1,7 @@
 """Looks at an image: which quadrilaterals it has, which of them resemble markers, and which are markers."""
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -161,18 +162,14 @@ def look_at_candidates(
 def _fit_quads(
     image: Image, dictionary: str, known: ImageEstimates, ids: IntArray, start: LocalHomographies
 ) -> tuple[FitResults, Plane]:
-    """Fits of what quadrilaterals may show, coarse ones at first, and the plane that they lie on."""
+    """Fits of what quadrilaterals may show, coarse ones at first, and the plane that they lie on.
+
+    Where no plane explains the markers that are known, a few others are not asked for one.
+    """
     sigma_px, noise = known.sigma_px or START_SIGMA_PX, known.noise or USUAL_NOISE
-    fits, plane = fit_any_blur(
-        image,
-        dictionary,
-        ids,
-        start,
-        sigma_px,
-        known.plane,
-        noise,
-        largest_side_px=COARSE_CELL_PX * cells_per_side(dictionary),
-    )
+    fit = partial(fit_any_blur, image, dictionary, alone=not known.plane.shared)
+    coarse_px = COARSE_CELL_PX * cells_per_side(dictionary)
+    fits, plane = fit(ids, start, sigma_px, known.plane, noise, largest_side_px=coarse_px)
     promising = np.flatnonzero(is_promising(fits))
     if not promising.size:
         return fits, known.plane
@@ -180,7 +177,5 @@ def _fit_quads(
     right = bits_are_right(coarse, code_distance(dictionary))
     if right.any():
         noise = weighted_median(coarse.noise_stds, coarse.pixels * right)
-    fine, plane = fit_any_blur(
-        image, dictionary, coarse.ids, coarse.homographies, with_usual_blur(coarse), plane, noise
-    )
+    fine, plane = fit(coarse.ids, coarse.homographies, with_usual_blur(coarse), plane, noise)
     return fits.put(promising, fine), plane if right.any() else known.plane

@@ -5,6 +5,7 @@ import pytest
 
 from skyherd.vision import PhotometricDetector
 from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
+from skyherd.vision.photometric.fitting.plane import Plane
 from skyherd.vision.photometric.image_estimates import ImageEstimates
 from skyherd.vision.photometric.look import look_at_quads
 from skyherd.vision.search.decode import MIN_CORRELATION
@@ -69,3 +70,36 @@ def test_the_print_of_a_units_markers_is_learnt(markers) -> None:
         assert len(detector.detect(markers(number), time_s=float(number))) == 3
     assert detector.estimates[0].print_contrast == pytest.approx(USUAL_PRINT, rel=0.01)
     assert ImageEstimates().print_contrast is None
+
+
+SLANTED = np.array([120 + 70j, 280 + 70j])
+
+
+def slanted(place_markers, tilt_deg: float) -> np.ndarray:
+    """Homographies of two markers side by side on faces of cubes that look left and right, seen obliquely.
+
+    A face at a distance of 12 of its sides, turned about its upright edge, shrinks to `cos(tilt)` of its
+    width, and one edge of it is nearer than the other.
+    """
+    places = place_markers(SLANTED, [-np.pi / 2, -np.pi / 2], 34.0)
+    tilt = np.radians(tilt_deg)
+    turn = np.array([[np.cos(tilt), 0, 0], [0, 1, 0], [np.sin(tilt) / 12, 0, 1]])
+    return places @ np.stack([turn, turn * np.array([[1, 1, 1], [1, 1, 1], [-1, 1, 1]])])
+
+
+@pytest.mark.parametrize("number", range(3))
+def test_a_few_markers_are_not_put_on_a_plane_where_those_known_have_none(
+    place_markers, draw_markers, number
+) -> None:
+    """Two squeezes always lie as on some plane, here a level one, and centres are off by 0.1 px then."""
+    rng = np.random.default_rng([10, number])
+    image = draw_markers(slanted(place_markers, 68), [3, 7], SIZE, rng, noise=1.0)
+
+    def errors_px(known: ImageEstimates) -> np.ndarray:
+        nothing = LocalHomographies.of_corners(np.zeros((0, 4, 2)))
+        found = look_at_quads(image, DICTIONARY, known, find_quads(image), nothing, MIN_CORRELATION).found
+        assert sorted(found.ids.tolist()) == [3, 7]
+        return np.abs(found.homographies.centers[np.argsort(found.ids)] - SLANTED)
+
+    assert (errors_px(ImageEstimates(plane=Plane(shared=False))) < 0.03).all()
+    assert (errors_px(ImageEstimates()) > 0.1).all()

@@ -12,6 +12,9 @@ plane?) without looking at the pixels again.
 """
 
 from dataclasses import dataclass
+from functools import cache
+from importlib import import_module
+from types import ModuleType
 
 import numpy as np
 
@@ -82,11 +85,7 @@ class LeastSquaresSolution:
         `variances` (N,), of each of them about that value, are in units of the noise's variance. With zero,
         the unknowns are held; see `constrained`. The sum of squares includes what the expectation adds.
         """
-        offset = (self.values[:, unknowns] - at)[..., None]
-        spread = self.inverse_normals[:, unknowns][:, :, unknowns] + variances[:, None, None] * np.eye(
-            len(unknowns)
-        )
-        return self._drawn(unknowns, offset, np.linalg.inv(spread).astype(float), self.free)
+        return self._drawn(unknowns, at, variances, self.free)
 
     def constrained(self, unknowns: list[int], at: Array) -> "LeastSquaresSolution":
         """Return the solution in which `unknowns` are held at values `at` (N, len(unknowns)).
@@ -94,21 +93,18 @@ class LeastSquaresSolution:
         The sums of squares never shrink, although rounding would make them where the pixels are too few to
         determine the unknowns.
         """
-        offset = (self.values[:, unknowns] - at)[..., None]
-        blocks = np.linalg.inv(self.inverse_normals[:, unknowns][:, :, unknowns]).astype(float)
-        return self._drawn(unknowns, offset, blocks, self.free - len(unknowns))
+        return self._drawn(unknowns, at, np.zeros(len(self.values)), self.free - len(unknowns))
 
-    def _drawn(self, unknowns: list[int], offset: Array, blocks: Array, free: int) -> "LeastSquaresSolution":
-        """The solution moved by `-C_xh B (x_h - v)`, with B = `blocks` and x_h - v = `offset`."""
-        gain = self.inverse_normals[:, :, unknowns] @ blocks
-        growth = np.maximum(offset.transpose(0, 2, 1) @ blocks @ offset, 0.0)[:, 0, 0]
-        return LeastSquaresSolution(
-            values=self.values - (gain @ offset)[..., 0],
-            inverse_normals=self.inverse_normals - gain @ self.inverse_normals[:, unknowns],
-            residual_squares=self.residual_squares + growth,
-            pixels=self.pixels,
-            free=free,
-        )
+    def _drawn(self, unknowns: list[int], at: Array, variances: Array, free: int) -> "LeastSquaresSolution":
+        """The solution with unknowns drawn towards values, by the module's formula, two at a time."""
+        solution = self.values, self.inverse_normals, self.residual_squares
+        for begin in range(0, len(unknowns), 2):
+            pair = slice(begin, begin + 2)
+            towards = np.array(unknowns[pair]), np.ascontiguousarray(at[:, pair], dtype=float), variances
+            drawn = tuple(map(np.empty_like, solution))
+            _kernel().draw(*solution, *towards, *drawn)
+            solution = drawn
+        return LeastSquaresSolution(*solution, self.pixels, free)
 
     def noise_stds(self) -> Array:
         """Return the standard deviations (N,) of a pixel about the model, grey levels.
@@ -121,3 +117,9 @@ class LeastSquaresSolution:
     def contrasts(self) -> Array:
         """Return the contrasts (N,), grey levels, not below `MIN_CONTRAST`, so that they can divide."""
         return np.maximum(self.values[:, CONTRAST], MIN_CONTRAST)
+
+
+@cache
+def _kernel() -> ModuleType:
+    """The compiled loop that draws unknowns, loaded when it is first needed."""
+    return import_module("skyherd.vision.photometric.fitting.kernels.held_unknowns")

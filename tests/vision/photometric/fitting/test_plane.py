@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 from scipy.special import bdtrik, chdtrc
+from tests.helpers import plane_reference
 
 from skyherd.geometry import SQUARE_CORNERS
 from skyherd.vision.photometric.fitting import plane as plane_module
 from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
-from skyherd.vision.photometric.fitting.plane import SIGNIFICANT, Plane, fit_plane
+from skyherd.vision.photometric.fitting.plane import SIGNIFICANT, Plane, fit_plane, fit_plane_to_all
 
 POINTS = np.random.default_rng(0).uniform(-400, 400, (2, 16)).T @ np.array([1, 1j])
 
@@ -185,3 +186,38 @@ def test_planes_at_steep_tilts_are_found_exactly(monkeypatch, tilt_deg):
         monkeypatch.setattr(plane_module, "MAX_ROUNDS", 8)
         short = fit_plane(points, seen, np.full(16, 1e-8))
         assert np.abs(short.squeezes(points) - seen).max() > 2e-4
+
+
+KINDS = {
+    "level": (0.0, 0.0),
+    "squeezed": (0.2, 0.0),
+    "tilted": (0.1, 5e-4),
+    "steep": (0.3, 2e-3),
+    "none": (0.0, 0.0),
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_compiled_fit_is_that_of_numpy(kind) -> None:
+    """1 to 30 markers, some without information: α, λ, their covariance and whether a plane explains them."""
+    rng = np.random.default_rng([7, list(KINDS).index(kind)])
+    squeeze, horizon = KINDS[kind]
+    shared = []
+    for count in range(1, 31):
+        turns = np.exp(1j * rng.uniform(-np.pi, np.pi, 2))
+        points = rng.uniform(-400, 400, (count, 2)) @ np.array([1, 1j])
+        variances = rng.uniform(1, 9, count) * 1e-6
+        scatter = np.sqrt(variances) if kind != "none" else 0.1
+        squeezes = Plane(squeeze * turns[0], horizon * turns[1]).squeezes(points)
+        squeezes = squeezes + scatter * (rng.normal(size=(count, 2)) @ np.array([1, 1j]))
+        variances[rng.uniform(size=count) < 0.1] = np.inf
+        found, expected = (fit(points, squeezes, variances) for fit in FITS)
+        assert found.shared == expected.shared
+        np.testing.assert_allclose(found.squeeze, expected.squeeze, rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(found.horizon, expected.horizon, rtol=1e-9, atol=1e-15)
+        np.testing.assert_allclose(found.covariance, expected.covariance, rtol=1e-9, atol=1e-24)
+        shared.append(found.shared)
+    assert np.mean(shared) > 0.9 if kind not in ("none", "steep") else np.mean(shared) < 0.9
+
+
+FITS = (fit_plane_to_all, plane_reference.fit_plane_to_all)

@@ -4,6 +4,8 @@
 - `round_blur`, `elliptic_blur`: the model's columns at these pixels, under either kind of blur, of which
   `blurred_edges`, `card_edge` and `columns` are parts;
 - `residual_sums`: what the model leaves of the pixels, summed over cells and over boxes;
+- `held_unknowns`: least squares with some unknowns held;
+- `plane_fit`: the fit of the plane that all markers of an image lie on;
 - `marker_record`: what all of them know of a marker; `compilation`: how they are compiled.
 
 Numba compiles a kernel when its module is imported for the first time, and keeps the machine code in

@@ -1,0 +1,100 @@
+"""Where the time of a photograph goes: finding quadrilaterals, reading pixels, and the rest of the fits.
+
+    python benchmarks/photograph_stages.py FOLDER --sets benchmarks/photographs.toml
+
+All are times of one thread in the median of a set's images, each taken as the first that the detector ever
+sees, over the time of OpenCV's default detector for the same image. The search alone is a bound on how fast a
+detector with these two looks can be; the reading of pixels, in which markers are drawn and compared, one on
+what the fits need.
+"""
+
+import argparse
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from skyherd.bench.image_sets import ImageSet, load_image_sets
+from skyherd.jobs.helpers import one_thread
+from skyherd.vision import create_detector
+from skyherd.vision.photometric import look
+from skyherd.vision.photometric.fitting import fit
+
+STAGES = {
+    "first search": (look, "find_quads"),
+    "second search": (look, "find_overlooked_quads"),
+    "pixels": (fit.PixelSamples, "read"),
+}
+"""What is timed by itself: where it is found, and its name there."""
+
+
+class Stopwatch:
+    """Adds up the time spent in the stages, while it is entered, by replacing them."""
+
+    def __init__(self) -> None:
+        self.spent_s: Counter[str] = Counter()
+        self._originals = {stage: getattr(*place) for stage, place in STAGES.items()}
+
+    def __enter__(self) -> "Stopwatch":
+        for stage, (owner, name) in STAGES.items():
+            setattr(owner, name, self._timed(stage, self._originals[stage]))
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        for stage, (owner, name) in STAGES.items():
+            setattr(owner, name, self._originals[stage])
+
+    def _timed(self, stage: str, original: Callable[..., Any]) -> Callable[..., Any]:
+        def timed(*given: Any, **options: Any) -> Any:
+            began_s = perf_counter()
+            result = original(*given, **options)
+            self.spent_s[stage] += perf_counter() - began_s
+            return result
+
+        return timed
+
+
+def measure(image_set: ImageSet) -> dict[str, float]:
+    """Return OpenCV's time for a set's image, ms, and each stage's over it, in the median of all images."""
+    options = image_set.marker_options()
+    peer = create_detector("opencv", dictionary=image_set.dictionary, **options)
+    repeats = image_set.model.ids_repeat
+    ours = create_detector("photometric", dictionary=image_set.dictionary, repeats=repeats, **options)
+    rows = []
+    for number, (_, image) in enumerate(image_set.images()):
+        times_s = []
+        for detector in (peer, ours):
+            with Stopwatch() as watch:
+                began_s = perf_counter()
+                detector.detect(image, unit_id=number)
+                times_s.append(perf_counter() - began_s)
+        rows.append([times_s[1], *(watch.spent_s[stage] for stage in STAGES), times_s[0]])
+    rows = rows[1:] or rows  # the first image loads what is made once
+    *shares, peer_s = np.array(rows).T
+    medians = {
+        name: float(np.median(part / peer_s)) for name, part in zip(("all", *STAGES), shares, strict=True)
+    }
+    return {"opencv_ms": 1e3 * float(np.median(peer_s)), **medians}
+
+
+def main() -> None:
+    """Measure and print a line for each set."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--sets", type=Path)
+    parser.add_argument("--only", nargs="*", default=())
+    options = parser.parse_args()
+    columns = ("all", *STAGES)
+    print(f"| images | OpenCV, ms | {' | '.join(columns)} |\n" + "| --- " * (2 + len(columns)) + "|")
+    with one_thread():
+        for image_set in load_image_sets(options.folder, options.sets, only=tuple(options.only)):
+            row = measure(image_set)
+            told = " | ".join(f"{row[name]:.1f}" for name in columns)
+            print(f"| {image_set.name} | {row['opencv_ms']:.0f} | {told} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()

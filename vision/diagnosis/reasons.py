@@ -43,7 +43,7 @@ marker too. Chosen between such likenesses and those of undamaged markers, 0.95 
 LEGIBLE_BLUR_CELLS = 0.6
 """Blur, cells, beyond which what is not found counts as too blurred, whatever else it lacks: its outline is
 rounded then, and its cells are read in the wrong places. Measured of markers of 10 to 12 px at noise 2: all
-are found up to 0.67 cells, nine in ten at 0.72, half of them at 0.77 and one in five at 0.87."""
+are found up to 0.64 cells, nine in ten at 0.72, and none from 0.77 cells on."""
 
 CLEAR_CELL_PX, CLEAR_CONTRAST, CLEAR_BLUR_CELLS = 3.0, 40.0, 0.55
 """Smallest cell, px, smallest contrast, grey levels, and largest blur, cells, of a clear frame. Chosen: what

@@ -12,6 +12,7 @@ from skyherd.vision.photometric.image_noise import image_noise
 from skyherd.vision.photometric.scales import fit_visible_all_sizes
 from skyherd.vision.photometric.unknown_blur import START_SIGMA_PX, fit_any_blur, with_usual_blur
 from skyherd.vision.photometric.verify import (
+    MAX_BLUR_CELLS,
     MIN_MARKER_CONTRAST,
     may_be_occluded,
     residual_is_noise,
@@ -25,7 +26,8 @@ def accepted(
     """Return the fits, and which of them (N,) are verified.
 
     Of covered markers they are those to their visible pixels, and of markers that are not on the plane
-    those with a perspective of their own.
+    those with a perspective of their own. What is refused for its blur is not fitted once more: of several
+    fits the one with the least blur would pass, which is that with the largest error.
 
     Args:
         image: that was fitted, grey, (height, width).
@@ -43,7 +45,8 @@ def accepted(
         visible = fit_visible_all_sizes(image, dictionary, covered, with_usual_blur(covered), plane, floor)
         is_good = verified(visible, noise, distance) & residual_is_noise(visible, floor)
         fits, good = _replaced(fits, good, doubtful[is_good], visible.take(is_good))
-    apart = np.flatnonzero(~good & plane.shared & (fits.contrasts >= MIN_MARKER_CONTRAST))
+    legible = (fits.contrasts >= MIN_MARKER_CONTRAST) & (fits.blurs_cells <= MAX_BLUR_CELLS)
+    apart = np.flatnonzero(~good & plane.shared & legible)
     if apart.size:
         others = fits.take(apart)
         alone, _ = fit_any_blur(

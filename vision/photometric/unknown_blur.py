@@ -23,7 +23,7 @@ START_SIGMA_PX = 0.6
 """Blur assumed before any marker was seen, standard deviation of lens and pixel together, px. Measured: the
 median of 1190 markers on photographs of six kinds is 0.56 px."""
 
-MIN_SIGMA_PX, MAX_SIGMA_CELLS = 0.25, 1.2
+MIN_SIGMA_PX, MAX_SIGMA_CELLS = 0.25, 1.0
 """Limits of the blur that markers are fitted under, px and cells. Chosen: the pixel alone has 0.29 px, and
 drawings less; the upper limit is a third beyond `MAX_BLUR_CELLS`, so that what is refused for its blur was
 fitted under it. Fits under less blur than there is are off by more than they tell: at 0.6 cells where there

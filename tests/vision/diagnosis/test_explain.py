@@ -233,7 +233,7 @@ def broken(fits: FitResults, quantity: Quantity) -> FitResults:
     changes = {
         Quantity.CONTRAST: {"contrasts": [11.0]},
         Quantity.WHITE: {"blacks": [150.0]},
-        Quantity.BLUR: {"blurs_cells": [0.91]},
+        Quantity.BLUR: {"blurs_cells": [0.76]},
         Quantity.AREA: {"pixels": [0.7 * side**2]},
         Quantity.SQUEEZE: {"homographies": grown},
         Quantity.LEAN: {"homographies": leaning},

@@ -97,14 +97,14 @@ class LeastSquaresSolution:
 
     def _drawn(self, unknowns: list[int], at: Array, variances: Array, free: int) -> "LeastSquaresSolution":
         """The solution with unknowns drawn towards values, by the module's formula, two at a time."""
-        solution = self.values, self.inverse_normals, self.residual_squares
+        values, inverse_normals, squares = self.values, self.inverse_normals, self.residual_squares
         for begin in range(0, len(unknowns), 2):
             pair = slice(begin, begin + 2)
             towards = np.array(unknowns[pair]), np.ascontiguousarray(at[:, pair], dtype=float), variances
-            drawn = tuple(map(np.empty_like, solution))
-            _kernel().draw(*solution, *towards, *drawn)
-            solution = drawn
-        return LeastSquaresSolution(*solution, self.pixels, free)
+            drawn = np.empty_like(values), np.empty_like(inverse_normals), np.empty_like(squares)
+            _kernel().draw(values, inverse_normals, squares, *towards, *drawn)
+            values, inverse_normals, squares = drawn
+        return LeastSquaresSolution(values, inverse_normals, squares, self.pixels, free)
 
     def noise_stds(self) -> Array:
         """Return the standard deviations (N,) of a pixel about the model, grey levels.

@@ -3,8 +3,9 @@
 Ordinary least squares uses every pixel, so that a neighbour's card over a corner, a leaf or a cable pulls at
 the pose. Here pixels whose residual exceeds a limit are left out, not averaged in, and the others are fitted
 again. The limit falls from half the contrast, which no noise reaches, to `INLIER_SIGMAS` standard deviations
-of the noise: pixels that no pose explains are left out first, and by the time that pixels along the edges
-count, the pose is nearly right (graduated non-convexity: Blake and Zisserman, Visual Reconstruction, 1987).
+of the noise and what the model of the blur leaves along edges: pixels that no pose explains are left out
+first, and by the time that pixels along the edges count, the pose is nearly right (graduated non-convexity:
+Blake and Zisserman, Visual Reconstruction, 1987).
 
 A bit of which not half is seen counts as wrong, so that no bit is ever guessed.
 """
@@ -13,7 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from skyherd.geometry import Array
+from skyherd.geometry import UNIFORM_VARIANCE, Array
 from skyherd.markers.dictionary import border_cells, cells_per_side
 from skyherd.vision.grey import Image
 from skyherd.vision.photometric.fitting.appearance import appearances_of
@@ -27,6 +28,11 @@ INLIER_SIGMAS = 4.0
 """Residual beyond which a pixel is left out in the last rounds, standard deviations of the noise. Derived:
 one pixel in 16000 of a normal distribution exceeds it. At half of it one in 22 would be left out, which makes
 the noise look smaller; at twice as much faint covers would count."""
+
+PIXEL_SHARE = 0.057
+"""Largest difference, as a share of the contrast, between an edge seen by square pixels and the same edge
+under the normal blur of equal variance by which it is modelled. Derived: `Φ(x / σ) - (x + 1/2)` is largest at
+0.23 px. With a lens's blur it falls faster than with the fourth power of the two together."""
 
 LIMIT_FACTOR = 0.5
 """Factor by which the limit falls in each round. Chosen: nearer to 1 takes more rounds, nearer to 0 leaves
@@ -78,6 +84,7 @@ def fit_visible(
     values[:, BLACK], values[:, CONTRAST] = fits.blacks - MIDDLE_GREY, fits.contrasts
     samples = PixelSamples(rows.size)
     limits = fits.contrasts / 2
+    edge_misfits = _edge_misfits(sigma_px) * fits.contrasts
     rounds = _rounds(fits.contrasts, noise)
     margin_px = MARGIN_SIGMAS * np.broadcast_to(sigma_px, (rows.size,))
     for number in range(rounds):
@@ -94,7 +101,8 @@ def fit_visible(
         values = solution.values.copy()
         homographies, moved_px = stepped(solution, homographies)
         homographies = replace(homographies, horizons=plane.horizons(homographies.centers - middle))
-        limits = np.maximum(LIMIT_FACTOR * limits, INLIER_SIGMAS * np.minimum(noise, solution.noise_stds()))
+        last_limits = INLIER_SIGMAS * np.minimum(noise, solution.noise_stds()) + edge_misfits
+        limits = np.maximum(LIMIT_FACTOR * limits, last_limits)
     means, peaks = samples.cell_residuals(rows, solution, n_cells)
     means = _hidden_bits_as_wrong(
         means,
@@ -104,6 +112,16 @@ def fit_visible(
     )
     variances = plane.variances(homographies.centers - middle) if plane.shared else np.zeros(rows.size)
     return fit_results_of(fits.ids, solution, homographies, (means, peaks), moved_px, blurs, variances)
+
+
+def _edge_misfits(sigma_px: float | Array) -> Array:
+    """Return what the model of the blur (N,) leaves along edges at most, as a share of the contrast.
+
+    It matters in shrunk images, whose pixels have little noise and next to no blur of a lens: pixels along
+    the edges, which tell the pose, would be left out as covered, more on one side than on the other.
+    Measured on markers of 1500 px of which a disc covers 2 %: 0.01 to 0.05 px off without, 0.002 with it.
+    """
+    return np.asarray(PIXEL_SHARE * (UNIFORM_VARIANCE / np.square(sigma_px)) ** 2)
 
 
 def _rounds(contrasts: Array, noise: float) -> int:

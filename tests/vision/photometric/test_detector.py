@@ -105,6 +105,15 @@ def test_small_markers_under_heavy_blur_are_found_and_fitted_under_it():
     assert (nees > 0.7).all() and (nees < 1.5).all(), nees
 
 
+def test_what_is_too_blurred_is_not_fitted_until_it_passes():
+    """Cells of 1.67 px under 1.28 px of blur are beyond the limit of 0.75 cells by 0.02, less than noise moves it.
+
+    Of many fits of one marker, the one with the least blur would pass, and that is the one with the largest error.
+    """
+    error, _ = errors(10, 2.0, psf_px=1.25)
+    assert len(error) < 0.03 * 20 * PER_FRAME
+
+
 @pytest.mark.parametrize("psf_px", [0.55, 1.2])
 def test_an_unknown_blur_is_found(psf_px):
     """The blur that was never told is found to 8 %: a wrong one by half would cost 1.3-1.6 times in error."""

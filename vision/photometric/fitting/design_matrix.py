@@ -26,10 +26,7 @@ therefore weighted by `1 / sqrt(1 + (t (1 - A))²)`, with t the texture's standa
 texture is noise too, and without the weights the covariance would promise too much.
 """
 
-from functools import cache
-from importlib import import_module
 from itertools import pairwise
-from types import ModuleType
 
 import numpy as np
 import numpy.typing as npt
@@ -39,6 +36,7 @@ from skyherd.geometry import Array, BoolArray, IntArray
 from skyherd.vision.grey import Image
 from skyherd.vision.photometric.fitting.appearance import MarkerAppearances
 from skyherd.vision.photometric.fitting.blur_ellipses import blur_tables
+from skyherd.vision.photometric.fitting.compiled import kernel
 from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
 
 Floats = npt.NDArray[np.float32]
@@ -74,18 +72,6 @@ SIGMA_LIMITS = 1e-4, 1e4
 marker can be read under: a thousandth of a cell, and ten thousand markers."""
 
 
-@cache
-def _kernels() -> ModuleType:
-    """The compiled loops, which are loaded, in about a second, when pixels are first read."""
-    return import_module("skyherd.vision.photometric.fitting.kernels")
-
-
-@cache
-def _elliptic_blur() -> ModuleType:
-    """The loop for blur that differs much along its directions, loaded when a marker has it."""
-    return import_module("skyherd.vision.photometric.fitting.kernels.elliptic_blur")
-
-
 class DesignMatrices:
     """The pixels of some of an image's markers, and the model's columns at them.
 
@@ -114,10 +100,10 @@ class DesignMatrices:
         """
         self.rows = rows
         markers = _markers(homographies, appearances)
-        most = _kernels().count_pixels(markers, *image.shape)
+        most = kernel("scan_conversion").count_pixels(markers, *image.shape)
         self.bounds = np.empty(rows.size + 1, dtype=np.int64)
         places, pixels = np.empty((most, 2), dtype=np.float32), np.empty((most, 2), dtype=np.int32)
-        size = _kernels().list_pixels(markers, *image.shape, self.bounds, places, pixels)
+        size = kernel("scan_conversion").list_pixels(markers, *image.shape, self.bounds, places, pixels)
         self.places, self.pixels = places[:size], pixels[:size]
         self.columns = np.empty((size, UNKNOWNS + 1), dtype=np.float32)
         self.bends = np.zeros((0, 3), dtype=np.float32)
@@ -126,7 +112,9 @@ class DesignMatrices:
             self._fill_apart(image, markers, homographies, appearances, elliptic)
         else:
             where = self.bounds, self.places, self.pixels
-            _kernels().fill(image, markers, appearances.cells, appearances.texture, *where, self.columns)
+            kernel("round_blur").fill(
+                image, markers, appearances.cells, appearances.texture, *where, self.columns
+            )
         self.counts = np.diff(self.bounds)
 
     def _fill_apart(
@@ -147,9 +135,9 @@ class DesignMatrices:
             where = self.bounds[first : end + 1], self.places, self.pixels
             if elliptic[first]:
                 given = own, tables[first:end], cells, appearances.texture, *where
-                _elliptic_blur().fill(image, *given, self.columns, self.bends)
+                kernel("elliptic_blur").fill(image, *given, self.columns, self.bends)
             else:
-                _kernels().fill(image, own, cells, appearances.texture, *where, self.columns)
+                kernel("round_blur").fill(image, own, cells, appearances.texture, *where, self.columns)
 
     def gram_matrices(self) -> Floats:
         """Return the inner products (N, 16, 16) of the weighted columns and the pixels."""
@@ -179,7 +167,9 @@ class DesignMatrices:
     def residuals(self, solutions: Array) -> Floats:
         """Return the weighted residuals (P,), grey levels, of the model at `solutions` (N, 15)."""
         return np.asarray(
-            _kernels().residuals(self.columns, self.bounds, np.ascontiguousarray(solutions, dtype=np.float32))
+            kernel("residual_sums").residuals(
+                self.columns, self.bounds, np.ascontiguousarray(solutions, dtype=np.float32)
+            )
         )
 
     def cell_residuals(self, solutions: Array, n_cells: int) -> tuple[Array, Array]:
@@ -210,7 +200,7 @@ class DesignMatrices:
         boxes = np.zeros(picked.size, dtype=np.int64)
         model, by = (np.ascontiguousarray(factors, dtype=np.float32) for factors in (solutions, influences))
         pixels = self.columns, self.pixels, self.bounds
-        _kernels().add_over_boxes(*pixels, picked, model, by, box_px, small, large, boxes)
+        kernel("residual_sums").add_over_boxes(*pixels, picked, model, by, box_px, small, large, boxes)
         return small, large, boxes
 
     def cell_support(self, n_cells: int) -> Array:
@@ -222,7 +212,9 @@ class DesignMatrices:
         """Residuals, pixels used and pixels read over each cell (N, n, n), and largest residuals (N,)."""
         sums, used, read = np.zeros((3, self.rows.size, n_cells, n_cells))
         peaks, model = np.zeros(self.rows.size), np.ascontiguousarray(solutions, dtype=np.float32)
-        _kernels().add_over_cells(self.columns, self.places, self.bounds, model, sums, used, read, peaks)
+        kernel("residual_sums").add_over_cells(
+            self.columns, self.places, self.bounds, model, sums, used, read, peaks
+        )
         return sums, used, read, peaks
 
 
@@ -233,7 +225,7 @@ def _markers(homographies: LocalHomographies, appearances: MarkerAppearances) ->
     deviations `σ |1 ∓ e| / sqrt(1 + |e|²)` along x and y, with σ that of their mean variance
     (`LocalHomographies.blurs`).
     """
-    markers = np.zeros(len(homographies), dtype=_kernels().MARKER)
+    markers = np.zeros(len(homographies), dtype=kernel("marker_record").MARKER)
     limits, relative = appearances.read_limits, homographies.squeezes / homographies.arms
     strips = limits / (1 - np.minimum(np.abs(homographies.leans()) * np.sqrt(2) * limits, MAX_GROWTH))
     right = homographies.arms + homographies.squeezes

@@ -12,13 +12,11 @@ plane?) without looking at the pixels again.
 """
 
 from dataclasses import dataclass
-from functools import cache
-from importlib import import_module
-from types import ModuleType
 
 import numpy as np
 
 from skyherd.geometry import Array
+from skyherd.vision.photometric.fitting.compiled import kernel
 from skyherd.vision.photometric.fitting.design_matrix import CONTRAST, GROUND, PIXEL_ROW, UNKNOWNS
 
 GROUND_RIDGE = 3e-4
@@ -102,7 +100,7 @@ class LeastSquaresSolution:
             pair = slice(begin, begin + 2)
             towards = np.array(unknowns[pair]), np.ascontiguousarray(at[:, pair], dtype=float), variances
             drawn = np.empty_like(values), np.empty_like(inverse_normals), np.empty_like(squares)
-            _kernel().draw(values, inverse_normals, squares, *towards, *drawn)
+            kernel("held_unknowns").draw(values, inverse_normals, squares, *towards, *drawn)
             values, inverse_normals, squares = drawn
         return LeastSquaresSolution(values, inverse_normals, squares, self.pixels, free)
 
@@ -117,9 +115,3 @@ class LeastSquaresSolution:
     def contrasts(self) -> Array:
         """Return the contrasts (N,), grey levels, not below `MIN_CONTRAST`, so that they can divide."""
         return np.maximum(self.values[:, CONTRAST], MIN_CONTRAST)
-
-
-@cache
-def _kernel() -> ModuleType:
-    """The compiled loop that draws unknowns, loaded when it is first needed."""
-    return import_module("skyherd.vision.photometric.fitting.kernels.held_unknowns")

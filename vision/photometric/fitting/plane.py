@@ -19,13 +19,11 @@ each marker keeps its own.
 
 import math
 from dataclasses import dataclass, field
-from functools import cache
-from importlib import import_module
-from types import ModuleType
 
 import numpy as np
 
 from skyherd.geometry import Array, ComplexArray
+from skyherd.vision.photometric.fitting.compiled import kernel
 
 SIGNIFICANT = 14.0
 """Fall of the chi-squared by which two more unknowns must earn their place. Derived: chance reaches
@@ -130,11 +128,5 @@ def fit_plane_to_all(points: ComplexArray, squeezes: ComplexArray, variances: Ar
     covariance = np.empty((2, 2), dtype=complex)
     limits = np.array([SIGNIFICANT, EXCESS, CONVERGED, HORIZON_RIDGE])
     given = (np.ascontiguousarray(values) for values in (points, squeezes, variances))
-    squeeze, horizon, shared = _kernel().fit_plane_to_all(*given, limits, MAX_ROUNDS, covariance)
+    squeeze, horizon, shared = kernel("plane_fit").fit_plane_to_all(*given, limits, MAX_ROUNDS, covariance)
     return Plane(squeeze, horizon, shared, covariance)
-
-
-@cache
-def _kernel() -> ModuleType:
-    """The compiled fit, which is loaded when the first plane is fitted."""
-    return import_module("skyherd.vision.photometric.fitting.kernels.plane_fit")

@@ -10,8 +10,8 @@
 
 Numba compiles a kernel when its module is imported for the first time, and keeps the machine code in
 `__pycache__` beside it, in the user's cache where that folder cannot be written to, or where
-`NUMBA_CACHE_DIR` says. Importing takes half a second, so that this package is imported where pixels are first
-read, and `elliptic_blur`, which is not imported here, when the first marker is seen that needs it.
+`NUMBA_CACHE_DIR` says. Importing takes half a second, so that each module is imported by
+`fitting.compiled` when the first image, or the first marker, is seen that needs it.
 
 Code that is kept is compiled again when the file of the kernel itself changes, and not when only a part or a
 constant changes that it imports: whoever works on those deletes `__pycache__` first.
@@ -19,14 +19,3 @@ constant changes that it imports: whoever works on those deletes `__pycache__` f
 Every kernel takes one marker after another and adds up in a fixed order, on the thread that calls it, so that
 the same pixels give the same bytes. It holds no lock of Python's.
 """
-
-from skyherd.vision.photometric.fitting.kernels.marker_record import MARKER
-from skyherd.vision.photometric.fitting.kernels.residual_sums import (
-    add_over_boxes,
-    add_over_cells,
-    residuals,
-)
-from skyherd.vision.photometric.fitting.kernels.round_blur import fill
-from skyherd.vision.photometric.fitting.kernels.scan_conversion import count_pixels, list_pixels
-
-__all__ = ["MARKER", "add_over_boxes", "add_over_cells", "count_pixels", "fill", "list_pixels", "residuals"]

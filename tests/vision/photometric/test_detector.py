@@ -106,9 +106,9 @@ def test_small_markers_under_heavy_blur_are_found_and_fitted_under_it():
 
 
 def test_what_is_too_blurred_is_not_fitted_until_it_passes():
-    """Cells of 1.67 px under 1.28 px of blur are beyond the limit of 0.75 cells by 0.02, less than noise moves it.
+    """Cells of 1.67 px under 1.28 px of blur are beyond the limit of 0.75 cells, by less than noise moves it.
 
-    Of many fits of one marker, the one with the least blur would pass, and that is the one with the largest error.
+    Of many fits of one marker, the one with the least blur would pass, which is that with the largest error.
     """
     error, _ = errors(10, 2.0, psf_px=1.25)
     assert len(error) < 0.03 * 20 * PER_FRAME

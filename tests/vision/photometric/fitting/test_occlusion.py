@@ -101,7 +101,7 @@ def test_what_is_not_covered_is_not_fitted_twice(monkeypatch):
     assert PhotometricDetector(DICTIONARY).detect(image).ids.size == IDS.size
 
 
-@pytest.mark.parametrize("side_px", [120.0, 200.0, 600.0, pytest.param(1500.0, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("side_px", [120.0, 200.0, 600.0, 1500.0])
 def test_large_markers_are_seen_in_part_as_well(side_px):
     """2 % of a marker covered, at any size: its centre within 0.02 px and its heading within 0.02 deg:
     ten times what noise allows and less than a hundredth of what the disc does."""

@@ -61,9 +61,9 @@ class Box:
 
 def _fixed(points_px: npt.ArrayLike) -> npt.NDArray[np.int32]:
     """Points as OpenCV's fixed-point numbers, those far outside pulled in."""
-    # Hundreds of short lines a frame pass here; `clip` takes twice as long as both bounds by themselves.
+    # This runs hundreds of times a frame; `clip` takes twice as long as both bounds by themselves.
     points = np.minimum(np.maximum(np.asarray(points_px, dtype=np.float64), -_FAR_PX), _FAR_PX)
-    fixed: npt.NDArray[np.int32] = np.rint(points * _ONE).astype(np.int32)
+    fixed: npt.NDArray[np.int32] = np.rint(points * _ONE).astype(np.int32, order="C")
     return fixed
 
 
@@ -73,10 +73,18 @@ def _fixed_point(point_px: Sequence[float]) -> tuple[int, int]:
 
 
 def draw_lines(
-    image: Image, lines_px: Iterable[npt.ArrayLike], color: Color, width_px: int = 1, *, closed: bool = False
+    image: Image,
+    lines_px: npt.NDArray[np.float64] | Iterable[npt.ArrayLike],
+    color: Color,
+    width_px: int = 1,
+    *,
+    closed: bool = False,
 ) -> None:
-    """Draw polylines, each with points (M, 2); `closed` joins their ends."""
-    lines = [_fixed(line) for line in lines_px]
+    """Draw polylines, each with points (M, 2); `closed` joins their ends.
+
+    Lines that have as many points as each other are drawn fastest as one array (N, M, 2).
+    """
+    lines = list(_fixed(lines_px) if isinstance(lines_px, np.ndarray) else map(_fixed, lines_px))
     if lines:
         cv2.polylines(image, lines, closed, color, width_px, cv2.LINE_AA, _SHIFT)
 
@@ -132,12 +140,13 @@ def dashes(
 
 def circle_dashes(
     center_px: npt.ArrayLike, radius_px: float, dash_px: float = 6.0
-) -> list[npt.NDArray[np.float64]]:
-    """Arcs of a dashed circle, each a polyline (4, 2); dashes are as long as the gaps."""
+) -> npt.NDArray[np.float64]:
+    """Arcs (N, 4, 2) of a dashed circle, each a polyline of 4 points; dashes are as long as the gaps."""
     count = max(8, round(np.pi * radius_px / dash_px))
     starts = 2 * np.pi * np.arange(count) / count
     angles = starts[:, None] + np.linspace(0.0, np.pi / count, 4)
-    return list(np.asarray(center_px) + radius_px * np.stack([np.cos(angles), np.sin(angles)], axis=-1))
+    around = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    return np.asarray(np.asarray(center_px) + radius_px * around, dtype=np.float64)
 
 
 @lru_cache(maxsize=64)

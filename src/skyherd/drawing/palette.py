@@ -1,5 +1,7 @@
 """The project's colours: of units, which colour-blind people tell apart too, and a few others."""
 
+from functools import cache
+
 UNIT_COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#F0E442", "#666666")
 """Colours of units, in their order (Okabe and Ito 2008, "Color Universal Design")."""
 
@@ -29,6 +31,7 @@ def unit_rgb(unit: int) -> tuple[int, int, int]:
     return rgb(unit_color(unit))
 
 
+@cache
 def rgb(color: str) -> tuple[int, int, int]:
     """8-bit RGB of a `#rrggbb` colour."""
     return int(color[1:3], 16), int(color[3:5], 16), int(color[5:7], 16)

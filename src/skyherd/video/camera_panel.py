@@ -137,14 +137,14 @@ class CameraPanel:
         self._draw_goals(frame)
         self._draw_ids(robots)
 
-    def _seen_circle(self, frame: UnitFrame) -> list[Array]:
-        """The safety radius as the camera sees it."""
+    def _seen_circle(self, frame: UnitFrame) -> Array:
+        """The safety radius as the camera sees it, as dashes (N, 4, 2)."""
         if frame.decision.ground_map.ideal:
             return self._circle
         size_px = frame.sight.detections.image_size_px
-        circle = (np.concatenate(self._circle) + 0.5) / self.scale - 0.5
+        circle = (self._circle.reshape(-1, 2) + 0.5) / self.scale - 0.5
         seen = self.to_panel(frame.decision.ground_map.image_px(circle, size_px))
-        return list(seen.reshape(len(self._circle), -1, 2))
+        return seen.reshape(self._circle.shape)
 
     def draw_dead(self) -> None:
         """Show that the unit is in an outage, until the next frame of it is drawn."""
@@ -178,6 +178,10 @@ class CameraPanel:
                 fill_polygon(self._picture, corners, (0, 0, 0))
             return
         height, width = self._grey.shape
+        # Halving is quick, and means over areas of any other size take long: in two steps it takes a third.
+        while image.shape[0] >= 2 * height and not (image.shape[0] % 2 or image.shape[1] % 2):
+            half = image.shape[1] // 2, image.shape[0] // 2
+            image = np.asarray(cv2.resize(image, half, interpolation=cv2.INTER_AREA), dtype=np.uint8)
         cv2.resize(image, (width, height), dst=self._grey, interpolation=cv2.INTER_AREA)
         cv2.LUT(self._grey, _CURVE, dst=self._grey)
         cv2.cvtColor(self._grey, cv2.COLOR_GRAY2RGB, dst=self._picture)

@@ -189,14 +189,14 @@ class GroundPanel:
         """Add the faint paths through the last places (T, N + U, 2)."""
         places = np.moveaxis(self.to_panel(np.array(points_m)), 0, 1)
         robots = self.mission.ids.size
-        draw_lines(self._paper, list(places[:robots]), FAINT)
+        draw_lines(self._paper, places[:robots], FAINT)
         for unit, path in enumerate(places[robots:]):
             draw_lines(self._paper, [path], unit_rgb(unit))
 
     def _draw_tails(self, robots: int) -> None:
         for steps, color in TAILS:
             recent = np.array(self._past_m[-steps:])[:, :robots]
-            draw_lines(self._field, list(np.moveaxis(self.to_panel(recent), 0, 1)), color)
+            draw_lines(self._field, np.moveaxis(self.to_panel(recent), 0, 1), color)
 
     def _draw_shape(self, step: Step) -> None:
         """Where each robot belongs in the shape that fits best now, and the way there."""

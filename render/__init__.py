@@ -5,11 +5,11 @@ shutter, made noisy by the sensor, and processed by the camera. `project_markers
 where each marker is in the same image. Nothing here depends on detectors or controllers.
 
 Rendering is exact, not supersampled. Each pixel sums, in closed form, the steps of grey at the few lines of a
-card's grid that reach it, by their distances in the image (`skyherd.render.raster.lattice`). How far a line
-reaches, through lens blur and square pixels, is one table (`skyherd.render.raster.edge`). Tilt, perspective,
-lens and rolling shutter only change where a pixel lies on the card and how far each line is from it. Nothing
-is filtered or resampled. Against an independent reference (`tests/helpers/reference.py`, supersampled) the
-worst pixel is off by 0.2 grey levels of 200, and the root mean square is under 0.04.
+card's grid that reach it, by their distances in the image (`skyherd.render.raster.kernels.lattices`). How far
+a line reaches, through lens blur and square pixels, is one table (`skyherd.render.raster.edge`). Tilt,
+perspective, lens and rolling shutter only change where a pixel lies on the card and how far each line is from
+it. Nothing is filtered or resampled. Against an independent reference (`tests/helpers/reference.py`,
+supersampled) the worst pixel is off by 0.2 grey levels of 200, and the root mean square is under 0.04.
 """
 
 from skyherd.render.camera.camera import (

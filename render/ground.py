@@ -136,8 +136,8 @@ class Ground:
         v, u = np.mgrid[:height, :width].astype(np.float32)
         lens = images.lens()
         if lens is not None:
-            u += lens.shift_u.reshape(height, width)
-            v += lens.shift_v.reshape(height, width)
+            u += lens.fields[0].reshape(height, width)
+            v += lens.fields[1].reshape(height, width)
         x, y, w = (rows[:, i, :1] * u + rows[:, i, 1:2] * v + rows[:, i, 2:] for i in range(3))
         return np.asarray(
             cv2.remap(laid, x / w, y / w, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP), dtype=np.uint8

@@ -16,9 +16,8 @@ from skyherd.render.camera.camera import Camera, CameraPose
 from skyherd.render.camera.lens_blur import SHARP, LensBlur, Ray
 from skyherd.render.camera.motion import INSTANT, STILL, Motion, Shutter
 from skyherd.render.ground import Ground
-from skyherd.render.paint import Canvas, paint_discs, paint_lattices
+from skyherd.render.paint import Canvas, Float, framed, paint_discs, paint_lattices
 from skyherd.render.raster.edge import edge_spread
-from skyherd.render.raster.lattice import Lattices
 from skyherd.render.scene.occluders import Disc, Occluder, Quad, quads_square
 from skyherd.render.sensor import Sensor
 from skyherd.render.truth import FrameTruth, moving_markers, project_markers
@@ -70,7 +69,7 @@ class Renderer:
         self.psf_px, self.black, self.white, self.lens_blur = psf_px, black, white, lens_blur
         self._spread = edge_spread(psf_px)
         self._team: tuple[int, ...] = ()
-        self._cards = Lattices.of(np.zeros((0, 1, 1)))
+        self._cards = framed(np.zeros((0, 1, 1)))
 
     def render(
         self,
@@ -218,7 +217,7 @@ class Renderer:
             markers = moving_markers(positions_m, headings_rad, self.side_m, view.motion)
             marker_lattice = _marker_lattice(cells_per_side(self.dictionary))
             images = view.images(lambda time_s: markers(time_s) @ marker_lattice)
-            paint_lattices(canvas, images, self._lattices(ids), self._spread)
+            paint_lattices(canvas, images, self._levels(ids), self._spread)
         for occluder in occluders:
             if isinstance(occluder, Quad):
                 self._quads(canvas, view, np.array([occluder.corners_m]), np.array([occluder.level]))
@@ -228,21 +227,23 @@ class Renderer:
 
     def _quads(self, canvas: Canvas, view: View, corners_m: Array, levels: Array) -> None:
         shapes = quads_square(corners_m)
-        lattices = Lattices.of(levels[:, None, None])
-        paint_lattices(canvas, view.images(lambda _: shapes), lattices, self._spread)
+        paint_lattices(canvas, view.images(lambda _: shapes), framed(levels[:, None, None]), self._spread)
 
     def _disc(self, canvas: Canvas, view: View, disc: Disc) -> None:
         shape = disc.ground_shape()[None]
         paint_discs(canvas, view.images(lambda _: shape), np.array([disc.level]), self._spread)
 
-    def _lattices(self, ids: IntArray) -> Lattices:
-        """Cards of markers: row 0 is the forward edge, column 0 the left one. The last team's are kept."""
+    def _levels(self, ids: IntArray) -> Float:
+        """Levels of markers' cards, framed: row 0 is the forward edge, column 0 the left one.
+
+        The last team's are kept.
+        """
         asked = tuple(int(marker_id) for marker_id in ids)
         if self._team != asked:
             cells = np.stack([marker_cells(self.dictionary, marker_id) for marker_id in asked])
             levels = np.where(cells, self.white, self.black)
             around = ((0, 0), (1, 1), (1, 1))
-            self._team, self._cards = asked, Lattices.of(np.pad(levels, around, constant_values=self.white))
+            self._team, self._cards = asked, framed(np.pad(levels, around, constant_values=self.white))
         return self._cards
 
 

@@ -24,7 +24,6 @@ from skyherd.render.camera.camera import (
 from skyherd.render.camera.lens_blur import Ray
 from skyherd.render.camera.lens_displacement import LensField
 from skyherd.render.camera.motion import INSTANT, STILL, Motion, Shutter
-from skyherd.render.raster.spans import Spans
 
 ROLLING_STEPS = 5
 """Fixed-point steps for the row in which a moving point is seen. *Chosen*: each makes the error a hundred
@@ -56,16 +55,17 @@ class ShapeImages:
         """The images of the shapes with the numbers given (M,)."""
         return replace(self, matrices=self.matrices[:, shapes])
 
-    def _row_times(self, v_px: Array) -> Array:
-        height = self.camera.size_px[1]
-        return np.interp(v_px, [-0.5, height - 0.5], self.times_s[[0, -1]])
+    def _share_of_time(self, v_px: Array) -> Array:
+        """When rows v (...) are seen, in units in which the first and the last instant are -1 and 1."""
+        height, (_, middle, last) = self.camera.size_px[1], self.times_s
+        times_s = np.interp(v_px, [-0.5, height - 0.5], self.times_s[[0, -1]])
+        return np.asarray((times_s - middle) / (last - middle))
 
     def _at(self, matrices: Array, shape: IntArray, v_px: Array) -> Array:
         """Matrices (..., 3, 3) of shapes (...) when rows v (...) are seen, by a parabola through three."""
         if not self.rolling:
             return np.asarray(matrices[0][shape])
-        _, middle, last = self.times_s
-        t = (self._row_times(v_px) - middle) / (last - middle)
+        t = self._share_of_time(v_px)
         parabola = (t * (t - 1) / 2, 1 - t * t, t * (t + 1) / 2)
         return np.asarray(sum(w[..., None, None] * m[shape] for w, m in zip(parabola, matrices, strict=True)))
 
@@ -94,9 +94,10 @@ class ShapeImages:
             v_px = pixels[..., 1]
         return pixels
 
-    def shapes_image(self, spans: Spans) -> Array:
-        """Homographies (R, 3, 3) from pixels without the lens to shape coordinates, one a run of pixels."""
-        return self._at(inverse(self.matrices), spans.shape, spans.v.astype(np.float64))
+    def row_times(self) -> Array:
+        """When each row (height,) is seen, in units in which the first and the last instant are -1 and 1."""
+        rows = np.arange(self.camera.size_px[1], dtype=float)
+        return self._share_of_time(rows) if self.rolling else np.zeros_like(rows)
 
     @property
     def bent(self) -> bool:

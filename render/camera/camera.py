@@ -191,8 +191,7 @@ def lens_field(camera: Camera, zoom: float) -> LensField | None:
     straight = undistort(camera, zoom, knots)
     slopes = inverse(lens_jacobians(camera, zoom, straight)).reshape(*knots.shape[:2], 4)
     fields = np.concatenate([straight - knots, slopes], axis=-1).transpose(2, 0, 1)
-    du, dv, uu, uv, vu, vv = (along_v @ fields @ along_u.T).astype(np.float32).reshape(6, -1)
-    return LensField(shift_u=du, shift_v=dv, slopes=(uu, uv, vu, vv))
+    return LensField((along_v @ fields @ along_u.T).astype(np.float32).reshape(6, -1))
 
 
 @lru_cache(maxsize=16)

@@ -5,20 +5,17 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-Float = npt.NDArray[np.floating]
-"""Floating-point numbers of either precision; drawing uses single."""
+Float = npt.NDArray[np.float32]
+"""Numbers of single precision: half the memory, and exact to 1e-4 px in the largest image."""
 
 
 @dataclass(frozen=True)
 class LensField:
-    """From each pixel of an image to where it would be without the lens; all fields flattened (H W,).
+    """From each pixel of an image, flattened, to where it would be without the lens.
 
     Attributes:
-        shift_u: displacement along u, px.
-        shift_v: displacement along v, px.
-        slopes: derivatives of the place without the lens by the pixel: (du/du, du/dv, dv/du, dv/dv).
+        fields: (6, H W) displacements along u and along v, px, and the derivatives of the place without the
+            lens by the pixel: du/du, du/dv, dv/du, dv/dv.
     """
 
-    shift_u: Float
-    shift_v: Float
-    slopes: tuple[Float, Float, Float, Float]
+    fields: Float

@@ -16,7 +16,6 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import ndtr
 
-from skyherd.geometry import Array
 from skyherd.markers.blur_model import total_sigma_px
 
 REACH = 4.0
@@ -36,9 +35,6 @@ SHARPEST_PX = 0.05
 """Least standard deviation of the lens's blur, px; narrower lenses are drawn as this wide. *Chosen*: the
 pixel's own 0.29 px hides it, and the quadrature over the pixel needs some blur."""
 
-LEAST_SQUARE = 1e-300
-"""Least squared length of a normal. *Chosen*: keeps 0 / 0 from a direction that is of no use anyhow."""
-
 
 @dataclass(frozen=True)
 class EdgeSpread:
@@ -56,16 +52,6 @@ class EdgeSpread:
     def kurtosis(self) -> float:
         """Fourth cumulant of a uniform distribution one pixel wide, -1/120 px⁴, over σ⁴."""
         return -1.0 / 120.0 / self.sigma_px**4
-
-    def start(self, normals: Array) -> Array:
-        """Place (...) in the table of distance zero, for edges with normals (..., 2) in the image.
-
-        Half an entry is added, so that cutting off decimals rounds to the nearest entry.
-        """
-        u, v = normals[..., 0] ** 2, normals[..., 1] ** 2
-        straight = ((u - v) ** 2 - 4 * u * v) / np.maximum((u + v) ** 2, LEAST_SQUARE)  # cos 4α
-        direction = np.rint((1 - straight) / 2 * (DIRECTIONS - 1))
-        return np.asarray(direction * SAMPLES + SAMPLES // 2 + 0.5)
 
 
 PER_SIGMA = (SAMPLES / 2 - 1) / REACH

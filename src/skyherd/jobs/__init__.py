@@ -1,1 +1,1 @@
-"""Work that takes long: how it reports its progress, and processes that do parts of it side by side."""
+"""How work that takes long is done: its progress, processes side by side, and loops that are compiled."""

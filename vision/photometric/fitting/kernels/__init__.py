@@ -6,12 +6,11 @@
 - `residual_sums`: what the model leaves of the pixels, summed over cells and over boxes;
 - `held_unknowns`: least squares with some unknowns held;
 - `plane_fit`: the fit of the plane that all markers of an image lie on;
-- `marker_record`: what all of them know of a marker; `compilation`: how they are compiled.
+- `marker_record`: what all of them know of a marker.
 
-Numba compiles a kernel when its module is imported for the first time, and keeps the machine code in
-`__pycache__` beside it, in the user's cache where that folder cannot be written to, or where
-`NUMBA_CACHE_DIR` says. Importing takes half a second, so that each module is imported by
-`fitting.compiled` when the first image, or the first marker, is seen that needs it.
+Numba compiles a kernel when its module is imported for the first time (`skyherd.jobs.compilation`). Importing
+takes half a second, so that each module is imported by `fitting.compiled` when the first image, or the first
+marker, is seen that needs it.
 
 Code that is kept is compiled again when the file of the kernel itself changes, and not when only a part or a
 constant changes that it imports: whoever works on those deletes `__pycache__` first.

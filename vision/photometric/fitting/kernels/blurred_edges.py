@@ -18,7 +18,7 @@ import numpy as np
 from numba import njit
 from scipy.special import ndtr
 
-from skyherd.vision.photometric.fitting.kernels.compilation import INLINE
+from skyherd.jobs.compilation import INLINE
 
 REACH_SIGMAS = 5
 """Edges of cells further from a pixel than this many standard deviations of the blur count as passed or as

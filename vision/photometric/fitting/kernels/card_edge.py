@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 from numba import njit
 
+from skyherd.jobs.compilation import INLINE
 from skyherd.vision.photometric.fitting.kernels.blurred_edges import step
-from skyherd.vision.photometric.fitting.kernels.compilation import INLINE
 
 _ZERO, _ONE = np.float32(0), np.float32(1)
 

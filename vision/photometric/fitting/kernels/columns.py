@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
+from skyherd.jobs.compilation import INLINE
 from skyherd.vision.photometric.fitting.design_matrix import (
     BLACK,
     BLUR,
@@ -24,7 +25,6 @@ from skyherd.vision.photometric.fitting.design_matrix import (
     TONE,
     TURN,
 )
-from skyherd.vision.photometric.fitting.kernels.compilation import INLINE
 
 _ONE, _GREY = np.float32(1), np.float32(MIDDLE_GREY)
 _SQUEEZE_X, _SQUEEZE_Y = SQUEEZE

@@ -4,7 +4,7 @@ from typing import Any
 
 from numba import float64, int64, njit, void
 
-from skyherd.vision.photometric.fitting.kernels.compilation import FLAGS, readonly
+from skyherd.jobs.compilation import FLAGS, readonly
 
 _EACH, _VALUES, _MATRICES = readonly(float64, 1), readonly(float64, 2), readonly(float64, 3)
 

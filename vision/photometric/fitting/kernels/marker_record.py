@@ -3,7 +3,7 @@
 import numpy as np
 from numba import from_dtype
 
-from skyherd.vision.photometric.fitting.kernels.compilation import readonly
+from skyherd.jobs.compilation import readonly
 
 MARKER = np.dtype(
     [

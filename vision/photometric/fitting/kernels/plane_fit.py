@@ -6,12 +6,12 @@ import numpy as np
 from numba import boolean, complex128, float64, int64, njit
 from numba.core.types import Tuple
 
-from skyherd.vision.photometric.fitting.kernels.compilation import FLAGS, readonly
+from skyherd.jobs.compilation import FLAGS, PARTS, readonly
 
 _POINTS, _VARIANCES = readonly(complex128, 1), readonly(float64, 1)
 
 
-@njit(**FLAGS)
+@njit(**PARTS)
 def _chi_squared(a: Any, h: Any, points: Any, squeezes: Any, variances: Any) -> Any:
     """Sum of the squared distances of squeezes from those of a plane α, λ, over their variances."""
     total = 0.0
@@ -23,7 +23,7 @@ def _chi_squared(a: Any, h: Any, points: Any, squeezes: Any, variances: Any) -> 
     return total
 
 
-@njit(**FLAGS)
+@njit(**PARTS)
 def _normal_matrix(points: Any, variances: Any, ridge: Any) -> Any:
     """Elements αα, αλ and λλ of the normal matrix of the columns 1 and -p / 2, with a ridge."""
     aa, ah, hh = 0.0, 0j, 0.0
@@ -36,7 +36,15 @@ def _normal_matrix(points: Any, variances: Any, ridge: Any) -> Any:
     return aa + raised, ah, hh + raised
 
 
-@njit(**FLAGS)
+@njit(**PARTS)
+def _copy(matrix: Any, into: Any) -> None:
+    """Copy a (2, 2) matrix; NumPy's way to say so takes four seconds to compile."""
+    for i in range(2):
+        for j in range(2):
+            into[i, j] = matrix[i, j]
+
+
+@njit(**PARTS)
 def _solve(
     points: Any, squeezes: Any, variances: Any, tilted: Any, covariance: Any, limits: Any, max_rounds: Any
 ) -> Any:
@@ -49,7 +57,9 @@ def _solve(
         covariance[0, 1], covariance[1, 0] = -ah / determinant, -ah.conjugate() / determinant
     else:
         covariance[0, 0] = 1 / aa
-    farthest_px = np.abs(points).max()
+    farthest_px = 0.0
+    for row in range(points.size):
+        farthest_px = max(farthest_px, abs(points[row]))
     a, h = 0j, 0j
     for _ in range(max_rounds):
         right_a, right_h = 0j, 0j
@@ -115,5 +125,5 @@ def fit_plane_to_all(
         scatter = max(chi_squared / (freedom - unknowns), 1.0)
         if least - chi_squared > significant * scatter:
             best_a, best_h, least, per_freedom = a, h, chi_squared, scatter
-            covariance[:] = own
+            _copy(own, covariance)
     return best_a, best_h, per_freedom <= excess

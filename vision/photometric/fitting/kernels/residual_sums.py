@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 from numba import float32, float64, int32, int64, njit, void
 
+from skyherd.jobs.compilation import FLAGS, INLINE, readonly
 from skyherd.vision.photometric.fitting.design_matrix import BLACK, PIXEL_ROW, UNKNOWNS
-from skyherd.vision.photometric.fitting.kernels.compilation import FLAGS, INLINE, readonly
 
 _ZERO = np.float32(0)
 _BOUNDS = readonly(int64, 1)

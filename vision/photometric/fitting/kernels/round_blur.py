@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numba import float32, float64, int32, int64, njit, void
 
+from skyherd.jobs.compilation import FLAGS, IMAGE, INLINE, readonly
 from skyherd.vision.photometric.fitting.kernels.blurred_edges import (
     REACH_SIGMAS,
     edges_in_reach,
@@ -16,7 +17,6 @@ from skyherd.vision.photometric.fitting.kernels.blurred_edges import (
 )
 from skyherd.vision.photometric.fitting.kernels.card_edge import ground_and_weight
 from skyherd.vision.photometric.fitting.kernels.columns import write_columns
-from skyherd.vision.photometric.fitting.kernels.compilation import FLAGS, IMAGE, INLINE, readonly
 from skyherd.vision.photometric.fitting.kernels.marker_record import MARKERS
 
 _ZERO, _HALF, _ONE, _TWO = (np.float32(number) for number in (0, 0.5, 1, 2))

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numba import float32, int32, int64, njit
 
-from skyherd.vision.photometric.fitting.kernels.compilation import FLAGS, INLINE
+from skyherd.jobs.compilation import FLAGS, INLINE, PARTS
 from skyherd.vision.photometric.fitting.kernels.marker_record import MARKERS
 
 MIN_AXIS_PER_PX = 1e-12
@@ -35,7 +35,7 @@ def _first_and_last(low: float, high: float, size: int) -> tuple[int, int]:
     return (int(first), int(last)) if first <= last else (0, -1)
 
 
-@njit(**FLAGS)
+@njit(**PARTS)
 def _lines(marker: Any, height: int) -> Any:
     """First and last line of an image of `height` lines that may have pixels of a marker.
 
@@ -49,7 +49,7 @@ def _lines(marker: Any, height: int) -> Any:
     return _first_and_last(middle - marker.height_px, middle + marker.height_px, height)
 
 
-@njit(**FLAGS)
+@njit(**PARTS)
 def _columns_of_line(marker: Any, v: int, width: int) -> Any:
     """First and last column of line v within both strips `|Re(X̄ p)|, |Re(Ȳ p)| <= strip` about the centre."""
     below = v - marker.center.imag

@@ -1,4 +1,9 @@
-"""How the kernels are compiled, and the types of arrays that they are given."""
+"""How kernels, functions that Numba compiles, are compiled, and the types of arrays that they are given.
+
+To compile one takes Numba seconds, when its module is imported for the first time. It keeps the machine code
+in `__pycache__`, in the user's cache where that folder cannot be written to, or where `NUMBA_CACHE_DIR` says.
+Assignments of whole arrays and reductions of NumPy take longest to compile: loops in their place are quick.
+"""
 
 from typing import Any
 
@@ -24,6 +29,10 @@ FLAGS: Any = {
 """How functions are compiled. A division by zero gives infinity, and not an error. A multiplication may be
 joined with an addition, as the processor has it; nothing else about the numbers is changed, so that those
 that are not finite are recognised."""
+
+PARTS: Any = {**FLAGS, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+"""How functions are compiled that only kernels call: without the ways in from Python and C, which take a
+fifth of the time to compile."""
 
 INLINE: Any = {"inline": "always", **FLAGS}
 """How functions are compiled that are called for every pixel: as part of their callers. Calls that hand over

@@ -1,0 +1,84 @@
+"""Discs laid over an image.
+
+Their edge is taken as straight, and for its curvature moved inwards by `σ² / 2 R`, which leaves the disc its
+area: right where it is much larger than the blur.
+"""
+
+import math
+from typing import Any
+
+import numpy as np
+from numba import float32, njit, void
+
+from skyherd.jobs.compilation import FLAGS, readonly
+from skyherd.render.raster.kernels.pixels import (
+    EDGE_NUMBERS,
+    SHAPES,
+    bound_edges,
+    columns_of,
+    matrix_of_row,
+    place_of,
+    rows_of,
+    seen_through,
+    slopes_at,
+    spread_at,
+    table_start,
+)
+
+MIDDLE = 1e-6
+"""Least distance of a pixel from a disc's centre, in radii. *Chosen*: there the direction outwards is not
+defined, and the disc is far from its edge anyhow."""
+
+LEAST_SPREAD = 1e-12
+"""Least variance of an edge's blur across a disc's radius, in squared radii. *Chosen*: keeps a division from
+zero where a pixel lies in the disc's centre; it is far below a pixel of any image."""
+
+
+@njit(void(*SHAPES, readonly(float32, 1)), **FLAGS)
+def lay_discs(
+    image: Any,
+    light: Any,
+    outlines: Any,
+    numbers: Any,
+    matrices: Any,
+    row_times: Any,
+    lens: Any,
+    margin_px: float,
+    sigma_px: float,
+    table: Any,
+    levels: Any,
+) -> None:
+    """Lay discs over an image, in place: `A level + (1 - A) background`.
+
+    `matrices` lead to where the discs are unit discs, `levels` (N,) are their grey levels, and the other
+    arguments are those of `lay_lattices`.
+    """
+    whole = image.size > 0
+    height, width = image.shape if whole else light.shape
+    edges, matrix = np.empty((outlines.shape[1], EDGE_NUMBERS)), np.empty((3, 3))
+    for place in range(len(outlines)):
+        number = numbers[place]
+        first_v, end_v = rows_of(outlines[place], margin_px, height)
+        bound_edges(outlines[place], margin_px, edges)
+        for v in range(first_v, end_v):
+            first_u, end_u = columns_of(edges, v, width)
+            if end_u <= first_u:
+                continue
+            matrix_of_row(matrices, place, row_times[v], matrix)
+            x, y, w = place_of(matrix, first_u, v)
+            slopes = slopes_at(matrix, x / w, y / w)
+            start = table_start(slopes[0], slopes[1])
+            for u in range(first_u, end_u):
+                x, y, w, sharp_x, sharp_y, cosine = seen_through(matrix, lens, v * width + u, u, v, sigma_px)
+                if not w > 0:  # beyond the horizon
+                    continue
+                radius = max(math.sqrt(x * x + y * y), MIDDLE)
+                across_x, across_y = x / sharp_x, y / sharp_y
+                square = across_x**2 + across_y**2 + 2 * cosine * across_x * across_y
+                sigma = math.sqrt(max(square, LEAST_SPREAD)) / radius
+                covered = spread_at(table, start, (1 - radius) / sigma - sigma / 2)
+                if whole:
+                    level = (1 - covered) * image[v, u] + levels[number] * covered
+                    image[v, u] = np.rint(level)
+                else:
+                    light[v, u] = (1 - covered) * light[v, u] + levels[number] * covered

@@ -10,7 +10,6 @@ of four, and 0.9 % more otherwise. Forty robots take 0.1 s.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import pdist
 
 from skyherd.control import ascend
@@ -85,9 +84,13 @@ def shortest_path(
 
 def _assign(costs: np.ndarray, groups: list[IntArray]) -> IntArray:
     """Template point (N,) of each robot, for the least sum of costs (robot, point) within the classes."""
-    order = np.empty(len(costs), dtype=np.int64)
+    order: IntArray = np.arange(len(costs))
     for rows in groups:
-        order[rows] = rows if rows.size == 1 else rows[linear_sum_assignment(costs[np.ix_(rows, rows)])[1]]
+        if rows.size > 1:
+            # Imported where it is needed: it takes 0.2 s, and most runs do without.
+            from scipy.optimize import linear_sum_assignment
+
+            order[rows] = rows[linear_sum_assignment(costs[np.ix_(rows, rows)])[1]]
     return order
 
 

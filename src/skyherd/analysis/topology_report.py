@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from scipy.optimize import brentq
 
 from skyherd.analysis.history import History
 from skyherd.analysis.topology_changes import robot_names
@@ -160,6 +159,8 @@ def predicted_time_s(
     longest_s = float(20 / (gain_ps * values[2]))
     while excess(longest_s) > 0:
         longest_s *= 2
+    from scipy.optimize import brentq  # imported where it is needed: it takes 0.2 s
+
     return float(brentq(excess, 0.0, longest_s))
 
 

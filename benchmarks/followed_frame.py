@@ -1,0 +1,120 @@
+"""A followed frame and a searched one beside OpenCV's time for it, and what of them no other code could save.
+
+    OPENBLAS_NUM_THREADS=1 python benchmarks/followed_frame.py              # 16 markers of 30 px in 1280x960
+    OPENBLAS_NUM_THREADS=1 python benchmarks/followed_frame.py --size 3840 2160
+
+All detectors get the same frames one after the other, on one thread, and are timed by the clock; told are
+medians over the frames. *Followed* is `tracking` in frames in which it searches nothing, *searched* is
+`photometric`. *Pixels* is the part of a followed frame that is compiled loops and matrix products over the
+pixels of markers, without anything around them; *looks* is the part of a searched one in which OpenCV's
+functions look for squares. Both bound how fast the same measurements can be: OpenCV's time over them is the
+most that any amount of work on the rest would give.
+"""
+
+import argparse
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from image_cost import DICTIONARY, NOISE, WARM_UP, Scene
+
+from skyherd.jobs.helpers import one_thread
+from skyherd.render import Sensor
+from skyherd.vision import create_detector
+from skyherd.vision.photometric import detector as stages
+from skyherd.vision.photometric import look
+from skyherd.vision.photometric.fitting.compiled import kernel
+from skyherd.vision.photometric.fitting.design_matrix import DesignMatrices
+
+PIXELS = (
+    ("scan_conversion", "list_pixels"),
+    ("round_blur", "fill"),
+    ("elliptic_blur", "fill"),
+    ("residual_sums", "add_over_cells"),
+    ("residual_sums", "add_over_boxes"),
+)
+"""Kernels over pixels, by module and name; the matrix products are `DesignMatrices.gram_matrices`."""
+
+Place = tuple[Any, str]
+
+
+def parts() -> dict[str, list[Place]]:
+    """Functions whose time counts as a part, by the part's name."""
+    pixels: list[Place] = [(kernel(module), name) for module, name in PIXELS]
+    return {
+        "pixels": [*pixels, (DesignMatrices, "gram_matrices")],
+        "looks": [(look, "find_quads"), (look, "find_overlooked_quads")],
+        "search": [(stages.PhotometricDetector, "_search")],
+    }
+
+
+@contextmanager
+def spent_ms() -> Iterator[Counter[str]]:
+    """The time spent in each part within the body, ms, by replacing its functions."""
+    spent: Counter[str] = Counter()
+    replaced = [(part, *place, getattr(*place)) for part, places in parts().items() for place in places]
+
+    def timed(part: str, original: Callable[..., Any]) -> Callable[..., Any]:
+        def call(*given: Any, **named: Any) -> Any:
+            began_s = perf_counter()
+            result = original(*given, **named)
+            spent[part] += 1e3 * (perf_counter() - began_s)
+            return result
+
+        return call
+
+    for part, owner, name, original in replaced:
+        setattr(owner, name, timed(part, original))
+    try:
+        yield spent
+    finally:
+        for _, owner, name, original in replaced:
+            setattr(owner, name, original)
+
+
+def measure(size_px: tuple[int, int], markers: int, noise: float, frames: int) -> dict[str, float]:
+    """Return the medians of the times of OpenCV, of followed and searched frames and of their parts, ms."""
+    scene = Scene(DICTIONARY, size_px, markers)
+    scene.renderer.sensor = Sensor(noise, np.random.default_rng(2))
+    names = {"opencv": "opencv", "followed": "tracking", "searched": "photometric"}
+    detectors = {what: create_detector(name, dictionary=DICTIONARY) for what, name in names.items()}
+    rows: dict[str, list[float]] = {what: [] for what in (*names, "pixels", "looks")}
+    for frame in range(WARM_UP + frames):
+        image = scene.draw(frame)
+        for what, detector in detectors.items():
+            with spent_ms() as spent:
+                began_s = perf_counter()
+                detector.detect(image, time_s=frame / 10)
+                took_ms = 1e3 * (perf_counter() - began_s)
+            if frame < WARM_UP or (what == "followed" and spent["search"]):
+                continue
+            rows[what].append(took_ms)
+            part = {"followed": "pixels", "searched": "looks"}.get(what)
+            if part:
+                rows[part].append(spent[part])
+    return {what: float(np.median(times)) for what, times in rows.items()}
+
+
+def main() -> None:
+    """Measure and print a line for each noise."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--size", type=int, nargs=2, default=(1280, 960), help="of the images, px")
+    parser.add_argument("--markers", type=int, default=16)
+    parser.add_argument("--noise", type=float, nargs="+", default=(0.0, NOISE), help="grey levels")
+    parser.add_argument("--frames", type=int, default=60, help="frames that count")
+    options = parser.parse_args()
+    columns = ("followed", "pixels", "searched", "looks")
+    print(f"| noise | OpenCV, ms | {' | '.join(f'{c}, ms | OpenCV over it' for c in columns)} |")
+    print("| --- " * (2 + 2 * len(columns)) + "|")
+    with one_thread():
+        for noise in options.noise:
+            row = measure(tuple(options.size), options.markers, noise, options.frames)
+            told = " | ".join(f"{row[c]:.2f} | {row['opencv'] / row[c]:.1f}" for c in columns)
+            print(f"| {noise:g} | {row['opencv']:.1f} | {told} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -12,7 +12,7 @@ from skyherd.jobs.helpers import can_help
 from skyherd.loop import run_steps
 from skyherd.runner import run_mission
 from skyherd.sim.perception import RenderedPerception, make_run_perception
-from skyherd.sim.side_by_side import SideBySide
+from skyherd.sim.side_by_side import DRAWING, READING, SideBySide, deal
 from skyherd.vision import create_detector
 
 pytestmark = pytest.mark.skipif(not can_help(), reason="processes are forked on Linux only")
@@ -59,6 +59,24 @@ def test_without_skipping_the_images_of_others_noise_is_another(monkeypatch):
     alone = everything(mission, 1)
     monkeypatch.setattr(RenderedPerception, "skip", lambda self, view: None)
     assert everything(mission, 2) != alone
+
+
+def test_of_three_cameras_two_helpers_draw_one_for_each_other():
+    """So that the tests above see images that one helper draws and another reads."""
+    crossed = [share.reads - share.draws for share in deal(3, 2)]
+    assert sorted(map(len, crossed)) == [0, 1]
+
+
+@pytest.mark.parametrize(
+    ("units", "helpers"), [(u, h) for u in range(1, 18) for h in range(1, min(u, 6) + 1)]
+)
+def test_every_image_is_drawn_and_read_once_and_nobody_has_much_more_to_do(units, helpers):
+    shares = deal(units, helpers)
+    assert len(shares) == helpers
+    for done in ("draws", "reads"):
+        assert sorted(unit for share in shares for unit in getattr(share, done)) == list(range(units))
+    work = [DRAWING * len(share.draws) + READING * len(share.reads) for share in shares]
+    assert max(work) - min(work) <= READING
 
 
 @pytest.mark.slow

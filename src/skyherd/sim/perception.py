@@ -186,12 +186,34 @@ class RenderedPerception(Perception):
 
     def take(self, scene: Scene, view: CameraView) -> Sight:
         """Render the image of one of a scene's cameras and detect the markers in it."""
-        camera, pose, motion = view.camera, view.pose, view.motion
-        team = scene.markers.ids, scene.markers.positions_m, scene.markers.headings_rad
-        image = self.renderer.render(
-            camera, pose, *team, motion=motion, occluders=self._occluders, stream=view.unit
+        return self.read(scene, view, self.draw(scene, view))
+
+    def draw(self, scene: Scene, view: CameraView) -> Image:
+        """Render the image of one of a scene's cameras."""
+        markers = scene.markers
+        return self.renderer.render(
+            view.camera,
+            view.pose,
+            markers.ids,
+            markers.positions_m,
+            markers.headings_rad,
+            motion=view.motion,
+            occluders=self._occluders,
+            stream=view.unit,
         )
-        truth = self.renderer.truth(camera, pose, *team, motion=motion, occluders=self._occluders)
+
+    def read(self, scene: Scene, view: CameraView, image: Image) -> Sight:
+        """Detect the markers in the image of one of a scene's cameras, and judge them by the truth."""
+        markers = scene.markers
+        truth = self.renderer.truth(
+            view.camera,
+            view.pose,
+            markers.ids,
+            markers.positions_m,
+            markers.headings_rad,
+            motion=view.motion,
+            occluders=self._occluders,
+        )
         detections = self.detector.detect(image, time_s=scene.time_s, unit_id=view.unit)
         whole_ids = truth.ids[truth.whole]
         right = _right(detections, truth)
@@ -201,7 +223,7 @@ class RenderedPerception(Perception):
         return Sight(detections, whole_ids, found_ids, int((~right).sum()), image)
 
     def skip(self, view: CameraView) -> None:
-        """Leave out an image that another process makes; the noise of those that follow is as after it."""
+        """Leave out an image that another process draws; the noise of those that follow is as after it."""
         self.renderer.sensor.skip(view.camera.size_px)
 
     def _prove_unmirrored(self, unit: int, image: Image, found: int, found_whole: float) -> None:

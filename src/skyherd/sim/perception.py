@@ -1,6 +1,6 @@
 """From the world to a unit's detections: through rendered pixels, or by projection, exact or noisy."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -60,7 +60,7 @@ class Perception(Protocol):
     it puts into `Sight.detections` is all that the controllers get.
     """
 
-    def look(self, world: World, units: Sequence[int], time_s: float) -> list[Sight]:
+    def look(self, world: World, units: Sequence[int], time_s: float) -> Iterable[Sight]:
         """What each of the given units sees now.
 
         Args:
@@ -69,9 +69,10 @@ class Perception(Protocol):
             time_s: now; called once a step, in the order of time, also with no units at all.
 
         Returns:
-            One `Sight` for each unit, in the order of `units`. Its detections carry that unit's id and this
-            time. The same calls after the same construction must give the same result: random numbers come
-            from a generator that is passed to the constructor.
+            One `Sight` for each unit, in the order of `units`: a list, or an iterator by which units decide on
+            what they see while images of others are still being made. Its detections carry that unit's id and
+            this time. The same calls after the same construction must give the same result: random numbers
+            come from a generator that is passed to the constructor.
         """
         ...
 

@@ -13,7 +13,7 @@ noise, compiled code, the first tracks) is theirs then, and is not made again by
 
 import mmap
 import pickle
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from collections.abc import Set as AbstractSet
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
@@ -90,8 +90,8 @@ class SideBySide(Perception):
         self._begun = False
         self._spreads = jobs > 1 and can_help()
 
-    def look(self, world: World, units: Sequence[int], time_s: float) -> list[Sight]:
-        """What each of the given units sees now, of several at a time; see `Perception.look`."""
+    def look(self, world: World, units: Sequence[int], time_s: float) -> Iterable[Sight]:
+        """What each of the given units sees now, as soon as it is known; see `Perception.look`."""
         perception = self._perception
         begun, self._begun = self._begun, self._begun or bool(units)
         spreads = self._spreads and begun and len(world.cameras) > 1
@@ -104,9 +104,15 @@ class SideBySide(Perception):
         request = pickle.dumps(perception.scene(world, units, time_s), pickle.HIGHEST_PROTOCOL)
         for helper in self._helpers:
             helper.send(request)
-        reading = self._have_drawn_images_read(set(units))
-        sights = {unit: sight for helper in reading for unit, sight in helper.answer().items()}
-        return [replace(sights[unit], image=self._images[unit].copy()) for unit in units]
+        return self._sights(units, self._have_drawn_images_read(set(units)))
+
+    def _sights(self, units: Sequence[int], reading: list[Helper]) -> Iterator[Sight]:
+        """Sights of units in their order, of each as soon as it is read, while others are read."""
+        sights: dict[int, Sight] = {}
+        for unit in units:
+            while unit not in sights:
+                sights |= reading.pop(0).answer()
+            yield replace(sights[unit], image=self._images[unit].copy())
 
     def _have_drawn_images_read(self, units: set[int]) -> list[Helper]:
         """Ask for each image to be read, as soon as it is drawn; returned is who was asked, in this order."""

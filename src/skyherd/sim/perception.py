@@ -69,9 +69,10 @@ class Perception(Protocol):
             time_s: now; called once a step, in the order of time, also with no units at all.
 
         Returns:
-            One `Sight` for each unit, in the order of `units`: a list, or an iterator, with which units decide
-            while images of others are still being made. Its detections carry that unit's id and this time. The same calls after the same construction must give the same result: random numbers
-            come from a generator that is passed to the constructor.
+            One `Sight` for each unit, in the order of `units`: a list, or an iterator, in which case units
+            decide while images of others are still being made. Its detections carry that unit's id and this
+            time. The same calls after the same construction must give the same result: random numbers come
+            from a generator that is passed to the constructor.
         """
         ...
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from skyherd.control import GroundMap, Template
 from skyherd.datasets import Mission, Scenario
-from skyherd.geometry import ComplexArray, to_complex
+from skyherd.geometry import ComplexArray, IntArray, to_complex
 from skyherd.loop import Step, UnitFrame
 from skyherd.messages import Detections
 from skyherd.sim.truth_metrics import ShapeFit
@@ -67,11 +67,11 @@ def check_step(step: Step, mission: Mission) -> None:
     _require_floats(step.positions_m, (robots, 2), "positions_m")
     _require_floats(step.headings_rad, (robots,), "headings_rad")
     _require(np.array_equal(step.command.ids, mission.ids), "command: ids must be the robots'")
-    _require(np.isin(step.commanded_ids, mission.ids).all(), "commanded_ids must be robots'")
+    _require(_are_among(step.commanded_ids, mission.ids), "commanded_ids must be robots'")
     _require(np.array_equal(np.sort(step.roles), np.arange(robots)), "roles must be a permutation")
     _require(set(step.control_sets) == set(range(units)), "control_sets must be of all units")
     for ids in step.control_sets.values():
-        _require(ids.ndim == 1 and bool(np.isin(ids, mission.ids).all()), "control_sets must be of robots")
+        _require(ids.ndim == 1 and _are_among(ids, mission.ids), "control_sets must be of robots")
     fleet = step.fleet
     for name, shape in (
         ("positions_m", (2,)),
@@ -127,13 +127,13 @@ def _check_frame(unit: int, frame: UnitFrame, mission: Mission) -> None:
     size = mission.scenario.units[unit].camera.size_px
     report, goals = decision.report, decision.goals
     _require(tuple(sight.detections.image_size_px) == size, "detections: the camera's image size")
-    _require(np.isin(report.controlled_ids, mission.ids).all(), "report: controlled_ids must be robots'")
-    _require(np.isin(sight.whole_ids, known).all(), "truth: whole_ids must be of markers")
-    _require(np.isin(sight.found_ids, sight.whole_ids).all(), "truth: found_ids must be of whole_ids")
+    _require(_are_among(report.controlled_ids, mission.ids), "report: controlled_ids must be robots'")
+    _require(_are_among(sight.whole_ids, known), "truth: whole_ids must be of markers")
+    _require(_are_among(sight.found_ids, sight.whole_ids), "truth: found_ids must be of whole_ids")
     _require(_is_count(sight.false_detections), "truth: false_detections")
     if goals is not None:
-        seen = np.isin(goals.ids, decision.detections.ids) & np.isin(goals.ids, mission.ids)
-        _require(bool(seen.all()), "goals: ids must be of robots that were seen")
+        seen = _are_among(goals.ids, decision.detections.ids) and _are_among(goals.ids, mission.ids)
+        _require(seen, "goals: ids must be of robots that were seen")
     if report.roles is not None:
         _require(report.roles.roles.size == mission.ids.size, "roles must be of all robots")
     if report.tree is not None:
@@ -142,6 +142,11 @@ def _check_frame(unit: int, frame: UnitFrame, mission: Mission) -> None:
         _require(bool(((neighbors >= 0) & (neighbors < limit)).all()), "tree: neighbor_ids must be units")
     if sight.image is not None:
         _require(sight.image.shape == size[::-1], "image: of the camera's size")
+
+
+def _are_among(ids: IntArray, known: IntArray) -> bool:
+    """Whether all of some ids are known. Of so few, sets are ten times as fast as `numpy.isin`."""
+    return set(ids.ravel().tolist()) <= set(known.tolist())
 
 
 def _is_count(value: Any) -> bool:

@@ -6,25 +6,20 @@
 All detectors get the same frames one after the other, on one thread, and are timed by the clock; told are
 medians over the frames. *Followed* is `tracking` in frames in which it searches nothing, *searched* is
 `photometric`. *Pixels* is the part of a followed frame that is compiled loops and matrix products over the
-pixels of markers, without anything around them; *looks* is the part of a searched one in which OpenCV's
-functions look for squares. Both bound how fast the same measurements can be: OpenCV's time over them is the
-most that any amount of work on the rest would give.
+pixels of markers, without anything around them; *looks* is the part of a searched one in which squares are
+looked for, mostly by OpenCV's functions, before anything is fitted. Both bound how fast the same measurements
+can be: OpenCV's time over them is the most that any amount of work on the rest would give.
 """
 
 import argparse
-from collections import Counter
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from time import perf_counter
-from typing import Any
 
 import numpy as np
-from image_cost import DICTIONARY, NOISE, WARM_UP, Scene
+from image_cost import DICTIONARY, NOISE, WARM_UP, Scene, timed_ms
+from photograph_stages import Stages, Stopwatch
 
 from skyherd.jobs.helpers import one_thread
 from skyherd.render import Sensor
-from skyherd.vision import create_detector
-from skyherd.vision.photometric import detector as stages
+from skyherd.vision import PhotometricDetector, create_detector
 from skyherd.vision.photometric import look
 from skyherd.vision.photometric.fitting.compiled import kernel
 from skyherd.vision.photometric.fitting.design_matrix import DesignMatrices
@@ -38,41 +33,15 @@ PIXELS = (
 )
 """Kernels over pixels, by module and name; the matrix products are `DesignMatrices.gram_matrices`."""
 
-Place = tuple[Any, str]
-
-
-def parts() -> dict[str, list[Place]]:
-    """Functions whose time counts as a part, by the part's name."""
-    pixels: list[Place] = [(kernel(module), name) for module, name in PIXELS]
-    return {
-        "pixels": [*pixels, (DesignMatrices, "gram_matrices")],
-        "looks": [(look, "find_quads"), (look, "find_overlooked_quads")],
-        "search": [(stages.PhotometricDetector, "_search")],
-    }
-
-
-@contextmanager
-def spent_ms() -> Iterator[Counter[str]]:
-    """The time spent in each part within the body, ms, by replacing its functions."""
-    spent: Counter[str] = Counter()
-    replaced = [(part, *place, getattr(*place)) for part, places in parts().items() for place in places]
-
-    def timed(part: str, original: Callable[..., Any]) -> Callable[..., Any]:
-        def call(*given: Any, **named: Any) -> Any:
-            began_s = perf_counter()
-            result = original(*given, **named)
-            spent[part] += 1e3 * (perf_counter() - began_s)
-            return result
-
-        return call
-
-    for part, owner, name, original in replaced:
-        setattr(owner, name, timed(part, original))
-    try:
-        yield spent
-    finally:
-        for _, owner, name, original in replaced:
-            setattr(owner, name, original)
+STAGES: Stages = {
+    "pixels": [
+        *((kernel(module), name) for module, name in PIXELS),
+        (DesignMatrices, "gram_matrices"),
+    ],
+    "looks": [(look, "find_quads"), (look, "find_overlooked_quads")],
+    "search": [(PhotometricDetector, "_search")],
+}
+"""What is timed by itself: the two parts, and the search, which a followed frame has not."""
 
 
 def measure(size_px: tuple[int, int], markers: int, noise: float, frames: int) -> dict[str, float]:
@@ -85,16 +54,14 @@ def measure(size_px: tuple[int, int], markers: int, noise: float, frames: int) -
     for frame in range(WARM_UP + frames):
         image = scene.draw(frame)
         for what, detector in detectors.items():
-            with spent_ms() as spent:
-                began_s = perf_counter()
-                detector.detect(image, time_s=frame / 10)
-                took_ms = 1e3 * (perf_counter() - began_s)
-            if frame < WARM_UP or (what == "followed" and spent["search"]):
+            with Stopwatch(STAGES) as watch:
+                _, took_ms = timed_ms(detector.detect, image, time_s=frame / 10)
+            if frame < WARM_UP or (what == "followed" and watch.spent_s["search"]):
                 continue
             rows[what].append(took_ms)
             part = {"followed": "pixels", "searched": "looks"}.get(what)
             if part:
-                rows[part].append(spent[part])
+                rows[part].append(1e3 * watch.spent_s[part])
     return {what: float(np.median(times)) for what, times in rows.items()}
 
 

@@ -29,8 +29,8 @@ from skyherd.live.robot_core import RobotCore
 from skyherd.live.unit_core import UnitCore
 from skyherd.live.wire import MOST_BYTES, Arm
 from skyherd.messages import VelocityCommand
-from skyherd.sim.perception import ProjectedPerception
 from skyherd.sim.physics import make_world
+from skyherd.sim.projected_perception import ProjectedPerception
 from skyherd.sim.truth_metrics import TruthObserver
 
 PERIOD_S = 0.1

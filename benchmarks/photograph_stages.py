@@ -10,7 +10,7 @@ what the fits need.
 
 import argparse
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -23,29 +23,37 @@ from skyherd.vision import create_detector
 from skyherd.vision.photometric import look
 from skyherd.vision.photometric.fitting import fit
 
-STAGES = {
-    "first search": (look, "find_quads"),
-    "second search": (look, "find_overlooked_quads"),
-    "pixels": (fit.PixelSamples, "read"),
+Stages = Mapping[str, Sequence[tuple[Any, str]]]
+"""Functions whose time counts as that of a stage, by the stage's name: where each is found, and its name
+there."""
+
+STAGES: Stages = {
+    "first search": [(look, "find_quads")],
+    "second search": [(look, "find_overlooked_quads")],
+    "pixels": [(fit.PixelSamples, "read")],
 }
-"""What is timed by itself: where it is found, and its name there."""
+"""What is timed by itself."""
 
 
 class Stopwatch:
-    """Adds up the time spent in the stages, while it is entered, by replacing them."""
+    """Adds up the time spent in stages, `spent_s`, while it is entered, by replacing their functions."""
 
-    def __init__(self) -> None:
+    def __init__(self, stages: Stages) -> None:
         self.spent_s: Counter[str] = Counter()
-        self._originals = {stage: getattr(*place) for stage, place in STAGES.items()}
+        self._places = [
+            (stage, owner, name, getattr(owner, name))
+            for stage, places in stages.items()
+            for owner, name in places
+        ]
 
     def __enter__(self) -> "Stopwatch":
-        for stage, (owner, name) in STAGES.items():
-            setattr(owner, name, self._timed(stage, self._originals[stage]))
+        for stage, owner, name, original in self._places:
+            setattr(owner, name, self._timed(stage, original))
         return self
 
     def __exit__(self, *exception: object) -> None:
-        for stage, (owner, name) in STAGES.items():
-            setattr(owner, name, self._originals[stage])
+        for _, owner, name, original in self._places:
+            setattr(owner, name, original)
 
     def _timed(self, stage: str, original: Callable[..., Any]) -> Callable[..., Any]:
         def timed(*given: Any, **options: Any) -> Any:
@@ -67,7 +75,7 @@ def measure(image_set: ImageSet) -> dict[str, float]:
     for number, (_, image) in enumerate(image_set.images()):
         times_s = []
         for detector in (peer, ours):
-            with Stopwatch() as watch:
+            with Stopwatch(STAGES) as watch:
                 began_s = perf_counter()
                 detector.detect(image, unit_id=number)
                 times_s.append(perf_counter() - began_s)

@@ -37,8 +37,9 @@ from skyherd.loop import Step, run_steps
 from skyherd.markers.dictionary import card_side
 from skyherd.messages import Detections
 from skyherd.render import Camera, CameraPose, homography_image_ground, project_markers, undistort
-from skyherd.sim.perception import ProjectedPerception, RenderedPerception
+from skyherd.sim.perception import RenderedPerception
 from skyherd.sim.physics import make_world
+from skyherd.sim.projected_perception import ProjectedPerception
 from skyherd.study.plan import mission_key
 
 SIZE_PX = 800

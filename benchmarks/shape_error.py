@@ -32,7 +32,9 @@ from skyherd.drawing.palette import INK, PAPER, UNIT_COLORS
 from skyherd.loop import run_steps
 from skyherd.messages import Detections
 from skyherd.plots.style import drawing_style, new_figure
-from skyherd.sim.perception import Perception, ProjectedPerception, RenderedPerception, Sight
+from skyherd.sim.perception import RenderedPerception
+from skyherd.sim.projected_perception import ProjectedPerception
+from skyherd.sim.sight import Perception, Sight
 from skyherd.sim.world import World
 
 FIGURE = Path(__file__).parent.parent / "docs" / "shape_error.png"

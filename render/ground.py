@@ -43,8 +43,8 @@ VIEW_SAMPLES = 2000
 """Textures are laid side by side until a view of so many samples fits. *Chosen*: larger than usual images; a
 warp that has to wrap costs six times as much."""
 
-APART = 64
-"""Bytes between the end of a texture's row and the next row. *Derived*: rows that are a power of two apart
+APART_BYTES = 64
+"""Between the end of a texture's row and the next row. *Derived*: rows that are a power of two apart
 compete for the same lines of the processor's cache, where a view is turned by about a right angle: a warp of
 800x800 then took 4.8 ms in place of 1.6 (*measured*); a line of the cache in between sets them apart."""
 
@@ -180,9 +180,9 @@ def _concrete_spectrum(seed: int, mean: float, contrast: float) -> npt.NDArray[n
 
 
 def _laid(tile: Image, copies: int) -> Image:
-    """A square texture side by side, so many times along either side, with rows `APART` from each other."""
+    """A square texture side by side, so many times along either side, with `APART_BYTES` between rows."""
     side = copies * len(tile)
-    laid = np.empty((side, side + APART), dtype=np.uint8)[:, :side]
+    laid = np.empty((side, side + APART_BYTES), dtype=np.uint8)[:, :side]
     laid.reshape(copies, len(tile), copies, len(tile))[:] = tile[None, :, None, :]
     return laid
 

@@ -4,19 +4,14 @@ Each pixel keeps what the shape does not cover of it: `F + (1 - A) background`, 
 the pixel gathers and A the share of the pixel that it covers (`skyherd.render.raster.kernels`).
 """
 
-from functools import cache
-from importlib import import_module
-from types import ModuleType
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from skyherd.geometry import Array, inverse
-from skyherd.render.raster.edge import REACH, EdgeSpread
+from skyherd.render.raster.edge import REACH, EdgeSpread, Float
 from skyherd.render.view import ShapeImages
-
-Float = npt.NDArray[np.float32]
-"""Numbers of single precision: grey levels of cells, or light."""
 
 Canvas = npt.NDArray[np.uint8] | Float
 """An image (height, width) that is drawn on: grey levels of 8 bits, or light as float32."""
@@ -40,37 +35,25 @@ def paint_lattices(canvas: Canvas, images: ShapeImages, levels: Float, spread: E
         levels: the grids' grey levels (N, m + 2, m + 2), `framed`.
         spread: how lens and pixel spread an edge.
     """
+    # Imported with the first shape that is drawn: it takes half a second, and who draws nothing does without.
+    from skyherd.render.raster.kernels.lattices import lay_lattices
+
     m = levels.shape[1] - 2.0
     corners = np.array([[0.0, 0.0], [m, 0.0], [m, m], [0.0, m]])
-    seen = _seen(images, corners, spread)
-    _kernel("lattices").lay_lattices(*_either(canvas), *seen, spread.kurtosis, levels)
+    lay_lattices(levels, spread.kurtosis, *_arguments(canvas, images, corners, spread))
 
 
 def paint_discs(canvas: Canvas, images: ShapeImages, levels: Array, spread: EdgeSpread) -> None:
     """Lay discs of grey `levels` (N,) over the canvas, in place; `images` take the unit disc to pixels."""
-    seen = _seen(images, RING, spread)
-    _kernel("discs").lay_discs(*_either(canvas), *seen, levels.astype(np.float32))
+    from skyherd.render.raster.kernels.discs import lay_discs  # as above
+
+    lay_discs(levels.astype(np.float32), *_arguments(canvas, images, RING, spread))
 
 
-@cache
-def _kernel(module: str) -> ModuleType:
-    """A module of compiled loops, imported with the first shape drawn by it, which takes half a second."""
-    return import_module(f"skyherd.render.raster.kernels.{module}")
+def _arguments(canvas: Canvas, images: ShapeImages, corners: Array, spread: EdgeSpread) -> tuple[Any, ...]:
+    """What kernels end with (`kernels.pixels.SHAPES`), of shapes bounded by `corners` (V, 2) of their own.
 
-
-def _either(canvas: Canvas) -> tuple[Canvas, Canvas]:
-    """The canvas as an image of 8 bits and as one of light, of which one is empty."""
-    if canvas.dtype == np.uint8:
-        return canvas, np.empty((0, 0), np.float32)
-    return np.empty((0, 0), np.uint8), canvas
-
-
-def _seen(
-    images: ShapeImages, corners: Array, spread: EdgeSpread
-) -> tuple[Array, npt.NDArray[np.int64], Array, Array, Float, float, float, Float]:
-    """The shapes, bounded by `corners` (V, 2) in their own coordinates, that are seen, as kernels take them.
-
-    These are outlines, numbers, matrices, times of rows, lens, margin, sigma and table.
+    Only shapes that are seen are among them. Of image and light the one is empty that the canvas is not.
     """
     size_px, margin = images.camera.size_px, REACH * spread.sigma_px
     ahead = np.flatnonzero(images.before_horizon(corners))
@@ -84,6 +67,8 @@ def _seen(
     numbers = ahead[inside]
     lens = images.lens()
     return (
+        canvas if canvas.dtype == np.uint8 else np.empty((0, 0), np.uint8),
+        canvas if canvas.dtype == np.float32 else np.empty((0, 0), np.float32),
         np.ascontiguousarray(outlines[inside]),
         numbers,
         np.ascontiguousarray(inverse(images.matrices[:, numbers])),

@@ -16,8 +16,8 @@ from skyherd.render.camera.camera import Camera, CameraPose
 from skyherd.render.camera.lens_blur import SHARP, LensBlur, Ray
 from skyherd.render.camera.motion import INSTANT, STILL, Motion, Shutter
 from skyherd.render.ground import Ground
-from skyherd.render.paint import Canvas, Float, framed, paint_discs, paint_lattices
-from skyherd.render.raster.edge import edge_spread
+from skyherd.render.paint import Canvas, framed, paint_discs, paint_lattices
+from skyherd.render.raster.edge import Float, edge_spread
 from skyherd.render.scene.occluders import Disc, Occluder, Quad, quads_square
 from skyherd.render.sensor import Sensor
 from skyherd.render.truth import FrameTruth, moving_markers, project_markers
@@ -26,7 +26,7 @@ from skyherd.render.view import View
 Image = npt.NDArray[np.uint8]
 """Grey levels (height, width)."""
 
-Light = npt.NDArray[np.float32]
+Light = Float
 """What falls on the sensor, in grey levels, (height, width)."""
 
 MOST_INSTANTS = 64

@@ -5,9 +5,6 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-Float = npt.NDArray[np.float32]
-"""Numbers of single precision: half the memory, and exact to 1e-4 px in the largest image."""
-
 
 @dataclass(frozen=True)
 class LensField:
@@ -18,4 +15,4 @@ class LensField:
             lens by the pixel: du/du, du/dv, dv/du, dv/dv.
     """
 
-    fields: Float
+    fields: npt.NDArray[np.float32]

@@ -13,9 +13,10 @@ from skyherd.messages import FlightCommand, VelocityCommand
 from skyherd.messages.checks import check_kind
 from skyherd.random_streams import RunStream, generator
 from skyherd.sim.agents import ControllerFactory, UnitAgents, make_controller
-from skyherd.sim.perception import Perception, Sight, make_run_perception
+from skyherd.sim.perception import make_run_perception
 from skyherd.sim.physics import make_network, make_world
 from skyherd.sim.robot_teams import TeamFactory, make_team
+from skyherd.sim.sight import Perception, Sight
 from skyherd.sim.truth_metrics import TruthMetrics, TruthObserver
 from skyherd.sim.world import Fleet
 

@@ -22,13 +22,10 @@ from skyherd.control import (
 from skyherd.datasets import Mission, make_mission
 from skyherd.loop import run_steps
 from skyherd.render import homography_image_ground
-from skyherd.sim.perception import (
-    ProjectedPerception,
-    RenderedPerception,
-    Sight,
-    make_perception,
-)
+from skyherd.sim.perception import RenderedPerception, make_perception
 from skyherd.sim.physics import make_world
+from skyherd.sim.projected_perception import ProjectedPerception
+from skyherd.sim.sight import Sight
 from skyherd.sim.world import World
 from skyherd.vision.detectors.accuracy import load_accuracy
 

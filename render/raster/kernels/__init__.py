@@ -6,7 +6,7 @@
 
 Both kernels take one shape after another, each over those before it, its image rows from the first on, and in
 each row the pixels within a margin of the shape's outline. Nothing is sampled, filtered or kept from one
-image to the next. NumPy has the same formulas, all pixels at once, in `tests/helpers/drawing_reference.py`.
+image to the next. NumPy has the same formulas, in double precision, in `tests/helpers/drawing_reference.py`.
 
 Numba compiles a kernel when its module is imported for the first time (`skyherd.jobs.compilation`);
 `skyherd.render.paint` imports it with the first shape that is drawn.

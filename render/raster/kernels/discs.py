@@ -12,13 +12,10 @@ from numba import float32, njit, void
 
 from skyherd.jobs.compilation import FLAGS, readonly
 from skyherd.render.raster.kernels.pixels import (
-    EDGE_NUMBERS,
     SHAPES,
-    bound_edges,
-    columns_of,
     matrix_of_row,
     place_of,
-    rows_of,
+    runs_of,
     seen_through,
     slopes_at,
     spread_at,
@@ -34,11 +31,12 @@ LEAST_SPREAD = 1e-12
 zero where a pixel lies in the disc's centre; it is far below a pixel of any image."""
 
 
-@njit(void(*SHAPES, readonly(float32, 1)), **FLAGS)
+@njit(void(readonly(float32, 1), *SHAPES), **FLAGS)
 def lay_discs(
+    levels: Any,
     image: Any,
     light: Any,
-    outlines: Any,
+    outlines_px: Any,
     numbers: Any,
     matrices: Any,
     row_times: Any,
@@ -46,7 +44,6 @@ def lay_discs(
     margin_px: float,
     sigma_px: float,
     table: Any,
-    levels: Any,
 ) -> None:
     """Lay discs over an image, in place: `A level + (1 - A) background`.
 
@@ -55,30 +52,24 @@ def lay_discs(
     """
     whole = image.size > 0
     height, width = image.shape if whole else light.shape
-    edges, matrix = np.empty((outlines.shape[1], EDGE_NUMBERS)), np.empty((3, 3))
-    for place in range(len(outlines)):
-        number = numbers[place]
-        first_v, end_v = rows_of(outlines[place], margin_px, height)
-        bound_edges(outlines[place], margin_px, edges)
-        for v in range(first_v, end_v):
-            first_u, end_u = columns_of(edges, v, width)
-            if end_u <= first_u:
+    runs, matrix = runs_of(outlines_px, margin_px, height, width), np.empty((3, 3))
+    for run in range(len(runs)):
+        shape, v, first_u, end_u = runs[run, 0], runs[run, 1], runs[run, 2], runs[run, 3]
+        level = levels[numbers[shape]]
+        matrix_of_row(matrices, shape, row_times[v], matrix)
+        x, y, w = place_of(matrix, first_u, v)
+        slopes = slopes_at(matrix, x / w, y / w)
+        start = table_start(slopes[0], slopes[1])
+        for u in range(first_u, end_u):
+            x, y, w, sharp_x, sharp_y, cosine = seen_through(matrix, lens, v * width + u, u, v, sigma_px)
+            if not w > 0:  # beyond the horizon
                 continue
-            matrix_of_row(matrices, place, row_times[v], matrix)
-            x, y, w = place_of(matrix, first_u, v)
-            slopes = slopes_at(matrix, x / w, y / w)
-            start = table_start(slopes[0], slopes[1])
-            for u in range(first_u, end_u):
-                x, y, w, sharp_x, sharp_y, cosine = seen_through(matrix, lens, v * width + u, u, v, sigma_px)
-                if not w > 0:  # beyond the horizon
-                    continue
-                radius = max(math.sqrt(x * x + y * y), MIDDLE)
-                across_x, across_y = x / sharp_x, y / sharp_y
-                square = across_x**2 + across_y**2 + 2 * cosine * across_x * across_y
-                sigma = math.sqrt(max(square, LEAST_SPREAD)) / radius
-                covered = spread_at(table, start, (1 - radius) / sigma - sigma / 2)
-                if whole:
-                    level = (1 - covered) * image[v, u] + levels[number] * covered
-                    image[v, u] = np.rint(level)
-                else:
-                    light[v, u] = (1 - covered) * light[v, u] + levels[number] * covered
+            radius = max(math.sqrt(x * x + y * y), MIDDLE)
+            across_x, across_y = x / sharp_x, y / sharp_y
+            square = across_x**2 + across_y**2 + 2 * cosine * across_x * across_y
+            sigma = math.sqrt(max(square, LEAST_SPREAD)) / radius
+            covered = spread_at(table, start, (1 - radius) / sigma - sigma / 2)
+            if whole:
+                image[v, u] = np.rint((1 - covered) * image[v, u] + level * covered)
+            else:
+                light[v, u] = (1 - covered) * light[v, u] + level * covered

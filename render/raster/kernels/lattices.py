@@ -1,8 +1,7 @@
 """Grids of grey cells, such as marker cards, laid over an image.
 
-In a grid's own coordinates (column x, row y, in cells) its
-light is a sum of steps at the grid's lines. A pixel whose lens and aperture spread light by S
-(`skyherd.render.raster.edge`) gathers from it
+In a grid's own coordinates (column x, row y, in cells) its light is a sum of steps at the grid's lines. A
+pixel whose lens and aperture spread light by S (`skyherd.render.raster.edge`) gathers from it
 
     F = Σ_j Σ_k  T_jk S_j(y) S_k(x),      S_k(x) = S((x - k) / (σ |∇x|)),
 
@@ -26,17 +25,14 @@ from typing import Any
 import numpy as np
 from numba import float32, float64, njit, void
 
-from skyherd.jobs.compilation import FLAGS, PARTS, readonly
+from skyherd.jobs.compilation import FLAGS, INLINE, PARTS, readonly
 from skyherd.render.raster.kernels.pixels import (
     AFFINE,
-    EDGE_NUMBERS,
     LEAST_SQUARE,
     SHAPES,
-    bound_edges,
-    columns_of,
     matrix_of_row,
     place_of,
-    rows_of,
+    runs_of,
     seen_through,
     sharpness_of,
     slopes_at,
@@ -64,11 +60,24 @@ GAUSS = (0.5 - 12**-0.5, 0.5 + 12**-0.5)
 """Nodes of Gauss's rule of two points, as shares of ρ. *Derived*: `(1 ± 1/√3) / 2`."""
 
 
-@njit(**PARTS)
-def _lines(at: float, reach: float, cells: int) -> Any:
-    """First line within reach of a pixel on an axis, and the one after the last, of lines 0 to `cells`."""
+@njit(**INLINE)
+def _feel(table: Any, start: float, at: float, sharpness: float, reach: float, spread: Any) -> Any:
+    """Which lines a pixel feels on an axis, the first and the one after the last, with S of each in `spread`.
+
+    Args:
+        table: S, as `EdgeSpread` has it.
+        start: place of distance zero in it, for these lines.
+        at: where the pixel lies on the axis, cells.
+        sharpness: how many σ a cell is there.
+        reach: from how far away a line is felt, cells.
+        spread: (m + 1,) result, at the lines that are felt; the lines of a grid are numbered 0 to m.
+    """
+    cells = len(spread) - 1
     first = math.ceil(min(max(at - reach, 0.0), cells + 0.5))
-    return first, math.floor(max(min(at + reach, cells + 0.0), -0.5)) + 1
+    end = math.floor(max(min(at + reach, cells + 0.0), -0.5)) + 1
+    for line in range(first, end):
+        spread[np.uintp(line)] = spread_at(table, start, (at - line) * sharpness)
+    return first, end
 
 
 @njit(**PARTS)
@@ -92,9 +101,10 @@ def _at_corner(correlation: float, cumulants: Any, x: float, y: float) -> Any:
     return density * (correlation + even * x * y + odd_x * (x * x - 1) + odd_y * (y * y - 1))
 
 
-@njit(**PARTS)
-def _row_sum(grid: Any, row: int, first: int, end: int, spread: Any) -> Any:
-    """What a row of cells sends to a pixel, by the lines from `first` to `end` that it feels across it."""
+@njit(**INLINE)
+def _row_sum(grid: Any, row: int, lines: Any, spread: Any) -> Any:
+    """What a row of cells sends to a pixel that feels `lines` across it: `Σ_k T_k S_k`."""
+    first, end = lines
     before = grid[np.uintp(row), np.uintp(first)]
     total = before
     for line in range(first, end):
@@ -104,9 +114,23 @@ def _row_sum(grid: Any, row: int, first: int, end: int, spread: Any) -> Any:
     return total
 
 
-@njit(**PARTS)
-def _covered(first: int, end: int, spread: Any, cells: int) -> Any:
+@njit(**INLINE)
+def _grid_sum(grid: Any, lines_x: Any, lines_y: Any, spread_x: Any, spread_y: Any) -> Any:
+    """What a grid sends to a pixel, as if its lines met at right angles: `Σ_j Σ_k T_jk S_j S_k`."""
+    first, end = lines_y
+    before = _row_sum(grid, first, lines_x, spread_x)
+    total = before
+    for line in range(first, end):
+        after = _row_sum(grid, line + 1, lines_x, spread_x)
+        total += (after - before) * spread_y[np.uintp(line)]
+        before = after
+    return total
+
+
+@njit(**INLINE)
+def _covered(lines: Any, spread: Any) -> Any:
     """How much of a pixel lies between the first and the last line of an axis."""
+    (first, end), cells = lines, len(spread) - 1
     inside = float32(1.0) if 0 < first <= cells else float32(0.0)
     if first == 0 and end > 0:
         inside += spread[0]
@@ -124,6 +148,28 @@ def _corner_sign(line: int, cells: int) -> Any:
 
 
 @njit(**PARTS)
+def _corner_sums(grid: Any, lines_x: Any, lines_y: Any, x: Any, y: Any, cosine: float, cumulants: Any) -> Any:
+    """What the corners that a pixel feels add to its light and to its cover.
+
+    Args:
+        grid: (m + 2, m + 2) levels, framed.
+        lines_x: first line that it feels across x, and the one after the last.
+        lines_y: the same across y.
+        x: where it lies, cells, and how many σ a cell is there.
+        y: the same.
+        cosine: ρ.
+        cumulants: of the pixel (`_cumulants`).
+    """
+    light, covered, cells = float32(0.0), float32(0.0), len(grid) - 2
+    for j in range(lines_y[0], lines_y[1]):
+        for k in range(lines_x[0], lines_x[1]):
+            more = float32(_at_corner(cosine, cumulants, (x[0] - k) * x[1], (y[0] - j) * y[1]))
+            light += more * ((grid[j + 1, k + 1] - grid[j + 1, k]) - (grid[j, k + 1] - grid[j, k]))
+            covered += more * _corner_sign(k, cells) * _corner_sign(j, cells)
+    return light, covered
+
+
+@njit(**PARTS)
 def _cumulants(slopes: Any, kurtosis: float) -> Any:
     """κ_22 / 4, κ_31 / 6 and κ_13 / 6, over σ⁴, of a pixel's square across lines of x and of y."""
     a, b, c, d = slopes
@@ -136,11 +182,13 @@ def _cumulants(slopes: Any, kurtosis: float) -> Any:
     )
 
 
-@njit(void(*SHAPES, float64, readonly(float32, 3)), **FLAGS)
+@njit(void(readonly(float32, 3), float64, *SHAPES), **FLAGS)
 def lay_lattices(
+    levels: Any,
+    kurtosis: float,
     image: Any,
     light: Any,
-    outlines: Any,
+    outlines_px: Any,
     numbers: Any,
     matrices: Any,
     row_times: Any,
@@ -148,15 +196,15 @@ def lay_lattices(
     margin_px: float,
     sigma_px: float,
     table: Any,
-    kurtosis: float,
-    levels: Any,
 ) -> None:
     """Lay grids of grey cells over an image, in place: `F + (1 - A) background`.
 
     Args:
+        levels: (N, m + 2, m + 2) grey levels of the shapes' cells, in a border of empty ones.
+        kurtosis: fourth cumulant of the pixel, over σ⁴.
         image: the canvas (height, width), if it has whole grey levels; else (0, 0).
         light: the canvas (height, width), if it is of light, in grey levels; else (0, 0).
-        outlines: (M, V, 2) corners of the shapes that are drawn, in the image, px.
+        outlines_px: (M, V, 2) corners of the shapes that are drawn, in the image.
         numbers: (M,) rows of `levels` that they have.
         matrices: (Q, M, 3, 3) from pixels without the lens to the shapes' coordinates, columns and rows, at
             one instant or three.
@@ -166,69 +214,43 @@ def lay_lattices(
         margin_px: how far beyond its outline a shape still matters.
         sigma_px: standard deviation of lens and pixel together.
         table: S, as `EdgeSpread` has it.
-        kurtosis: fourth cumulant of the pixel, over σ⁴.
-        levels: (N, m + 2, m + 2) grey levels of the shapes' cells, in a border of empty ones.
     """
     whole = image.size > 0
     height, width = image.shape if whole else light.shape
-    cells = levels.shape[1] - 2
-    boxy, straight = kurtosis < -BOXY, not lens.shape[1]
-    edges, matrix = np.empty((outlines.shape[1], EDGE_NUMBERS)), np.empty((3, 3))
-    spread_x, spread_y = np.empty(cells + 1, dtype=np.float32), np.empty(cells + 1, dtype=np.float32)
-    for place in range(len(outlines)):
-        grid = levels[numbers[place]]
-        first_v, end_v = rows_of(outlines[place], margin_px, height)
-        bound_edges(outlines[place], margin_px, edges)
-        for v in range(first_v, end_v):
-            first_u, end_u = columns_of(edges, v, width)
-            if end_u <= first_u:
-                continue
-            matrix_of_row(matrices, place, row_times[v], matrix)
-            x, y, w = place_of(matrix, first_u, v)
-            x, y = x / w, y / w
-            slopes = slopes_at(matrix, x, y)
-            sharp_x, sharp_y, cosine = sharpness_of(slopes, w, sigma_px)
-            reach_x, reach_y = FELT / sharp_x, FELT / sharp_y
-            start_x, start_y = table_start(slopes[0], slopes[1]), table_start(slopes[2], slopes[3])
-            cumulants = _cumulants(slopes, kurtosis)
-            affine = straight and max(abs(matrix[2, 0]), abs(matrix[2, 1])) < AFFINE * w
-            step_x, step_y = matrix[0, 0] / w, matrix[1, 0] / w
-            for u in range(first_u, end_u):
-                if affine:
-                    at_x, at_y = x + step_x * (u - first_u), y + step_y * (u - first_u)
-                else:
-                    at_x, at_y, w, sharp_x, sharp_y, cosine = seen_through(
-                        matrix, lens, v * width + u, u, v, sigma_px
-                    )
-                    if not w > 0:  # beyond the horizon
-                        continue
-                    reach_x, reach_y = FELT / sharp_x, FELT / sharp_y
-                first_x, end_x = _lines(at_x, reach_x, cells)
-                first_y, end_y = _lines(at_y, reach_y, cells)
-                for line in range(first_x, end_x):
-                    spread_x[np.uintp(line)] = spread_at(table, start_x, (at_x - line) * sharp_x)
-                for line in range(first_y, end_y):
-                    spread_y[np.uintp(line)] = spread_at(table, start_y, (at_y - line) * sharp_y)
-                before = _row_sum(grid, first_y, first_x, end_x, spread_x)
-                gathered = before
-                for line in range(first_y, end_y):
-                    after = _row_sum(grid, line + 1, first_x, end_x, spread_x)
-                    gathered += (after - before) * spread_y[np.uintp(line)]
-                    before = after
-                covered = _covered(first_x, end_x, spread_x, cells) * _covered(
-                    first_y, end_y, spread_y, cells
-                )
-                if boxy or abs(cosine) > SQUARE:
-                    for j in range(first_y, end_y):
-                        for k in range(first_x, end_x):
-                            distance_x, distance_y = (at_x - k) * sharp_x, (at_y - j) * sharp_y
-                            more = float32(_at_corner(cosine, cumulants, distance_x, distance_y))
-                            gathered += more * (
-                                (grid[j + 1, k + 1] - grid[j + 1, k]) - (grid[j, k + 1] - grid[j, k])
-                            )
-                            covered += more * _corner_sign(k, cells) * _corner_sign(j, cells)
-                if whole:
-                    level = (1 - covered) * image[v, u] + gathered
-                    image[v, u] = np.rint(level)
-                else:
-                    light[v, u] = (1 - covered) * light[v, u] + gathered
+    boxy, straight, lines = kurtosis < -BOXY, not lens.shape[1], levels.shape[1] - 1
+    spread_x, spread_y = np.empty(lines, dtype=np.float32), np.empty(lines, dtype=np.float32)
+    runs, matrix = runs_of(outlines_px, margin_px, height, width), np.empty((3, 3))
+    for run in range(len(runs)):
+        shape, v, first_u, end_u = runs[run, 0], runs[run, 1], runs[run, 2], runs[run, 3]
+        grid = levels[numbers[shape]]
+        matrix_of_row(matrices, shape, row_times[v], matrix)
+        x, y, w = place_of(matrix, first_u, v)
+        x, y = x / w, y / w
+        slopes = slopes_at(matrix, x, y)
+        sharp_x, sharp_y, cosine = sharpness_of(slopes, w, sigma_px)
+        start_x, start_y = table_start(slopes[0], slopes[1]), table_start(slopes[2], slopes[3])
+        cumulants = _cumulants(slopes, kurtosis)
+        reach_x, reach_y = FELT / sharp_x, FELT / sharp_y
+        affine = straight and max(abs(matrix[2, 0]), abs(matrix[2, 1])) < AFFINE * w
+        step_x, step_y = matrix[0, 0] / w, matrix[1, 0] / w
+        for u in range(first_u, end_u):
+            if affine:
+                at_x, at_y = x + step_x * (u - first_u), y + step_y * (u - first_u)
+            else:
+                pixel = v * width + u
+                at_x, at_y, w, sharp_x, sharp_y, cosine = seen_through(matrix, lens, pixel, u, v, sigma_px)
+                if not w > 0:  # beyond the horizon
+                    continue
+                reach_x, reach_y = FELT / sharp_x, FELT / sharp_y
+            lines_x = _feel(table, start_x, at_x, sharp_x, reach_x, spread_x)
+            lines_y = _feel(table, start_y, at_y, sharp_y, reach_y, spread_y)
+            gathered = _grid_sum(grid, lines_x, lines_y, spread_x, spread_y)
+            covered = _covered(lines_x, spread_x) * _covered(lines_y, spread_y)
+            if boxy or abs(cosine) > SQUARE:
+                x_here, y_here = (at_x, sharp_x), (at_y, sharp_y)
+                more = _corner_sums(grid, lines_x, lines_y, x_here, y_here, cosine, cumulants)
+                gathered, covered = gathered + more[0], covered + more[1]
+            if whole:
+                image[v, u] = np.rint((1 - covered) * image[v, u] + gathered)
+            else:
+                light[v, u] = (1 - covered) * light[v, u] + gathered

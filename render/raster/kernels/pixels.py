@@ -26,13 +26,10 @@ pixels the place is then off by 1e-4 of the run."""
 LEAST_SQUARE = 1e-300
 """Least squared length of a gradient. *Chosen*: keeps 0 / 0 from a direction that is of no use anyhow."""
 
-EDGE_NUMBERS = 3
-"""Numbers by which an edge bounds a row: `u <= cut - slope v`, or `>=`, and which of the two."""
-
 SHAPES = (
     uint8[:, ::1],  # image
     float32[:, ::1],  # light
-    readonly(float64, 3),  # outlines
+    readonly(float64, 3),  # outlines_px
     readonly(int64, 1),  # numbers
     readonly(float64, 4),  # matrices
     readonly(float64, 1),  # row_times
@@ -41,30 +38,56 @@ SHAPES = (
     float64,  # sigma_px
     readonly(float32, 1),  # table
 )
+"""Types of the arguments that all kernels end with."""
 
 
 @njit(**PARTS)
-def rows_of(outline: Any, margin_px: float, height: int) -> Any:
+def runs_of(outlines_px: Any, margin_px: float, height: int, width: int) -> Any:
+    """Runs of pixels (R, 4) that shapes have in an image: shape, row, first column, column after the last.
+
+    They are ordered by shape and row. `outlines_px` (M, V, 2) are the corners of the shapes, in either sense.
+    """
+    most = 0
+    for shape in range(len(outlines_px)):
+        first, end = _rows_of(outlines_px[shape], margin_px, height)
+        most += max(end - first, 0)
+    runs, count = np.empty((most, 4), dtype=np.int64), 0
+    edges = np.empty((outlines_px.shape[1], 3))
+    for shape in range(len(outlines_px)):
+        first, end = _rows_of(outlines_px[shape], margin_px, height)
+        _bound_edges(outlines_px[shape], margin_px, edges)
+        for v in range(first, end):
+            first_u, end_u = _columns_of(edges, v, width)
+            if end_u > first_u:
+                runs[count, 0], runs[count, 1], runs[count, 2], runs[count, 3] = shape, v, first_u, end_u
+                count += 1
+    return runs[:count]
+
+
+@njit(**PARTS)
+def _rows_of(outline_px: Any, margin_px: float, height: int) -> Any:
     """First row that a shape touches, and the one after the last."""
     low, high = np.inf, -np.inf
-    for corner in range(len(outline)):
-        low, high = min(low, outline[corner, 1]), max(high, outline[corner, 1])
+    for corner in range(len(outline_px)):
+        low, high = min(low, outline_px[corner, 1]), max(high, outline_px[corner, 1])
     first, end = math.ceil(low - margin_px), math.floor(high + margin_px) + 1
     return int(min(max(first, 0), height)), int(min(max(end, 0), height))
 
 
 @njit(**PARTS)
-def bound_edges(outline: Any, margin_px: float, edges: Any) -> None:
-    """What each edge of an outline (V, 2), in either sense, allows of a row, into `edges` (V, 3)."""
-    count = len(outline)
+def _bound_edges(outline_px: Any, margin_px: float, edges: Any) -> None:
+    """How the moved edges of an outline (V, 2) bound a row, into `edges` (V, 3): cut, slope and n_u.
+
+    A row v has the columns `u <= cut - slope v` where n_u is positive, and `u >=` where it is negative.
+    """
+    count = len(outline_px)
     area = 0.0
     for corner in range(count):
-        after = (corner + 1) % count
-        along_u, along_v = outline[after, 0] - outline[corner, 0], outline[after, 1] - outline[corner, 1]
-        area += outline[corner, 0] * along_v - outline[corner, 1] * along_u
+        u, v, after = outline_px[corner, 0], outline_px[corner, 1], (corner + 1) % count
+        area += u * outline_px[after, 1] - v * outline_px[after, 0]
     for corner in range(count):
-        u, v, after = outline[corner, 0], outline[corner, 1], (corner + 1) % count
-        along_u, along_v = outline[after, 0] - u, outline[after, 1] - v
+        u, v, after = outline_px[corner, 0], outline_px[corner, 1], (corner + 1) % count
+        along_u, along_v = outline_px[after, 0] - u, outline_px[after, 1] - v
         length = math.sqrt(along_u * along_u + along_v * along_v) + TINY
         sense = -1.0 / length if area < 0 else 1.0 / length
         normal_u, normal_v = sense * along_v, -sense * along_u
@@ -76,8 +99,8 @@ def bound_edges(outline: Any, margin_px: float, edges: Any) -> None:
 
 
 @njit(**PARTS)
-def columns_of(edges: Any, v: int, width: int) -> Any:
-    """First column of row v within the moved edges, and the one after the last; the same if none is."""
+def _columns_of(edges: Any, v: int, width: int) -> Any:
+    """First column of row v within moved edges, and the one after the last; the same if there is none."""
     low, high = 0.0, width - 1.0
     for edge in range(len(edges)):
         bound = edges[edge, 0] - edges[edge, 1] * v
@@ -91,20 +114,20 @@ def columns_of(edges: Any, v: int, width: int) -> Any:
 
 
 @njit(**PARTS)
-def matrix_of_row(matrices: Any, number: int, row_time: float, matrix: Any) -> None:
-    """The map (3, 3) of a shape when a row is seen: a parabola through three, if there are three."""
+def matrix_of_row(matrices: Any, shape: int, row_time: float, matrix: Any) -> None:
+    """The map (3, 3) of a shape when a row is seen, into `matrix`: a parabola through three, if there are."""
     if len(matrices) == 1:
         for i in range(3):
             for j in range(3):
-                matrix[i, j] = matrices[0, number, i, j]
+                matrix[i, j] = matrices[0, shape, i, j]
         return
     before, middle, after = row_time * (row_time - 1) / 2, 1 - row_time**2, row_time * (row_time + 1) / 2
     for i in range(3):
         for j in range(3):
             matrix[i, j] = (
-                before * matrices[0, number, i, j]
-                + middle * matrices[1, number, i, j]
-                + after * matrices[2, number, i, j]
+                before * matrices[0, shape, i, j]
+                + middle * matrices[1, shape, i, j]
+                + after * matrices[2, shape, i, j]
             )
 
 

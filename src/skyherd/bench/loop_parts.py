@@ -20,8 +20,9 @@ from skyherd.loop import run_steps
 from skyherd.markers.dictionary import load_dictionary
 from skyherd.recording.writer import McapRecorder
 from skyherd.sim.agents import make_controller
-from skyherd.sim.perception import Image, RenderedPerception, make_run_perception
+from skyherd.sim.perception import RenderedPerception, make_run_perception
 from skyherd.sim.robot_teams import make_team
+from skyherd.sim.sight import Image
 
 KEEP_EVERY = 10
 """Steps of which one is kept for OpenCV's detector. Chosen: enough images for a median, and little memory."""

@@ -61,7 +61,7 @@ class Box:
 
 def _fixed(points_px: npt.ArrayLike) -> npt.NDArray[np.int32]:
     """Points as OpenCV's fixed-point numbers, those far outside pulled in."""
-    # This runs hundreds of times a frame; `clip` takes twice as long as both bounds by themselves.
+    # This runs a hundred times a frame; `clip` takes twice as long as both bounds by themselves.
     points = np.minimum(np.maximum(np.asarray(points_px, dtype=np.float64), -_FAR_PX), _FAR_PX)
     fixed: npt.NDArray[np.int32] = np.rint(points * _ONE).astype(np.int32, order="C")
     return fixed

@@ -14,7 +14,7 @@ from skyherd.messages.role_map import RoleMap
 from skyherd.messages.tree_status import TreeStatus
 from skyherd.recording.json_codec import from_plain
 from skyherd.recording.plausible import check_map, check_places
-from skyherd.sim.perception import Sight
+from skyherd.sim.sight import Sight
 from skyherd.sim.truth_metrics import ShapeFit, TruthMetrics
 from skyherd.sim.world import Fleet
 

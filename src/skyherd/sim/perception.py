@@ -1,80 +1,25 @@
-"""From the world to a unit's detections: through rendered pixels, or by projection, exact or noisy."""
+"""From the world to a unit's detections, as a scenario asks for it; among others through rendered pixels."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
-import numpy.typing as npt
 
 from skyherd.datasets import Mission
 from skyherd.errors import InputError
-from skyherd.geometry import BoolArray, IntArray
-from skyherd.markers.dictionary import card_side, headings_of_corners, sides_of_corners
+from skyherd.geometry import Array, BoolArray, IntArray
 from skyherd.messages import Detections
 from skyherd.random_streams import RunStream, generator
-from skyherd.render import (
-    Camera,
-    CameraPose,
-    FrameTruth,
-    Motion,
-    Renderer,
-    Shutter,
-    TeamImage,
-    project_team,
-)
+from skyherd.render import Camera, CameraPose, FrameTruth, Motion, Renderer, Shutter
+from skyherd.sim.projected_perception import ProjectedPerception
+from skyherd.sim.sight import Image, Perception, Sight
 from skyherd.sim.world import Markers, World
-from skyherd.vision import DetectorAccuracy, create_detector, explain_mirrored, load_accuracy
-
-Image = npt.NDArray[np.uint8]
+from skyherd.vision import create_detector, explain_mirrored, load_accuracy
 
 PLAIN_TO_SEE = 0.9
 """Share of the markers of an image that, if they are found, prove that it is not mirrored. *Chosen*: of a
 mirrored image only markers are found that are their own mirror images, 4 of the 50 of 4X4_50; at half of
 it, a small team in which these are many would pass."""
-
-
-@dataclass(frozen=True)
-class Sight:
-    """What one unit's camera gave, and the truth that recall is judged by.
-
-    Attributes:
-        detections: for the controller.
-        whole_ids: robots and obstacles whose whole marker card is in the image.
-        found_ids: those of them that were detected.
-        false_detections: detections of neither robot nor obstacle, or farther than half a side from theirs.
-        image: the picture, if one was made.
-    """
-
-    detections: Detections
-    whole_ids: IntArray
-    found_ids: IntArray
-    false_detections: int
-    image: Image | None
-
-
-class Perception(Protocol):
-    """From the world to what the units detect: by rendering and detecting, by projection, or otherwise.
-
-    It is the one place in the loop where the truth turns into detections, so it alone may read `world`; what
-    it puts into `Sight.detections` is all that the controllers get.
-    """
-
-    def look(self, world: World, units: Sequence[int], time_s: float) -> Iterable[Sight]:
-        """What each of the given units sees now.
-
-        Args:
-            world: the truth: `world.cameras[unit]`, `world.camera_pose(unit)` and `world.markers`.
-            units: those that take an image now, ascending; dead units and lost frames are not among them.
-            time_s: now; called once a step, in the order of time, also with no units at all.
-
-        Returns:
-            One `Sight` for each unit, in the order of `units`: a list, or an iterator, in which case units
-            decide while images of others are still being made. Its detections carry that unit's id and this
-            time. The same calls after the same construction must give the same result: random numbers come
-            from a generator that is passed to the constructor.
-        """
-        ...
 
 
 def make_perception(mission: Mission, rng: np.random.Generator) -> Perception:
@@ -146,6 +91,11 @@ class Scene:
     markers: Markers
     views: list[CameraView]
 
+    @property
+    def team(self) -> tuple[IntArray, Array, Array]:
+        """Ids, positions and headings of the markers, as the renderer takes them."""
+        return self.markers.ids, self.markers.positions_m, self.markers.headings_rad
+
 
 class RenderedPerception(Perception):
     """Draws each unit's camera image with `skyherd.render`, and runs the scenario's detector on it.
@@ -191,30 +141,15 @@ class RenderedPerception(Perception):
 
     def draw(self, scene: Scene, view: CameraView) -> Image:
         """Render the image of one of a scene's cameras."""
-        markers = scene.markers
+        motion, occluders = view.motion, self._occluders
         return self.renderer.render(
-            view.camera,
-            view.pose,
-            markers.ids,
-            markers.positions_m,
-            markers.headings_rad,
-            motion=view.motion,
-            occluders=self._occluders,
-            stream=view.unit,
+            view.camera, view.pose, *scene.team, motion=motion, occluders=occluders, stream=view.unit
         )
 
     def read(self, scene: Scene, view: CameraView, image: Image) -> Sight:
         """Detect the markers in the image of one of a scene's cameras, and judge them by the truth."""
-        markers = scene.markers
-        truth = self.renderer.truth(
-            view.camera,
-            view.pose,
-            markers.ids,
-            markers.positions_m,
-            markers.headings_rad,
-            motion=view.motion,
-            occluders=self._occluders,
-        )
+        motion, occluders = view.motion, self._occluders
+        truth = self.renderer.truth(view.camera, view.pose, *scene.team, motion=motion, occluders=occluders)
         detections = self.detector.detect(image, time_s=scene.time_s, unit_id=view.unit)
         whole_ids = truth.ids[truth.whole]
         right = _right(detections, truth)
@@ -252,64 +187,3 @@ def _right(detections: Detections, truth: FrameTruth) -> BoolArray:
     row = order[place]
     error = np.linalg.norm(truth.centers_px[row] - detections.centers_px, axis=1)
     return np.asarray((truth.ids[row] == detections.ids) & (error <= detections.sides_px / 2))
-
-
-class ProjectedPerception(Perception):
-    """Exact projection of every marker whose card is whole in view, or what a detector would make of it.
-
-    Args:
-        side_m: side of the markers.
-        dictionary: of the markers.
-        accuracy: the detector by whose measured recall markers are missed, each for itself in each image, and
-            by whose measured errors places, headings, sides and shapes are wrong; none for exact points of
-            all markers.
-        rng: what draws both.
-    """
-
-    def __init__(
-        self,
-        side_m: float,
-        dictionary: str,
-        *,
-        accuracy: DetectorAccuracy | None = None,
-        rng: np.random.Generator | None = None,
-    ) -> None:
-        self.side_m, self.dictionary, self.accuracy = side_m, dictionary, accuracy
-        self.rng = rng or np.random.default_rng(0)
-
-    def look(self, world: World, units: Sequence[int], time_s: float) -> list[Sight]:
-        """Project the markers into each unit's image."""
-        views = [(world.cameras[unit], world.camera_pose(unit)) for unit in units]
-        markers, card_side_m = world.markers, self.side_m * card_side(self.dictionary)
-        images = project_team(views, markers.positions_m, markers.headings_rad, self.side_m, card_side_m)
-        return [
-            self._sight(world, unit, time_s, image, markers.ids[image.rows])
-            for unit, image in zip(units, images, strict=True)
-        ]
-
-    def _sight(self, world: World, unit: int, time_s: float, image: TeamImage, ids: IntArray) -> Sight:
-        """What a unit makes of the markers `ids` that are whole in its image."""
-        centers, corners, whole_ids = image.centers_px, image.corners_px, ids
-        headings, sides = headings_of_corners(centers, corners), sides_of_corners(corners)
-        covariances = np.zeros((ids.size, 3, 3))
-        if self.accuracy is not None:
-            found = self.accuracy.found(sides, self.rng)
-            ids, centers, corners = ids[found], centers[found], corners[found]
-            covariances = self.accuracy.covariances(sides[found])
-            error = np.sqrt(np.einsum("nii->ni", covariances)) * self.rng.standard_normal((ids.size, 3))
-            shapes = self.accuracy.draw_shapes(sides[found], error[:, 2], self.rng)
-            corners = centers[:, None] + (corners - centers[:, None]) @ shapes.swapaxes(1, 2)
-            centers, corners = centers + error[:, :2], corners + error[:, None, :2]
-            headings, sides = headings[found] + error[:, 2], sides_of_corners(corners)
-        detections = Detections(
-            unit_id=unit,
-            time_s=time_s,
-            image_size_px=np.array(world.cameras[unit].size_px),
-            ids=ids,
-            centers_px=centers,
-            headings_rad=headings,
-            sides_px=sides,
-            corners_px=corners,
-            covariances=covariances,
-        )
-        return Sight(detections, whole_ids, ids, 0, None)

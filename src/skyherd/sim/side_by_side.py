@@ -24,7 +24,8 @@ import numpy as np
 
 from skyherd.errors import OutputError
 from skyherd.jobs.helpers import Helper, can_help, one_thread
-from skyherd.sim.perception import Image, Perception, RenderedPerception, Scene, Sight
+from skyherd.sim.perception import RenderedPerception, Scene
+from skyherd.sim.sight import Image, Perception, Sight
 from skyherd.sim.world import World
 
 GONE = OutputError(
@@ -37,8 +38,8 @@ DRAWING, READING = 1, 2
 `star`."""
 
 WAITING = 3
-"""Requests that a helper may have at a time. *Derived*: to draw, to read what it drew, and to read what
-another drew."""
+"""Requests that wait in a helper before others wait in its pipe. *Derived*: to draw, to read what it drew,
+and to read what another drew."""
 
 
 @dataclass(frozen=True)
@@ -104,7 +105,7 @@ class SideBySide(Perception):
         request = pickle.dumps(perception.scene(world, units, time_s), pickle.HIGHEST_PROTOCOL)
         for helper in self._helpers:
             helper.send(request)
-        return self._sights(units, self._have_drawn_images_read(set(units)))
+        return self._sights(units, self._ask_for_reading(set(units)))
 
     def _sights(self, units: Sequence[int], reading: list[Helper]) -> Iterator[Sight]:
         """Sights of units in their order, of each as soon as it is read, while others are read."""
@@ -114,8 +115,8 @@ class SideBySide(Perception):
                 sights |= reading.pop(0).answer()
             yield replace(sights[unit], image=self._images[unit].copy())
 
-    def _have_drawn_images_read(self, units: set[int]) -> list[Helper]:
-        """Ask for each image to be read, as soon as it is drawn; returned is who was asked, in this order."""
+    def _ask_for_reading(self, units: set[int]) -> list[Helper]:
+        """Ask for each image to be read as soon as it is drawn; return who was asked, in this order."""
         asked = []
 
         def ask(reader: int, images: AbstractSet[int]) -> None:

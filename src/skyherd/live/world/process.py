@@ -22,8 +22,9 @@ from skyherd.live.world.camera_stream import CameraStream
 from skyherd.messages import FlightCommand, VelocityCommand
 from skyherd.random_streams import RunStream, generator
 from skyherd.recording.mcap_log import McapLog, Schema
-from skyherd.sim.perception import Image, make_renderer
+from skyherd.sim.perception import make_renderer
 from skyherd.sim.physics import make_world
+from skyherd.sim.sight import Image
 from skyherd.sim.truth_metrics import TruthObserver
 
 HOLD_S = 0.5

@@ -40,9 +40,12 @@ SETTINGS = [
 
 @pytest.fixture(scope="module")
 def messages(tmp_path_factory):
+    """Of the recording of a tree of units."""
+    return recorded(load_mission("chain", SETTINGS), tmp_path_factory.mktemp("real") / "run.mcap")
+
+
+def recorded(mission, path):
     """Topic, time and content of a recording's messages, each content as JSON text."""
-    path = tmp_path_factory.mktemp("real") / "run.mcap"
-    mission = load_mission("chain", SETTINGS)
     with McapRecorder(path, mission) as recorder:
         for step in run_steps(mission):
             recorder.write(step)
@@ -68,6 +71,30 @@ def write(path, messages, *, chunk_size=2**40, wall_s="1.0"):
         writer.flush()
         writer.add_metadata("wall", {"wall_s": wall_s})
         writer.finish()
+
+
+@pytest.mark.parametrize(
+    ("topic", "key", "why"),
+    [
+        ("/unit/0/report", "controlled_ids", "controlled_ids must be robots'"),
+        ("/unit/0/truth", "whole_ids", "whole_ids must be of markers"),
+        ("/unit/0/truth", "found_ids", "found_ids must be of whole_ids"),
+        ("/unit/0/goals", "ids", "ids must be of robots that were seen"),
+    ],
+)
+def test_a_single_id_that_belongs_to_nobody_is_refused(tmp_path, topic, key, why):
+    """Among others that are right, the last and largest of them, so that the order stays."""
+    path, strange = tmp_path / "run.mcap", []
+    messages = recorded(load_mission("star", ["duration_s=0.2", "perception=ideal"]), path)
+    for name, time_s, text in messages[1:]:
+        record = json.loads(text)
+        if name == topic:
+            assert len(record[key]) > 1
+            record[key][-1] = 999
+        strange.append((name, time_s, json.dumps(record)))
+    write(path, strange)
+    with pytest.raises(InputError, match=why):
+        read_recording(path)
 
 
 def places(tree, at=()):

@@ -45,12 +45,13 @@ def seen(ground: Ground, camera: Camera, pose: CameraPose) -> np.ndarray:
 def test_a_picture_lies_as_it_is_seen_from_above():
     """North at the top, east at the right; 8 m wide and, being twice as wide as high, 4 m high."""
     picture = np.full((100, 200), 60, np.uint8)
-    picture[:50, 100:] = 200
+    picture[:50, 100:], picture[50:, 100:] = 200, 120
     ground = Ground(0, kind="image", image=picture, tile_m=8.0)
     camera, pose = Camera((320, 160), 40.0), CameraPose((4.0, 2.0), 1.0)
     image = seen(ground, camera, pose)
     np.testing.assert_allclose(image[20:60, 180:300], 200, atol=2)
-    for part in (image[20:60, 20:140], image[100:140, 20:140], image[100:140, 180:300]):
+    np.testing.assert_allclose(image[100:140, 180:300], 120, atol=2)
+    for part in (image[20:60, 20:140], image[100:140, 20:140]):
         np.testing.assert_allclose(part, 60, atol=2)
 
 

@@ -1,9 +1,11 @@
 from collections.abc import Iterator
+from dataclasses import replace
 from fractions import Fraction
 from functools import cache
 from pathlib import Path
 
 import av
+import cv2
 import numpy as np
 import pytest
 
@@ -15,7 +17,7 @@ from skyherd.files.video_writer import VideoSink, count_frames, read_frames
 from skyherd.geometry import to_complex
 from skyherd.loop import Step, run_steps
 from skyherd.video.axis_ticks import LinearRange, LogRange, tick_values
-from skyherd.video.camera_panel import CameraPanel
+from skyherd.video.camera_panel import CameraPanel, brightened
 from skyherd.video.composer import Composer, make_layout
 
 SIZE_PX = (64, 48)
@@ -183,6 +185,21 @@ def test_arrows_point_where_the_similarity_puts_the_robots(name: str, perception
         np.testing.assert_allclose(
             desired_points_px(frame.decision), desired, atol=1e-6, err_msg=f"unit {unit}"
         )
+
+
+@pytest.mark.parametrize("size_px", [(640, 400), (1000, 620), (333, 257)])
+def test_a_camera_s_picture_is_its_image_averaged_over_areas(size_px: tuple[int, int]) -> None:
+    """In one step or, where that is quicker, halved before; it is dark on the left, down and in a box."""
+    mission, steps = steps_of("triangle", "rendered", 1)
+    (width, height), cell = size_px, np.full((160, 200, 3), 255, np.uint8)
+    image = np.add.outer(np.linspace(120, 0, height), np.linspace(130, 0, width)).astype(np.uint8)
+    image[height // 3 : height // 2, width // 4 : width // 2] = 0
+    view = CameraPanel(0, cell, size_px, mission.scenario.selection.radius)
+    frame = steps[0].frames[0]
+    view._draw_image(replace(frame, sight=replace(frame.sight, image=image)))
+    shown = view._picture.shape[1::-1]
+    expected = brightened(cv2.resize(image, shown, interpolation=cv2.INTER_AREA))
+    assert np.abs(view._picture.astype(int) - expected[..., None]).mean() < 1.0
 
 
 def test_arrows_are_drawn_to_the_desired_points() -> None:

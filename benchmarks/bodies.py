@@ -132,7 +132,7 @@ def run_mission(seed: int, options: argparse.Namespace) -> Row:
         mission.template.points_px.conj(),
         to_complex(mission.positions_m),
         classes=None if mission.scenario.roles.exchange else np.arange(mission.ids.size),
-        spacing=(mission.scenario.size.least_spacing_sides * side_m, np.inf),
+        spacing=(mission.scenario.size.min_spacing_sides * side_m, np.inf),
     )
     ready_s = watch.ready_s or 0.0
     row = {
@@ -164,7 +164,7 @@ def summarize(rows: list[Row]) -> dict[str, Any]:
         "no_start": len(rows) - len(good),
         "converged": sum(row["converged"] for row in good),
         "with_collisions": sum(row["collisions"] > 0 for row in good),
-        "least_gap_sides": min(row["min_gap_sides"] for row in good),
+        "min_gap_sides": min(row["min_gap_sides"] for row in good),
         "time_median_s": float(np.median(times)) if times else None,
         "time_max_s": max(times, default=None),
         "path_over_shortest_quantiles": dict(

@@ -23,7 +23,7 @@ from skyherd.study.plan import mission_key
 from skyherd.study.store import Store, open_store
 
 FOCAL_PX, REACH_M, DURATION_S = 480.0, 6.9, 30.0
-LEAST_PX_PER_M, MOST_PX_PER_M = 28.5, 56.0
+MIN_PX_PER_M, MAX_PX_PER_M = 28.5, 56.0
 PIXEL_GAIN = 0.4 / 40.0
 """k_v of the pixel gains: as fast as the marker gains at 40 px/m."""
 
@@ -32,7 +32,7 @@ def random_unit(seed: int) -> dict[str, Any]:
     """A hovering unit that has all of the start in view, whatever its zoom."""
     rng = np.random.default_rng([seed, 100])
     focal_px = float(FOCAL_PX * 2 ** rng.uniform(-1, 1))
-    scales = rng.uniform(LEAST_PX_PER_M, MOST_PX_PER_M, 2)
+    scales = rng.uniform(MIN_PX_PER_M, MAX_PX_PER_M, 2)
     half_px = REACH_M * scales.max() * (1 + rng.uniform(0, 0.25, 2))
     shift_px = (half_px - REACH_M * scales.max()) * rng.uniform(-1, 1, 2)
     size_px = np.ceil(2 * half_px).astype(int)

@@ -39,7 +39,7 @@ SCENARIOS: dict[str, tuple[str, float, dict[str, float] | None]] = {
 LATENCIES_S = (0.0, 0.1, 0.3, 1.0)
 GAINS = tuple(float(f"{gain:.2g}") for gain in (*np.geomspace(0.2, 1, 5), *np.geomspace(1.25, 10, 9)))
 DURATION_S, IMAGES_HZ = 40.0, 10
-GOAL, MOST_OVERSHOOT = 0.005, 10.0
+GOAL, MAX_OVERSHOOT = 0.005, 10.0
 
 RUNS = [
     (scenario, latency_s, compensate, gain)
@@ -140,7 +140,7 @@ def draw(rows: list[dict[str, Any]], path: Path) -> None:
                 here = select(rows, scenario=scenario, latency_s=latency_s, compensate=compensate)
                 gains = [row["gain"] for row in here]
                 settled = [np.nan if row["settled_s"] is None else row["settled_s"] for row in here]
-                overshoot = [min(row["overshoot"], MOST_OVERSHOOT) for row in here]
+                overshoot = [min(row["overshoot"], MAX_OVERSHOOT) for row in here]
                 style = {"linestyle": "-" if compensate else "--", "color": colour, "marker": "."}
                 axes[0, column].plot(gains, settled, **style)
                 axes[1, column].plot(gains, overshoot, **style)
@@ -148,7 +148,7 @@ def draw(rows: list[dict[str, Any]], path: Path) -> None:
         axes[1, column].set_xlabel("gain k, 1/s")
     axes[0, 0].set(xscale="log", yscale="log", ylabel="time to 0.5 % shape error, s")
     axes[1, 0].set_yscale("symlog", linthresh=0.01)
-    axes[1, 0].set(ylim=(0, 1.3 * MOST_OVERSHOOT), ylabel="overshoot, share of the start")
+    axes[1, 0].set(ylim=(0, 1.3 * MAX_OVERSHOOT), ylabel="overshoot, share of the start")
     for axis in axes.flat:
         axis.grid(alpha=0.3)
         axis.xaxis.set_major_formatter("{x:g}")

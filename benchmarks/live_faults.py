@@ -24,10 +24,10 @@ import numpy as np
 from skyherd.datasets import load_mission
 from skyherd.files.atomic import write_text
 from skyherd.live.lab import Lab, load_lab
-from skyherd.live.radio import Air, MemoryRadio, Post
+from skyherd.live.mailbox import Air, Mailbox, MemoryRadio
 from skyherd.live.robot_core import RobotCore
 from skyherd.live.unit_core import UnitCore
-from skyherd.live.wire import MOST_BYTES, Arm
+from skyherd.live.wire import MAX_BYTES, Arm
 from skyherd.messages import VelocityCommand
 from skyherd.sim.physics import make_world
 from skyherd.sim.projected_perception import ProjectedPerception
@@ -37,23 +37,23 @@ PERIOD_S = 0.1
 TIMES = 10
 FAULT_S = 20.0
 DURATION_S = 30.0
-BEAT_STEPS = 3
+HEARTBEAT_STEPS = 3
 HOLD_S = 0.5
 FORMED = 0.02
 KINDS = {
-    "unit": ("report/**", "beat/**", "stop/**"),
-    "robot": ("goals/**", "proximity/**", "sighting/**", "beat/unit/*", "arm/**", "stop/**"),
+    "unit": ("report/**", "heartbeat/**", "stop/**"),
+    "robot": ("goals/**", "proximity/**", "sighting/**", "heartbeat/unit/*", "arm/**", "stop/**"),
 }
 
 
 @dataclass
 class Process:
-    """One live process: its core, its post, and its clock.
+    """One live process: its core, its mailbox, and its clock.
 
     Attributes:
         name: such as `robot/3`.
         core: of a unit or a robot.
-        post: its messages.
+        mailbox: its messages.
         offset_s: what its clock shows more than the world's.
         dead_until_s: it is killed until then.
         told: reasons that it gave, in order, each once in a row.
@@ -61,7 +61,7 @@ class Process:
 
     name: str
     core: Any
-    post: Post
+    mailbox: Mailbox
     radio: MemoryRadio
     offset_s: float = 0.0
     dead_until_s: float = -1.0
@@ -105,8 +105,8 @@ class Team:
             self.start(f"unit/{unit}")
         for robot in lab.ids:
             self.start(f"robot/{robot}")
-        self.operator = Post(
-            self.air.radio("operator"), lab.model.team, "operator", lambda: self.now_s, ("beat/**",)
+        self.operator = Mailbox(
+            self.air.radio("operator"), lab.model.team, "operator", lambda: self.now_s, ("heartbeat/**",)
         )
         self.wheels = {robot: (0.0, 0.0, -np.inf) for robot in lab.ids}
         self.imaged_s = dict.fromkeys(lab.ids, -np.inf)
@@ -122,7 +122,7 @@ class Team:
             self.processes[name].radio.close()
         radio = self.air.radio(name)
         process = Process(name, None, None, radio, self.offsets.get(name, 0.0))  # type: ignore[arg-type]
-        process.post = Post(
+        process.mailbox = Mailbox(
             radio,
             self.lab.model.team,
             name,
@@ -151,16 +151,16 @@ class Team:
             self.air.advance(self.now_s)
             clock_s = self.now_s + process.offset_s
             if self.now_s < process.dead_until_s:
-                list(process.post.fetch())
+                list(process.mailbox.fetch())
                 continue
-            for arrival in process.post.fetch():
+            for arrival in process.mailbox.fetch():
                 process.core.receive(arrival.envelope, arrival.received_s)
             if isinstance(process.core, UnitCore):
                 self._look(process, clock_s)
             else:
                 self._drive(process, clock_s)
-            if self._step % BEAT_STEPS == 0:
-                process.post.send(process.core.beat(clock_s, ""))
+            if self._step % HEARTBEAT_STEPS == 0:
+                process.mailbox.send(process.core.heartbeat(clock_s, ""))
         self._move()
         self._step += 1
         self.now_s = self.start_s + self._step * PERIOD_S
@@ -188,7 +188,7 @@ class Team:
         if news is None:
             return
         for message in news.messages:
-            process.post.send(message)
+            process.mailbox.send(message)
         self.world.fly(news.decision.flight)
 
     def _drive(self, process: Process, clock_s: float) -> None:
@@ -314,9 +314,9 @@ def garbage(team: Team, rng: np.random.Generator, at_s: float) -> None:
         b"{" * 10_000,
     ]
     if rng.random() < 0.02:
-        samples.append(b"x" * (2 * MOST_BYTES))
+        samples.append(b"x" * (2 * MAX_BYTES))
     data = samples[int(rng.integers(len(samples)))]
-    for topic in ("goals/unit/0", "sighting/unit/0", "beat/unit/0", "report/unit/1", "arm/x", "stop/x"):
+    for topic in ("goals/unit/0", "sighting/unit/0", "heartbeat/unit/0", "report/unit/1", "arm/x", "stop/x"):
         radio.publish(f"skyherd/{name}/{topic}", data)
 
 
@@ -362,7 +362,7 @@ def run(fault: str, seed: int, duration_s: float = DURATION_S) -> dict[str, Any]
         "exceeded": max(team.blind_s.values()) > limit_s + 1e-9,
         "error": team.errors[-1],
         "formed": team.errors[-1] < FORMED,
-        "refused": sum(sum(p.post.refusals.counts.values()) for p in team.processes.values()),
+        "refused": sum(sum(p.mailbox.refusals.counts.values()) for p in team.processes.values()),
         "told": sorted(set(told)),
     }
 

@@ -10,7 +10,7 @@ losses. The same video then is the camera of a lab with one unit and all of the 
   the unit's detector; its decision; and the bytes of all that it sends.
 - `live`: `skyherd live run`, processes of their own for the unit and each robot, the video at its own pace,
   and then the same with OpenCV's detector in place of the unit's. Stages are those of `skyherd report`.
-- `recording`: in this process again, all that a unit does on an image and keeps of it, without a diary, and
+- `recording`: in this process again, all that a unit does on an image and keeps of it, without a log, and
   with one that has none, 1 and 10 pictures a second for viewers, in turns. Of the passes of one kind each
   image's shortest time counts, which other work on the machine disturbs least; `own` is the processor's time
   of the unit's own thread, which that disturbs even less.
@@ -37,10 +37,10 @@ import numpy as np
 
 from skyherd.datasets import load_mission
 from skyherd.files.video_reader import open_clip, read_clip
-from skyherd.live.diaries.album import Album
-from skyherd.live.diaries.diary import Diary
-from skyherd.live.diaries.view import view_of
 from skyherd.live.lab import Lab, load_lab, make_lab
+from skyherd.live.logs.frame_log import FrameLog
+from skyherd.live.logs.process_log import ProcessLog
+from skyherd.live.logs.view import view_of
 from skyherd.live.review import make_live_report
 from skyherd.live.unit_process import keep_image
 from skyherd.live.wire import Envelope, encode
@@ -177,7 +177,7 @@ def run_live(scenario: str, video: Path, folder: Path, port: int) -> dict[str, A
 
 
 def run_recording(scenario: str, path: Path, folder: Path, times: int) -> list[dict[str, Any]]:
-    """Time of a unit's loop an image, s, without a diary, and with one and so many pictures a second."""
+    """Time of a unit's loop an image, s, without a log, and with one and so many pictures a second."""
     images = list(images_of(path))
     took: dict[float | None, list[list[tuple[float, float]]]] = {rate_hz: [] for rate_hz in PICTURES_HZ}
     for number in range(times * len(PICTURES_HZ)):
@@ -203,13 +203,16 @@ def loop_times(
 ) -> list[tuple[float, float]]:
     """Time of a unit's loop for each image, s, as fast as it can, and the processor's time of its thread.
 
-    There is no diary where no rate of pictures is given.
+    There is no process_log where no rate of pictures is given.
     """
     dictionary = lab.model.markers.dictionary
     detector = create_detector(lab.camera(0).detector, dictionary=dictionary, deferring=True)
     core, width_px = lab.make_unit(0), lab.model.recording.image_width_px
     times = []
-    with Diary(path, "unit/0", lab, 0.0) as diary, Album(0, rate_hz or 0.0, width_px) as album:
+    with (
+        ProcessLog(path, "unit/0", lab, 0.0) as process_log,
+        FrameLog(0, rate_hz or 0.0, width_px) as frame_log,
+    ):
         for number, image in enumerate(images):
             time_s = (number + 1) / RATE_HZ
             begun_s, own_s = time.perf_counter(), time.thread_time()
@@ -220,10 +223,10 @@ def loop_times(
             if rate_hz is not None:
                 view = None if news is None else view_of(news.decision, lab.template)
                 stages = dict.fromkeys(("captured_s", "arrived_s", "begun_s", "found_s", "sent_s"), time_s)
-                keep_image(diary, found, news, view, stages)
-                album.show(image, found, None if news is None else news.decision, view)
-                for topic, record in album.done():
-                    diary.keep(topic, time_s, record)
+                keep_image(process_log, found, news, view, stages)
+                frame_log.show(image, found, None if news is None else news.decision, view)
+                for topic, record in frame_log.done():
+                    process_log.keep(topic, time_s, record)
             look_around(detector, image)
             times.append((time.perf_counter() - begun_s, time.thread_time() - own_s))
     return times
@@ -234,7 +237,7 @@ def show(row: dict[str, Any]) -> None:
     text = f"{row['scenario']:9} {row['kind']:9}"
     if row["kind"] == "recording":
         rate_hz = row["image_rate_hz"]
-        text += " no diary" if rate_hz is None else f" diary, {rate_hz:g} pictures/s"
+        text += " no diary" if rate_hz is None else f" process_log, {rate_hz:g} pictures/s"
         for name in ("loop", "own"):
             text += f"  {name} {1e3 * row[name]['median']:6.2f}, {1e3 * row[name]['p99']:6.1f} ms"
             text += f", mean {1e3 * row[name]['mean']:.2f}"

@@ -36,10 +36,10 @@ from live_faults import fault_table, measure
 from mcap.reader import make_reader
 
 from skyherd.files.atomic import write_text
-from skyherd.live.diaries.diary_file import read_diary
-from skyherd.live.diaries.replay import replay
 from skyherd.live.lab import LabRadio, lab_text, load_lab
-from skyherd.live.wire import MOST_BYTES
+from skyherd.live.logs.process_log_file import read_process_log
+from skyherd.live.logs.replay import replay
+from skyherd.live.wire import MAX_BYTES
 
 SKYHERD = [sys.executable, "-m", "skyherd"]
 DRIVE_S, FAULT_S, AFTER_S = 60.0, 3.0, 20.0
@@ -202,8 +202,15 @@ def garbage(team: Team, rng: np.random.Generator) -> None:
     radio = ZenohRadio(LabRadio(listen=[team.radio], connect=[team.radio]), team.folder)
     end_s = time.monotonic() + 10.0
     while time.monotonic() < end_s:
-        size = 2 * MOST_BYTES if rng.random() < 0.01 else int(rng.integers(200))
-        for topic in ("goals/unit/0", "sighting/unit/0", "beat/unit/0", "report/unit/1", "arm/x", "stop/x"):
+        size = 2 * MAX_BYTES if rng.random() < 0.01 else int(rng.integers(200))
+        for topic in (
+            "goals/unit/0",
+            "sighting/unit/0",
+            "heartbeat/unit/0",
+            "report/unit/1",
+            "arm/x",
+            "stop/x",
+        ):
             radio.publish(f"skyherd/triangle/{topic}", rng.bytes(size))
         time.sleep(0.02)
     radio.close()
@@ -304,7 +311,7 @@ def _judge(team: Team) -> dict[str, Any]:
     for robot in robots:
         imaged = []
         for path in sorted((team.folder / "run").glob(f"robot_{robot}*.mcap")):
-            for topic, record in read_diary(path):
+            for topic, record in read_process_log(path):
                 if topic == "/decide" and record["image_age_s"] is not None:
                     imaged.append((record["now_s"], record["now_s"] - record["image_age_s"]))
         if not imaged:
@@ -320,7 +327,7 @@ def _judge(team: Team) -> dict[str, Any]:
         replayed = replay(path)
         different += replayed.different
         if path.stem in team.killed:
-            last_s = max(record["now_s"] for _, record in read_diary(path) if "now_s" in record)
+            last_s = max(record["now_s"] for _, record in read_process_log(path) if "now_s" in record)
             lost_s = max(lost_s, team.killed[path.stem] - last_s)
         elif not replayed.ended:
             unread.append(path.stem)

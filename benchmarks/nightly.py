@@ -53,7 +53,7 @@ def _all_formed(summary: Summary) -> bool:
 
 
 def _all_formed_apart(summary: Summary) -> bool:
-    return _all_formed(summary) and summary["least_gap_m"] > 0
+    return _all_formed(summary) and summary["min_gap_m"] > 0
 
 
 def _inside_p(summary: Summary) -> bool:
@@ -63,7 +63,7 @@ def _inside_p(summary: Summary) -> bool:
 def _tell_trees(summary: Summary) -> str:
     return (
         f"{summary['converged']} of {summary['missions']} formed, {summary['inside_p_throughout']} inside P "
-        f"throughout, radio cut in {summary['missions_cut']}, least gap {summary['least_gap_m']:.3f} m"
+        f"throughout, radio cut in {summary['missions_cut']}, least gap {summary['min_gap_m']:.3f} m"
     )
 
 

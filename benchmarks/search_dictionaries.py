@@ -17,7 +17,7 @@ CHECKED = 12
 """So many basis vectors are spanned before the code is complete, to give up early."""
 
 
-def least_weight(basis: list[int], cells: int) -> int:
+def min_weight(basis: list[int], cells: int) -> int:
     """Least weight of the words of a code but zero."""
     return int(word_bits(span(basis)[1:], cells**2).sum(axis=1).min())
 
@@ -45,7 +45,7 @@ def random_code(cells: int, dimension: int, beat: int, rng: np.random.Generator)
         if len(longer) > dimension:
             continue
         basis = longer
-        if len(basis) >= 6 and least_weight(basis[-CHECKED:], cells) <= beat:
+        if len(basis) >= 6 and min_weight(basis[-CHECKED:], cells) <= beat:
             return None
     return basis
 
@@ -61,7 +61,7 @@ def main() -> None:
     rng, best, end = np.random.default_rng(options.seed), 0, time.monotonic() + options.seconds
     while time.monotonic() < end:
         basis = random_code(options.cells, options.dimension, best, rng)
-        if basis is None or (weight := least_weight(basis, options.cells)) <= best:
+        if basis is None or (weight := min_weight(basis, options.cells)) <= best:
             continue
         best = weight
         print(f"distance {best}: {', '.join(hex(vector) for vector in basis)}", flush=True)

@@ -13,7 +13,7 @@
 
 With `--radio M` units receive those within M times the least range at which all hang together at the start,
 and others by relay. `cut_s` is how long the radio did not hold all living units together, when no protocol
-can keep P, since nobody can tell a unit out of reach from a dead one. `least_gap_m` is the least distance
+can keep P, since nobody can tell a unit out of reach from a dead one. `min_gap_m` is the least distance
 between two bodies. Violations count from when the tree is ready; before, robots stand still. Of deaths,
 `formed_before` says whether the shape had been reached by then.
 
@@ -70,7 +70,7 @@ def mission_tree(seed: int, options: argparse.Namespace) -> dict[str, Any]:
         tree["robots"]["timeout_s"] = 2.0
     if options.radio:
         places_m = [unit["position_m"] for unit in tree["units"]]
-        tree["network"] = tree.get("network", {}) | {"range_m": options.radio * least_range_m(places_m)}
+        tree["network"] = tree.get("network", {}) | {"range_m": options.radio * min_range_m(places_m)}
     if options.clocks:
         for unit in tree["units"]:
             unit["clock_offset_s"] = float(options.clocks * rng.uniform(-1, 1))
@@ -88,7 +88,7 @@ def mission_tree(seed: int, options: argparse.Namespace) -> dict[str, Any]:
     return tree
 
 
-def least_range_m(places_m: npt.ArrayLike) -> float:
+def min_range_m(places_m: npt.ArrayLike) -> float:
     """The least range, m, at which units at places (U, 2) all hang together."""
     apart_m = squareform(pdist(np.asarray(places_m)))
     return float(minimum_spanning_tree(apart_m).toarray().max())
@@ -112,7 +112,7 @@ class Watch:
         self.log_need = self.log_have = 0.0
         self.predicted_s: float | None = None
         self.last_s = 0.0
-        self.cut_s, self.least_gap_m = 0.0, float("inf")
+        self.cut_s, self.min_gap_m = 0.0, float("inf")
         self._scenario = scenario
 
     def see(self, step: Step) -> None:
@@ -152,11 +152,11 @@ class Watch:
         """For how long the radio did not hold the living together, and how near two bodies came."""
         scenario = self._scenario
         radius_m = scenario.robots.body_radius_sides * scenario.marker.side_m
-        self.least_gap_m = min(self.least_gap_m, float(pdist(step.positions_m).min()) - 2 * radius_m)
+        self.min_gap_m = min(self.min_gap_m, float(pdist(step.positions_m).min()) - 2 * radius_m)
         range_m, dead = scenario.network.range_m, dead_units(scenario, step.time_s)
         living = np.setdiff1d(np.arange(len(scenario.units)), dead)
         if range_m is not None and living.size > 1:
-            self.cut_s += passed_s * (least_range_m(step.fleet.positions_m[living]) > range_m)
+            self.cut_s += passed_s * (min_range_m(step.fleet.positions_m[living]) > range_m)
 
     def _recover(self, step: Step, in_q: bool) -> None:
         """When TC1-TC2 hold after a death, and when each robot is seen by a unit that controls it."""
@@ -225,7 +225,7 @@ def run_mission(seed: int, options: argparse.Namespace) -> dict[str, Any]:
         "longest_violation_s": watch.longest_s,
         "switches": watch.switches,
         "cut_s": watch.cut_s,
-        "least_gap_m": watch.least_gap_m,
+        "min_gap_m": watch.min_gap_m,
         "shape_error": error,
         "simulated_s": step.time_s,
         "wall_s": perf_counter() - started,
@@ -255,7 +255,7 @@ def summarize(rows: list[dict[str, Any]]) -> dict[str, Any]:
         ),
         "missions_cut": sum(bool(row.get("cut_s")) for row in good),
         "ready_max_s": max((row["ready_s"] or np.inf for row in good), default=0.0),
-        "least_gap_m": min((row.get("least_gap_m", np.inf) for row in good), default=np.inf),
+        "min_gap_m": min((row.get("min_gap_m", np.inf) for row in good), default=np.inf),
         "switches_median": float(np.median([row["switches"] for row in good])),
     }
     if times.size:

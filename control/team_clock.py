@@ -20,7 +20,7 @@ from skyherd.messages import TIME_TOLERANCE_S
 from skyherd.messages.checks import check_count, check_numbers
 from skyherd.messages.clock_offset import OffsetBound
 
-MOST_MEMBERS = 10_000
+MAX_MEMBERS = 10_000
 """Most members of a team. Chosen: as many robots as a scenario may have."""
 
 
@@ -28,22 +28,22 @@ class TeamClock:
     """The team's time as N members know it, each by its own clock and by what it has heard.
 
     Attributes:
-        least_delay_s: no message takes less from its image to its receiver.
+        min_delay_s: no message takes less from its image to its receiver.
         listens: whether the members hear and do not send, so that their own clocks say nothing of the team's.
 
     Args:
-        least_delay_s: as the attribute.
+        min_delay_s: as the attribute.
         members: N.
         listens: as the attribute.
 
     Raises:
-        InputError: `least_delay_s` is negative or no number, or `members` is no number of robots or units.
+        InputError: `min_delay_s` is negative or no number, or `members` is no number of robots or units.
     """
 
-    def __init__(self, least_delay_s: float = 0.0, members: int = 1, *, listens: bool = False) -> None:
-        self.least_delay_s, self.listens = least_delay_s, listens
-        check_numbers(self, not_negative=("least_delay_s",))
-        check_count("TeamClock.members", members, most=MOST_MEMBERS)
+    def __init__(self, min_delay_s: float = 0.0, members: int = 1, *, listens: bool = False) -> None:
+        self.min_delay_s, self.listens = min_delay_s, listens
+        check_numbers(self, not_negative=("min_delay_s",))
+        check_count("TeamClock.members", members, most=MAX_MEMBERS)
         self._ahead = OffsetBound(members)
 
     def hear(self, stamp_s: float, own_s: Array, rows: IntArray | None = None) -> None:
@@ -55,7 +55,7 @@ class TeamClock:
             rows: members that it arrived at; all if None.
         """
         at = slice(None) if rows is None else rows
-        self._ahead.tighten(stamp_s + self.least_delay_s - own_s[at], own_s, at)
+        self._ahead.tighten(stamp_s + self.min_delay_s - own_s[at], own_s, at)
 
     def time_s(self, own_s: Array) -> Array:
         """The team's time (N,), by what the members' own clocks show (N,); these until it has heard."""

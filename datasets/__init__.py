@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 from skyherd.datasets.configuration.body_models import SizeModel
 from skyherd.datasets.configuration.camera_models import CameraModel
 from skyherd.datasets.configuration.cameras import CAMERAS
-from skyherd.datasets.configuration.fields import Model
+from skyherd.datasets.configuration.fields import Model, Point
 from skyherd.datasets.configuration.mission import (
     Mission,
     ScenarioSource,
@@ -104,6 +104,7 @@ __all__ = [
     "Mission",
     "Model",
     "NetworkModel",
+    "Point",
     "RobotsModel",
     "ScatterModel",
     "Scenario",

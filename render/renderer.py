@@ -29,7 +29,7 @@ Image = npt.NDArray[np.uint8]
 Light = Float
 """What falls on the sensor, in grey levels, (height, width)."""
 
-MOST_INSTANTS = 64
+MAX_INSTANTS = 64
 """Sharp images at most whose mean is a blurred one. *Chosen*: right for streaks of up to 120 standard
 deviations of blur, some 100 px; longer ones show steps."""
 
@@ -183,7 +183,7 @@ class Renderer:
             forward = markers.project(np.array([[0.0, 0.0], [1.0, 0.0]])).reshape(-1, 2)
             marks.append(np.concatenate([forward, apply_homography(homography, corners_m)]))
         length_px = float(np.linalg.norm(marks[1] - marks[0], axis=1).max())
-        count = min(int(np.ceil(length_px / (2 * self._spread.sigma_px))) + 2, MOST_INSTANTS)
+        count = min(int(np.ceil(length_px / (2 * self._spread.sigma_px))) + 2, MAX_INSTANTS)
         nodes, weights = np.polynomial.legendre.leggauss(count)
         return [(float(x * half_s), float(w / 2)) for x, w in zip(nodes, weights, strict=True)]
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import pytest
 from source_files import SOURCE_FILES, syntax_tree
 
-MOST_NUMBERS = 3
+MAX_NUMBERS = 3
 """Chosen: x, y and z, or a place and a size, are still read at a glance."""
 
 UNITS = re.compile(r"_(m|px|s|rad|deg|mps|radps|hz|sides|cells|px2|m2|degps|ps)$")
@@ -38,7 +38,7 @@ def too_many_numbers(tree: ast.Module) -> Iterator[str]:
             if isinstance(called, ast.Attribute)
             else ""
         )
-        if (name[:1].isupper() or name == "cls") and sum(map(is_number, node.args)) > MOST_NUMBERS:
+        if (name[:1].isupper() or name == "cls") and sum(map(is_number, node.args)) > MAX_NUMBERS:
             yield f"line {node.lineno}: {name}"
 
 

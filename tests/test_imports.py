@@ -14,10 +14,10 @@ from source_files import ROOT, SOURCE_FILES, syntax_tree
 FACADES = ("control", "render", "vision")
 """Packages whose names are to be imported from the package itself: `from skyherd.control import Template`."""
 
-MOST_CHILDREN = 30
+MAX_CHILDREN = 30
 """Modules and packages directly under `skyherd` that a newcomer is to take in. Chosen."""
 
-MOST_LAYERS = 18
+MAX_LAYERS = 18
 """Layers of the exhaustive import contract. Chosen."""
 
 
@@ -113,8 +113,8 @@ def layer_of() -> dict[str, int]:
 def test_the_package_has_few_rooms_on_few_layers() -> None:
     layers = layer_of()
     assert set(layers) == CHILDREN, "each child of skyherd has its place, and no place is empty"
-    assert len(CHILDREN) <= MOST_CHILDREN
-    assert max(layers.values()) + 1 <= MOST_LAYERS
+    assert len(CHILDREN) <= MAX_CHILDREN
+    assert max(layers.values()) + 1 <= MAX_LAYERS
 
 
 def upward(graph: dict[str, set[str]], layers: dict[str, int]) -> set[tuple[str, str]]:

@@ -12,7 +12,7 @@ GOOD = {
     "inside_p_throughout": 4,
     "longest_violation_of_those_never_cut_s": 0.0,
     "missions_cut": 1,
-    "least_gap_m": 0.1,
+    "min_gap_m": 0.1,
     "with_collisions": 0,
 }
 

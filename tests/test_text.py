@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from skyherd.errors import MOST_CHARACTERS, InputError
+from skyherd.errors import MAX_CHARACTERS, InputError
 from skyherd.text import printable, shorten, table_cell
 
 
@@ -57,8 +57,8 @@ def test_a_cell_is_no_formula_and_survives_csv(text):
 @given(st.text(max_size=2000), st.text(max_size=2000), st.text(max_size=2000))
 def test_no_error_of_an_input_is_long(where, what, allowed):
     error = InputError(where, what, allowed)
-    assert len(str(error)) <= MOST_CHARACTERS + 4
-    if len(where) + len(what) + len(allowed) <= MOST_CHARACTERS:
+    assert len(str(error)) <= MAX_CHARACTERS + 4
+    if len(where) + len(what) + len(allowed) <= MAX_CHARACTERS:
         one_line = what.replace("\n", " ")
         assert str(error) == f"{where}: {one_line}; {allowed}"
 
@@ -66,7 +66,7 @@ def test_no_error_of_an_input_is_long(where, what, allowed):
 def test_the_longest_part_is_shortened_and_the_others_are_left():
     error = InputError("a.toml: key", "x" * 100_000, "1 or more")
     assert (error.where, error.allowed) == ("a.toml: key", "1 or more")
-    assert len(str(error)) <= MOST_CHARACTERS + 4
+    assert len(str(error)) <= MAX_CHARACTERS + 4
 
 
 def test_an_error_of_a_value_whose_text_has_lines_is_of_one_line():

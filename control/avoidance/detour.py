@@ -25,7 +25,7 @@ and passing right, so that two robots that meet head-on both keep to the right."
 HEAD_ON_RAD = 0.05
 """Angle up to which `gyroscopic` takes an encounter as head-on and passes to the right, rad (3 degrees)."""
 
-LEAST_COSINE = 1e-9
+MIN_COSINE = 1e-9
 """A direction whose cosine to a body is below this does not approach it. Chosen: above the rounding of a
 cosine (1e-16); an approach at 1e-9 of a robot's speed is harmless, and bounded afterwards in any case."""
 
@@ -70,8 +70,8 @@ def around(
     concerned = np.isin(rows, blocked)
     row = np.searchsorted(blocked, rows[concerned])
     cosines = (np.exp(-1j * bearings_rad[concerned])[:, None] * directions[row]).real
-    limits = speeds_mps[concerned][:, None] / np.maximum(cosines, LEAST_COSINE)
-    allowed = np.where(cosines > LEAST_COSINE, limits, np.inf)
+    limits = speeds_mps[concerned][:, None] / np.maximum(cosines, MIN_COSINE)
+    allowed = np.where(cosines > MIN_COSINE, limits, np.inf)
     speed = np.repeat(np.abs(preferred[blocked])[:, None], DIRECTIONS, axis=1)
     np.minimum.at(speed, row, allowed)
     score = speed * (np.cos(theta) + SIDEWAYS) * np.where(theta > 0, 1 - RIGHT_HAND, 1.0)

@@ -25,10 +25,10 @@ from skyherd.geometry import Array, ComplexArray, IntArray, wrap_angle
 from skyherd.messages import TIME_TOLERANCE_S
 from skyherd.messages.checks import check_numbers
 
-LEAST_DISTANCE_M = 1e-9
+MIN_DISTANCE_M = 1e-9
 """Distances are divided by at least this, m. Chosen: bodies have radii far above it; it only avoids 0 / 0."""
 
-LEAST_SPEED_MPS = 1e-12
+MIN_SPEED_MPS = 1e-12
 """Speeds are divided by at least this, m/s. Chosen: no robot moves so slowly; it only avoids 0 / 0."""
 
 
@@ -138,7 +138,7 @@ def closing_bounds(memory: NeighborMemory, rule: AvoidanceRule, time_s: Array | 
     gaps_m = distances_m - memory.reaches_sides[pair] * rule.side_m  # below 0 the limit is 0
     is_newest = age_s < rule.superseded_age_s - TIME_TOLERANCE_S
     strayed_m = np.where(is_newest, 0.0, 2 * rule.wheels.max_speed_mps * age_s)
-    turned = np.arcsin(np.minimum(strayed_m / np.maximum(distances_m, LEAST_DISTANCE_M), 1.0))
+    turned = np.arcsin(np.minimum(strayed_m / np.maximum(distances_m, MIN_DISTANCE_M), 1.0))
     unseen_s = np.maximum(time_s - memory.seen_s, 0.0) + rule.clock_margin_s
     return Bounds(
         rows=pair[0],
@@ -190,14 +190,14 @@ def avoiding_law(
     if rule.detour != "none":
         gain = law.speed_mps(np.ones(1))[0]
         preferred = rho * gain
-        speed = np.maximum(np.abs(preferred), LEAST_SPEED_MPS)
+        speed = np.maximum(np.abs(preferred), MIN_SPEED_MPS)
         preferred = preferred * np.minimum(1.0, rule.wheels.max_speed_mps / speed)
         blocked, velocities = DETOUR_RULES[rule.detour](
             preferred, rows=bounds.rows, bearings_rad=bounds.bearings_rad, speeds_mps=bounds.speeds_mps
         )
         rho = rho.copy()
         rho[blocked] = velocities / gain
-        within = (bounds.speeds_mps <= 0) & (np.abs(preferred[bounds.rows]) > LEAST_SPEED_MPS)
+        within = (bounds.speeds_mps <= 0) & (np.abs(preferred[bounds.rows]) > MIN_SPEED_MPS)
         leaving, velocities = out_of_margin(
             preferred,
             rows=bounds.rows[within],

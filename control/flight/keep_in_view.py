@@ -12,7 +12,7 @@ from skyherd.geometry import Array, IntArray, to_points
 from skyherd.messages import NO_ID, Detections, FlightCommand, UnitReport, centred
 from skyherd.messages.checks import check_numbers
 
-LEAST_DISTANCE = 1e-6
+MIN_DISTANCE = 1e-6
 """Distances between image centres, in half images, are held above this where they divide: two units may hang
 at one place, and are then not pushed in any direction."""
 
@@ -54,7 +54,7 @@ class KeepInView(FlightLaw):
         zoom_gain_ps: relative change of zoom for the same, 1/s.
         dead_band: errors of radius below this change nothing, so that noise does not move the unit.
         separation_sides: least distance between the image centres of two units, in marker sides.
-        least_side_px: the unit neither climbs nor zooms out beyond where the markers' median side is this,
+        min_side_px: the unit neither climbs nor zooms out beyond where the markers' median side is this,
             and sinks or zooms in where it is less, since a marker that is too small is not detected at all.
         patrol_s: how long it looks at each robot on patrol. Chosen: two dwell times, in which a robot can be
             adopted.
@@ -67,7 +67,7 @@ class KeepInView(FlightLaw):
     zoom_gain_ps: float = 0.3
     dead_band: float = 0.02
     separation_sides: float = 6.0
-    least_side_px: float = 12.0
+    min_side_px: float = 12.0
     patrol_s: float = 4.0
     memory: ImageMemory = field(init=False)
     _side_px: float = field(default=np.inf, init=False)
@@ -77,7 +77,7 @@ class KeepInView(FlightLaw):
 
     def __post_init__(self) -> None:
         gains = ("lateral_gain_mps", "climb_gain_mps", "zoom_gain_ps", "dead_band")
-        lengths = ("separation_sides", "least_side_px")
+        lengths = ("separation_sides", "min_side_px")
         check_numbers(self, positive=("desired_radius",), not_negative=(*gains, *lengths))
         self.memory = ImageMemory(self.template)
 
@@ -146,7 +146,7 @@ class KeepInView(FlightLaw):
     @property
     def _room(self) -> float:
         """How much higher it may go, as a share of its height, before markers are too small."""
-        return self._side_px / self.least_side_px - 1 if self.least_side_px else np.inf
+        return self._side_px / self.min_side_px - 1 if self.min_side_px else np.inf
 
     def _away_from_others(self, seen: Detections) -> Array:
         """Velocity (2,) away from units that are too near."""
@@ -156,7 +156,7 @@ class KeepInView(FlightLaw):
         least = self.separation_sides * self._side_px / (seen.image_size_px.min() / 2)
         offsets = centred(centers, seen.image_size_px)
         distances = np.linalg.norm(offsets, axis=1)
-        pushes = np.maximum(1 - distances / least, 0.0) / np.maximum(distances, LEAST_DISTANCE)
+        pushes = np.maximum(1 - distances / least, 0.0) / np.maximum(distances, MIN_DISTANCE)
         return np.asarray(-self.lateral_gain_mps * (pushes @ offsets))
 
 

@@ -23,7 +23,7 @@ VANISHING = 1e-9
 spread. Chosen: above the rounding of a sum of some hundred products (1e-14), so that a square fitted to its
 mirror image, which is best fitted by scale zero, is told apart from a poor fit."""
 
-LEAST_SHARE = 0.01
+MIN_SHARE = 0.01
 """Least scale of the goals' similarity, as a share of the root mean square distance of the current points
 over that of the template. Chosen: the fit of a start that is below explains less than a ten-thousandth of its
 squared spread, as of one start in 2500 of six robots at random places (the share explained has the
@@ -103,9 +103,9 @@ def fit_goals(template: ComplexArray, current: ComplexArray) -> Similarity:
 
     With `t` and `x` the centred template and current points, `x = a t + y` and y at right angles to t, the
     law `x' = -k (x - H t)` with the best-fitting `H = a` lets y die out and leaves a as it is. Where a is 0
-    no rotation fits best (the paper's Remark 2). So the scale is at least `LEAST_SHARE |x| / |t|`, with the
+    no rotation fits best (the paper's Remark 2). So the scale is at least `MIN_SHARE |x| / |t|`, with the
     rotation of the best fit, or the template's own in the image where there is none. y dies out as before,
-    and with it V, and a grows: from 0 to `LEAST_SHARE / e` of what x was at the start. A shape so small is
+    and with it V, and a grows: from 0 to `MIN_SHARE / e` of what x was at the start. A shape so small is
     what bounds on its size are for (`skyherd.control.formation.size`).
 
     Raises:
@@ -116,7 +116,7 @@ def fit_goals(template: ComplexArray, current: ComplexArray) -> Similarity:
     except SingularSetError:
         best = Similarity(0j, complex(template.mean()), complex(current.mean()))
     spread = float(np.linalg.norm(current - best.target))
-    least = LEAST_SHARE * spread / float(np.linalg.norm(template - best.source))
+    least = MIN_SHARE * spread / float(np.linalg.norm(template - best.source))
     if best.scale >= least:
         return best
     direction = best.factor / best.scale if best.scale else 1.0

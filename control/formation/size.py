@@ -30,20 +30,20 @@ class SizeRule:
     """Bounds on the size of the shape, as the distance between its two nearest points in marker sides.
 
     Attributes:
-        least_sides: lower bound; 0 for none.
-        most_sides: upper bound; equal to `least_sides` for a given size, infinite for none.
+        min_sides: lower bound; 0 for none.
+        max_sides: upper bound; equal to `min_sides` for a given size, infinite for none.
     """
 
-    least_sides: float = 0.0
-    most_sides: float = np.inf
+    min_sides: float = 0.0
+    max_sides: float = np.inf
 
     def __post_init__(self) -> None:
-        check_numbers(self, not_negative=("least_sides", "most_sides"), endless=("most_sides",))
+        check_numbers(self, not_negative=("min_sides", "max_sides"), endless=("max_sides",))
 
     @property
     def is_free(self) -> bool:
         """Whether any size will do, as in the paper."""
-        return self.least_sides == 0 and self.most_sides == np.inf
+        return self.min_sides == 0 and self.max_sides == np.inf
 
     def scales(self, template: Template, side_px: float) -> tuple[float, float]:
         """Least and greatest scale of the similarity, image pixels for a template pixel.
@@ -55,7 +55,7 @@ class SizeRule:
         if self.is_free or not side_px:
             return 0.0, np.inf
         side_in_spacings = side_px / template.spacing_px
-        return self.least_sides * side_in_spacings, self.most_sides * side_in_spacings
+        return self.min_sides * side_in_spacings, self.max_sides * side_in_spacings
 
 
 @dataclass

@@ -13,7 +13,7 @@ from skyherd.geometry import ComplexArray, IntArray, to_complex, to_points
 from skyherd.messages import rows_of
 from skyherd.messages.checks import check_ids, shown
 
-LARGEST_PX = 1e9
+MAX_PX = 1e9
 """Largest coordinate of a template's point. Chosen: beyond any picture and any map in metres; no square of it
 overflows."""
 
@@ -53,8 +53,8 @@ class Template:
             raise InputError("template", f"{ids.size} robots", "at least two, since fewer make no shape")
         if np.unique(ids).size != ids.size:
             raise InputError("template", f"repeated ids in {shown(ids.tolist())}", "each robot once")
-        if not (np.abs(points) <= LARGEST_PX).all():
-            raise InputError("template", "a point that is not finite", f"coordinates up to {LARGEST_PX:g}")
+        if not (np.abs(points) <= MAX_PX).all():
+            raise InputError("template", "a point that is not finite", f"coordinates up to {MAX_PX:g}")
         if np.abs(points - points.mean()).max() <= COINCIDENT * np.abs(points).max():
             raise DegenerateSetError(
                 "template: all points coincide; a shape needs at least two distinct points"

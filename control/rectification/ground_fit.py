@@ -69,11 +69,11 @@ LIMIT = 5.0
 """Greatest value of an unknown, in standard deviations of `PRIOR`. Chosen: no camera is farther off; a fit
 beyond is of squares that are none."""
 
-LEAST_VARIANCE_FACTOR = 1e-8
+MIN_VARIANCE_FACTOR = 1e-8
 """Lower limit of the factor on variances that no detector reports. Chosen: corners of 1e-5 px, exact for all
 purposes; it avoids a division by zero for data without noise."""
 
-LEAST_DEVIATION = 1e-12
+MIN_DEVIATION = 1e-12
 """Residuals are divided by at least so many standard deviations. Chosen: it only avoids a division by
 zero."""
 
@@ -98,7 +98,7 @@ class NoiseStatistics:
 
         They are at least 1 where the detector reported covariances, which then is the least noise there is.
         """
-        return np.maximum(self.squares / self.freedoms, 1.0 if reported else LEAST_VARIANCE_FACTOR)
+        return np.maximum(self.squares / self.freedoms, 1.0 if reported else MIN_VARIANCE_FACTOR)
 
     def accumulated(self, other: "NoiseStatistics", memory: float = 1.0) -> "NoiseStatistics":
         """These statistics, weighted by `memory`, together with those of another image."""
@@ -243,4 +243,4 @@ def _robust_weights(residuals: Array, variances: Array, factors: Array) -> Array
     """Weights (N,), at most 1, of squares with residuals (2, M): `(OUTLIER / d)²` for large d."""
     squares = (residuals**2).reshape(2, -1, 2).sum(axis=2) / variances
     distance = np.sqrt((squares / factors[:, None]).sum(axis=0) / 3)
-    return np.asarray(np.minimum(1.0, OUTLIER / np.maximum(distance, LEAST_DEVIATION)) ** 2)
+    return np.asarray(np.minimum(1.0, OUTLIER / np.maximum(distance, MIN_DEVIATION)) ** 2)

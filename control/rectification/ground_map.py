@@ -35,7 +35,7 @@ USUAL_FOCAL = 1.4
 """Focal length that is assumed where the data do not support another, in halves of the image's shorter side.
 Chosen: a view of 71 degrees, 2 atan(1 / 1.4), across the shorter side."""
 
-LEAST = 0.05
+MIN_FACTOR = 0.05
 """Lower limit of the denominators of lens and tilt. Chosen: image points beyond it lie at the horizon, or
 where no lens has an image; it keeps the map finite there."""
 
@@ -68,7 +68,7 @@ class LocalMaps:
     def log_scales(self) -> Array:
         """Natural logarithms (..., N) of image length over ground length, as of the roots of areas."""
         areas = np.abs(self.derivatives) ** 2 - np.abs(self.conjugate_derivatives) ** 2
-        return np.asarray(-np.log(np.maximum(areas, LEAST**4)) / 2)
+        return np.asarray(-np.log(np.maximum(areas, MIN_FACTOR**4)) / 2)
 
 
 def local_maps(unknowns: Array, points: ComplexArray) -> LocalMaps:
@@ -94,7 +94,7 @@ def _raw_maps(unknowns: Array, p: ComplexArray) -> LocalMaps:
     # Wirtinger derivatives, `d· = (first) dp + (second) dp̄`, from step to step.
     r, r_p, r_c = (away - a * away.conj()) * square, square, -a * square
     rho = r.real**2 + r.imag**2
-    bend = np.maximum(1 + rho * (k1 + rho * (k2 + rho * k3)), LEAST)
+    bend = np.maximum(1 + rho * (k1 + rho * (k2 + rho * k3)), MIN_FACTOR)
     growth = (k1 + rho * (2 * k2 + 3 * rho * k3)) / bend**2
     s, s_r, s_rc = r / bend, 1 / bend - rho * growth, -r * r * growth
     s_p, s_c = s_r * r_p + s_rc * np.conj(r_c), s_r * r_c + s_rc * np.conj(r_p)
@@ -102,7 +102,7 @@ def _raw_maps(unknowns: Array, p: ComplexArray) -> LocalMaps:
     square_focal = np.maximum(1 + unknowns[..., 7], np.exp(np.minimum(2 * unknowns[..., 7] + 1, 0)) / 2)
     focal = USUAL_FOCAL * np.sqrt(square_focal)
     lean = (focal * h / (1 + np.sqrt(1 + (focal * np.abs(h)) ** 2))) ** 2
-    w = np.maximum(1 - (np.conj(h) * s).real, LEAST)
+    w = np.maximum(1 - (np.conj(h) * s).real, MIN_FACTOR)
     q = (s + lean * s.conj()) / w
     q_s, q_sc = (1 + q * np.conj(h) / 2) / w, (lean + q * h / 2) / w
     return LocalMaps(q, q_s * s_p + q_sc * np.conj(s_c), q_s * s_c + q_sc * np.conj(s_p))

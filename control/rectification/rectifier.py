@@ -41,12 +41,12 @@ from skyherd.control.rectification.square_shapes import Squares, log_sides
 from skyherd.geometry import Array, ComplexArray, fit_squares, to_complex, to_points
 from skyherd.messages import Detections, centred
 
-LEAST_MARKERS = 3
+MIN_MARKERS = 3
 """An image with fewer markers does not change what is known of the camera; and before an image with so many
 was seen, detections pass unchanged. Chosen: three squares are nine numbers for ten unknowns and a common
 side."""
 
-LEAST_SPREAD = 1e-9
+MIN_SPREAD = 1e-9
 """Lower limit of the sum of squared distances between centres and their mean, px². Chosen: far below that of
 two centres a pixel apart; it avoids a division by zero for a single marker."""
 
@@ -101,7 +101,7 @@ class Rectifier:
         The very object `seen` is returned where nothing is to be changed: for an ideal camera, for too few
         markers at the start, and where no camera fits what is seen.
         """
-        few = len(seen) < LEAST_MARKERS
+        few = len(seen) < MIN_MARKERS
         if not len(seen) or (few and self._previous is None):
             return seen
         squares = Squares.of(seen)
@@ -220,7 +220,7 @@ def _but_for_similarity(by_map: Array, centers: ComplexArray) -> Array:
     z = centers - centers.mean()
     shifts = by_map[:, 0] + 1j * by_map[:, 1]
     shifts = shifts - shifts.mean(axis=0)
-    factors = z.conj() @ shifts / max(float(np.sum(np.abs(z) ** 2)), LEAST_SPREAD)
+    factors = z.conj() @ shifts / max(float(np.sum(np.abs(z) ** 2)), MIN_SPREAD)
     shifts = shifts - z[:, None] * factors
     return np.stack([shifts.real, shifts.imag, by_map[:, 2] - factors.imag], axis=1)
 

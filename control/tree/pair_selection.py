@@ -20,7 +20,7 @@ from skyherd.control.tree.node_state import Share
 from skyherd.geometry import Array, IntArray
 from skyherd.messages import among
 
-LEAST_DISTANCE = 1e-9
+MIN_DISTANCE = 1e-9
 """Sums of distances, in half images, are held above this, since two robots may lie exactly at the image
 centre."""
 
@@ -112,7 +112,7 @@ def _leverage(template: Template, pairs: IntArray, theirs: IntArray, ours: IntAr
 def _nearness(pairs: IntArray, distances: Mapping[int, float]) -> Array:
     """(P,) inverse of each pair's summed distance from the image centre, in half images."""
     total = [distances[a] + distances[b] for a, b in pairs.tolist()]
-    return 1 / np.maximum(total, LEAST_DISTANCE)
+    return 1 / np.maximum(total, MIN_DISTANCE)
 
 
 def _count_in(pairs: IntArray, robots: Robots) -> IntArray:

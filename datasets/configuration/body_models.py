@@ -5,7 +5,7 @@ from typing import Annotated, Self
 from pydantic import Field, model_validator
 
 from skyherd.control import Detour
-from skyherd.datasets.configuration.fields import MOST_ROBOTS, Model, NotNegative, Positive
+from skyherd.datasets.configuration.fields import MAX_ROBOTS, Model, NotNegative, Positive
 
 
 class RolesModel(Model):
@@ -23,7 +23,7 @@ class RolesModel(Model):
     )
     classes: list[Annotated[int, Field(ge=0, lt=2**31)]] | None = Field(
         None,
-        max_length=MOST_ROBOTS,
+        max_length=MAX_ROBOTS,
         description="a class number for each robot, by ascending id; robots exchange places only "
         "within a class",
     )
@@ -32,7 +32,7 @@ class RolesModel(Model):
 class SizeModel(Model):
     """How large the shape becomes; where nothing is given its size is free, as in the paper."""
 
-    least_spacing_sides: NotNegative = Field(
+    min_spacing_sides: NotNegative = Field(
         0.0, description="marker sides; least distance between two robots in the finished shape; 0 for none"
     )
     spacing_sides: Positive | None = Field(

@@ -4,32 +4,32 @@ from typing import Annotated
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, FiniteFloat
 
-LARGEST = 1e6
+MAX_MAGNITUDE = 1e6
 """Largest magnitude of a quantity in any unit. *Chosen*: beyond any real scene (1000 km, 11 days), so that a
 slip of the decimal point is refused, and no square of it overflows."""
 
-LEAST = 1e-9
+MIN_MAGNITUDE = 1e-9
 """Least magnitude of a quantity that is not 0, in any unit. *Chosen*: a nanometre and a nanosecond; what is
 divided by it stays finite, and a slip of the decimal point is refused."""
 
-MOST_ROBOTS = 10_000
+MAX_ROBOTS = 10_000
 """Greatest number of robots, and of points and other things that there are for each. *Chosen*: ten times what
 `benchmarks/scale.py` runs."""
 
 
 def _zero_or_more(value: float) -> float:
-    if 0 < abs(value) < LEAST:
-        raise ValueError(f"0, or at least {LEAST:g}")
+    if 0 < abs(value) < MIN_MAGNITUDE:
+        raise ValueError(f"0, or at least {MIN_MAGNITUDE:g}")
     return value
 
 
-Positive = Annotated[FiniteFloat, Field(ge=LEAST, le=LARGEST)]
+Positive = Annotated[FiniteFloat, Field(ge=MIN_MAGNITUDE, le=MAX_MAGNITUDE)]
 """A quantity above 0."""
 
-NotNegative = Annotated[FiniteFloat, Field(ge=0, le=LARGEST), AfterValidator(_zero_or_more)]
+NotNegative = Annotated[FiniteFloat, Field(ge=0, le=MAX_MAGNITUDE), AfterValidator(_zero_or_more)]
 """A quantity of 0 or more."""
 
-Offset = Annotated[FiniteFloat, Field(ge=-LARGEST, le=LARGEST), AfterValidator(_zero_or_more)]
+Offset = Annotated[FiniteFloat, Field(ge=-MAX_MAGNITUDE, le=MAX_MAGNITUDE), AfterValidator(_zero_or_more)]
 """A quantity of either sign, or 0."""
 
 Angle = Annotated[FiniteFloat, Field(ge=-3600, le=3600)]
@@ -56,7 +56,7 @@ Fraction = Annotated[FiniteFloat, Field(ge=0, lt=1)]
 Share = Annotated[FiniteFloat, Field(ge=0, le=1)]
 """A share from 0 to 1, both allowed."""
 
-Coordinate = Annotated[FiniteFloat, Field(ge=-LARGEST, le=LARGEST)]
+Coordinate = Annotated[FiniteFloat, Field(ge=-MAX_MAGNITUDE, le=MAX_MAGNITUDE)]
 """A coordinate of either sign."""
 
 Point = tuple[Coordinate, Coordinate]

@@ -9,7 +9,7 @@ from pydantic import AfterValidator, Field, FiniteFloat, model_validator
 from skyherd.bodies import Bodies
 from skyherd.datasets.configuration.body_models import AvoidanceModel, RolesModel, SizeModel
 from skyherd.datasets.configuration.fields import (
-    MOST_ROBOTS,
+    MAX_ROBOTS,
     Fraction,
     Height,
     Model,
@@ -31,7 +31,7 @@ class ShapeModel(Model):
     """A shape to form: exactly one of `points`, `shape` and `image`."""
 
     points: list[Point] | None = Field(
-        None, max_length=MOST_ROBOTS, description="a point (x right, y up) for each robot, in any unit"
+        None, max_length=MAX_ROBOTS, description="a point (x right, y up) for each robot, in any unit"
     )
     shape: str | None = Field(
         None, description="name of a shape (circle, grid, line, star, triangle), or a word such as word:SKY"
@@ -110,7 +110,7 @@ class ControlModel(Model):
     rectify: bool = Field(
         True, description="whether units learn tilt and lens of their cameras from the markers, and undo them"
     )
-    neighbors: Annotated[int, Field(ge=1, le=MOST_ROBOTS)] = Field(
+    neighbors: Annotated[int, Field(ge=1, le=MAX_ROBOTS)] = Field(
         3, description="to how many nearest robots a unit sends each robot the distances"
     )
 

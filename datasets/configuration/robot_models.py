@@ -5,7 +5,7 @@ from typing import Annotated
 from pydantic import Field, FiniteFloat
 
 from skyherd.datasets.configuration.fields import (
-    MOST_ROBOTS,
+    MAX_ROBOTS,
     Angle,
     ClockDrift,
     ClockOffset,
@@ -73,20 +73,20 @@ class RobotsModel(Model):
 
     positions_m: list[Point] | None = Field(
         None,
-        max_length=MOST_ROBOTS,
+        max_length=MAX_ROBOTS,
         description="m; start positions (x, y) on the ground, one for each robot",
     )
     headings_deg: list[Angle] | None = Field(
         None,
-        max_length=MOST_ROBOTS,
+        max_length=MAX_ROBOTS,
         description="deg; start headings, counter-clockwise from +x; random if left out",
     )
     scatter: ScatterModel | None = Field(None, description="a random start, in place of positions_m")
-    count: Annotated[int, Field(ge=2, le=MOST_ROBOTS)] | None = Field(
+    count: Annotated[int, Field(ge=2, le=MAX_ROBOTS)] | None = Field(
         None, description="number of robots, where it does not follow from positions, ids or points"
     )
     ids: list[MarkerId] | None = Field(
-        None, max_length=MOST_ROBOTS, description="marker of each robot; 0, 1, … if left out"
+        None, max_length=MAX_ROBOTS, description="marker of each robot; 0, 1, … if left out"
     )
     max_speed_mps: Positive = Field(1.0, description="m/s; limit on the speed |v|")
     clock_offset_s: ClockOffset = Field(

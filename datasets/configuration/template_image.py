@@ -7,7 +7,7 @@ from skyherd.errors import InputError
 from skyherd.files.images import read_grey
 from skyherd.vision import create_detector, explain_mirrored
 
-MOST_PIXELS = 50_000_000
+MAX_PIXELS = 50_000_000
 """Pixels of the largest picture that a template is read from. *Chosen*: larger than usual cameras'; the
 markers are looked for when the scenario is checked, which should take seconds."""
 
@@ -18,7 +18,7 @@ def read_template_image(path: Path, dictionary: str) -> Template:
     Raises:
         InputError: the file cannot be read, or fewer than two markers are found in it.
     """
-    grey = read_grey(path, most_pixels=MOST_PIXELS)
+    grey = read_grey(path, max_pixels=MAX_PIXELS)
     found = create_detector(dictionary=dictionary).detect(grey)
     why = explain_mirrored(grey, dictionary)
     if why is None and len(found) < 2:

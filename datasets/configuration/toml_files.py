@@ -14,14 +14,14 @@ from skyherd.errors import InputError
 from skyherd.files.reading import read_text
 from skyherd.text import shorten
 
-MOST_BYTES = 2**18
+MAX_BYTES = 2**18
 """Size of the largest TOML file that is read. *Chosen*: places of a thousand robots, each with its own line,
 take a fifth of it; it is parsed in about a second."""
 
-MOST_LEVELS = 32
+MAX_LEVELS = 32
 """Levels of tables and lists in a TOML file. *Chosen*: scenarios have six."""
 
-MOST_SHOWN = 60
+MAX_SHOWN = 60
 """Characters of a value that a complaint shows. *Chosen*: a number, a name or a short list."""
 
 _STRINGS = re.compile(
@@ -62,9 +62,9 @@ def read_toml_text(path: Path, noun: str) -> str:
     """Text of a TOML file; `noun` is what it is called in the complaint.
 
     Raises:
-        InputError: it cannot be read, is larger than `MOST_BYTES`, or is no text.
+        InputError: it cannot be read, is larger than `MAX_BYTES`, or is no text.
     """
-    return read_text(path, f"a readable {noun} in TOML, UTF-8", MOST_BYTES)
+    return read_text(path, f"a readable {noun} in TOML, UTF-8", MAX_BYTES)
 
 
 def parse_toml(text: str, where: str, example: str) -> dict[str, Any]:
@@ -76,10 +76,10 @@ def parse_toml(text: str, where: str, example: str) -> dict[str, Any]:
         example: the command that shows a good one.
 
     Raises:
-        InputError: it is no TOML, or nested more deeply than `MOST_LEVELS`.
+        InputError: it is no TOML, or nested more deeply than `MAX_LEVELS`.
     """
-    if depth(text) > MOST_LEVELS:
-        raise InputError(where, f"nested more than {MOST_LEVELS} deep", f"see `{example}` for a good one")
+    if depth(text) > MAX_LEVELS:
+        raise InputError(where, f"nested more than {MAX_LEVELS} deep", f"see `{example}` for a good one")
     try:
         return tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # integers of very many digits are no TOMLDecodeError
@@ -108,8 +108,8 @@ def put_value(tree: dict[str, Any], key: str, value: Any, where: str) -> None:
         InputError: the key leads nowhere.
     """
     *parents, last = key.strip().split(".")
-    if len(parents) >= MOST_LEVELS:
-        raise InputError(where, f"more than {MOST_LEVELS} names", "see `skyherd scenario schema`")
+    if len(parents) >= MAX_LEVELS:
+        raise InputError(where, f"more than {MAX_LEVELS} names", "see `skyherd scenario schema`")
     nodes: list[Any] = [tree]
     for part in parents:
         nodes = [child for node in nodes for child in _children(node, part, where)]
@@ -137,7 +137,7 @@ def _indices(node: Any, part: str, where: str) -> list[int]:
     if isinstance(node, list):
         if part == "*":
             return list(range(len(node)))
-        if part.isascii() and part.isdecimal() and len(part) < MOST_SHOWN and int(part) < len(node):
+        if part.isascii() and part.isdecimal() and len(part) < MAX_SHOWN and int(part) < len(node):
             return [int(part)]
     allowed = f"0 to {len(node) - 1}, or *" if isinstance(node, list) else "see `skyherd scenario schema`"
     raise InputError(where, f"nothing there called {part!r}", allowed)
@@ -146,7 +146,7 @@ def _indices(node: Any, part: str, where: str) -> list[int]:
 def _shown(value: Any) -> str:
     """A value in a complaint, shortened."""
     try:
-        return shorten(repr(value), MOST_SHOWN)
+        return shorten(repr(value), MAX_SHOWN)
     except ValueError:
         return "an integer of very many digits"
 
@@ -161,7 +161,7 @@ def first_error(error: ValidationError, where: str, noun: str, *, see: str | Non
         see: another command to name in place of `skyherd NOUN schema`.
     """
     first, *others = error.errors()
-    key = shorten(".".join(str(part) for part in first["loc"]) or noun, MOST_SHOWN)
+    key = shorten(".".join(str(part) for part in first["loc"]) or noun, MAX_SHOWN)
     value = first["input"]
     shown = (
         ""

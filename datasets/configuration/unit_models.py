@@ -7,7 +7,7 @@ from pydantic import Field, FiniteFloat, model_validator
 
 from skyherd.datasets.configuration.camera_models import CameraModel
 from skyherd.datasets.configuration.fields import (
-    MOST_ROBOTS,
+    MAX_ROBOTS,
     Angle,
     ClockDrift,
     ClockOffset,
@@ -51,7 +51,7 @@ class FlightModel(Model):
     separation_sides: NotNegative = Field(
         6.0, description="marker sides; keep-in-view: least distance between two units' image centres"
     )
-    least_side_px: NotNegative = Field(
+    min_side_px: NotNegative = Field(
         12.0, description="px; keep-in-view: neither climb nor zoom out once markers have only this side"
     )
     speed_mps: NotNegative = Field(0.1, description="m/s; perimeter: speed along it")
@@ -88,7 +88,7 @@ class UnitModel(Model):
     zoom: list[tuple[NotNegative, Zoom]] = Field(
         default=[(0.0, 1.0)],
         min_length=1,
-        max_length=MOST_ROBOTS,
+        max_length=MAX_ROBOTS,
         description="points [time in s, factor on the focal length], linear between them",
     )
     zoom_range: tuple[Zoom, Zoom] = Field(

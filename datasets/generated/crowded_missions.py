@@ -25,7 +25,7 @@ SHAPE_SPACING = 3.0
 """Least distance between two robots' centres in the finished shape, marker sides. *Chosen*: a side of room
 between bodies."""
 
-LEAST_HEIGHT_M = 3.0
+MIN_HEIGHT_M = 3.0
 """Least height of a unit, m. *Derived*: the autopilot's in `make_tree`."""
 
 VIEW_TRIES = 100
@@ -61,14 +61,14 @@ def crowded_mission(seed: int, units: int | None = None) -> dict[str, Any]:
         seed,
         rng,
         centers=centers,
-        heights_m=np.maximum(view_m / half, LEAST_HEIGHT_M),
+        heights_m=np.maximum(view_m / half, MIN_HEIGHT_M),
         cameras=cameras,
         robots=robots,
         template=shape,
     )
     tree["name"] = f"crowded-{seed}"
     tree["roles"] = {"exchange": True}
-    tree["size"] = {"least_spacing_sides": SHAPE_SPACING}
+    tree["size"] = {"min_spacing_sides": SHAPE_SPACING}
     return tree
 
 

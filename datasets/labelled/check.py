@@ -26,9 +26,9 @@ from skyherd.datasets.labelled.read import Dataset, LabelledImage, read_dataset
 from skyherd.datasets.labelled.sampling import make_scene
 from skyherd.datasets.labelled.scenes import Scene
 from skyherd.errors import InputError
-from skyherd.files.reading import MOST_JSON_BYTES, read_bytes
+from skyherd.files.reading import MAX_JSON_BYTES, read_bytes
 
-MOST_SHOWN = 60
+MAX_SHOWN = 60
 """Characters of a JSON value that a complaint shows. *Chosen*: a number or a name, and still one line."""
 
 TABLE_TOLERANCE = 1e-4
@@ -153,7 +153,7 @@ def _check_yolo(folder: Folder, dataset: Dataset) -> Iterator[str]:
 def _compare(file: Path, wanted: str, source: str, explain: Callable[[str, str], str]) -> Iterator[str]:
     """A complaint if a file cannot be read, or is not the text that a source makes: the first difference."""
     try:
-        found = read_bytes(file, "make it again", MOST_JSON_BYTES)
+        found = read_bytes(file, "make it again", MAX_JSON_BYTES)
     except InputError as error:
         yield str(error)
         return
@@ -197,7 +197,7 @@ def _json_difference(found: str, wanted: str) -> str:
 def _shown(value: Any) -> str:
     """A JSON value in a complaint: numbers and short texts as they are, others cut."""
     text = json.dumps(value)
-    return text if len(text) <= MOST_SHOWN else f"{text[:MOST_SHOWN]}…"
+    return text if len(text) <= MAX_SHOWN else f"{text[:MAX_SHOWN]}…"
 
 
 def _check_seed(dataset: Dataset, chosen: list[int]) -> Iterator[str]:

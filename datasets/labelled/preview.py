@@ -74,7 +74,7 @@ def _annotated(image: LabelledImage, cell: tuple[int, int]) -> Picture:
         corners_px=(labels.corners_px + 0.5) * scale - 0.5,
         covariances=np.zeros((len(labels), 3, 3)),
     )
-    return Annotator(cell, least_side_px=1).draw(np.asarray(small, dtype=np.uint8), shown)
+    return Annotator(cell, min_side_px=1).draw(np.asarray(small, dtype=np.uint8), shown)
 
 
 def _caption(sheet: Picture, image: LabelledImage, at_px: tuple[float, float]) -> None:

@@ -4,7 +4,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, FiniteFloat, model_validator
 
-from skyherd.datasets.configuration.fields import MOST_ROBOTS, Model, Positive, Share
+from skyherd.datasets.configuration.fields import MAX_ROBOTS, Model, Positive, Share
 from skyherd.datasets.configuration.robot_models import MarkerId
 from skyherd.datasets.configuration.scene_models import Grey
 from skyherd.datasets.labelled.ranges import Span
@@ -21,7 +21,7 @@ class MarkersSpec(Model):
     ids: list[MarkerId] | None = Field(
         None,
         min_length=1,
-        max_length=MOST_ROBOTS,
+        max_length=MAX_ROBOTS,
         description="markers that may appear; all of the dictionary if left out",
     )
     count: Span[Annotated[int, Field(ge=0, le=1000)]] = Field(

@@ -31,7 +31,7 @@ from skyherd.markers.dictionary import card_side
 BUILT_IN = "skyherd.datasets.specs"
 """Package of the built-in specs."""
 
-MOST_OBLIQUE_DEG = 80.0
+MAX_OBLIQUE_DEG = 80.0
 """Largest angle between a ray of an image and the vertical, degrees. *Chosen*: at 80 the ground is six times
 as far as straight below; at 90 it is the horizon."""
 
@@ -65,10 +65,10 @@ class DatasetSpec(Model):
         widest, steepest = self.camera.half_angle_deg[1], self.camera.tilt_deg[1]
         corner = np.hypot(*self.size_px) / min(self.size_px) * np.tan(np.radians(widest))
         oblique = float(np.degrees(np.arctan(corner))) + steepest
-        if oblique > MOST_OBLIQUE_DEG:
+        if oblique > MAX_OBLIQUE_DEG:
             raise ValueError(
                 f"tilt_deg {steepest:g} at half_angle_deg {widest:g} looks {oblique:.0f} deg sideways; "
-                f"at most {MOST_OBLIQUE_DEG:g}"
+                f"at most {MAX_OBLIQUE_DEG:g}"
             )
         room = min(self.size_px) / (card_side(self.markers.dictionary) * 2**0.5)
         if self.markers.side_px[1] > room:

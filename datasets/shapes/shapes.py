@@ -12,11 +12,11 @@ from skyherd.messages.checks import check_count, check_kind
 STAR_INNER_RATIO = 0.515
 """Inner over outer radius of the star. *Derived* from the paper's second simulation: 4.12 / 8."""
 
-LEAST_STAR = 6
+MIN_STAR = 6
 """Robots of the smallest star. *Derived*: three tips and three notches; fewer make no star."""
 
 
-MOST_POINTS = 10_000
+MAX_POINTS = 10_000
 """Most points of a shape. *Chosen*: as many as a scenario may have robots."""
 
 
@@ -32,7 +32,7 @@ def star(count: int) -> Array:
     Raises:
         InputError: `count` is odd, or less than 6.
     """
-    if count % 2 or count < LEAST_STAR:
+    if count % 2 or count < MIN_STAR:
         raise InputError(
             "template.shape", f"a star of {count} robots", "an even number of robots, at least 6"
         )
@@ -83,10 +83,10 @@ def shape_points(name: str, count: int) -> Array:
 
     Raises:
         InputError: there is no such shape, or not for so many robots, or `count` is no whole number up to
-            MOST_POINTS; the error says what there is.
+            MAX_POINTS; the error says what there is.
     """
     check_kind("template.shape", name, str, "a text")
-    check_count("template.shape: count", count, most=MOST_POINTS)
+    check_count("template.shape: count", count, most=MAX_POINTS)
     if name.startswith(PREFIX):
         return word_points(name.removeprefix(PREFIX), count)
     if name not in SHAPES:

@@ -29,14 +29,14 @@ REACH = 0.75
 """A stroke has a robot at least every so many heights. *Chosen*: a letter's full height has one between its
 ends, so that it looks like a line."""
 
-LEAST_SPACING = 0.6
+MIN_SPACING = 0.6
 """Least distance of two robots, in mean distances between neighbours on a stroke. *Chosen*: nearer ones would
 read as a joint, or collide."""
 
-MOST_LETTERS = 40
+MAX_LETTERS = 40
 """Letters of the longest word. *Chosen*: longer texts are mistakes, and would take long to try."""
 
-MOST_MORE = 1000
+MAX_MORE = 1000
 """By how many more robots a word is tried for the error that says how many it takes. *Chosen*: forty letters
 take fewer, and all are tried in a second."""
 
@@ -63,7 +63,7 @@ class Stroke:
         return float(np.abs(np.diff(self.curve)).sum())
 
     @property
-    def least_parts(self) -> int:
+    def min_parts(self) -> int:
         """Least number of parts into which robots cut it, by `TURN_DEG` and `REACH`."""
         turns = np.angle(np.diff(self.curve)[1:] / np.diff(self.curve)[:-1])
         return int(np.ceil(max(np.degrees(np.abs(turns).sum()) / TURN_DEG, self.length / REACH)))
@@ -88,15 +88,13 @@ def word_points(text: str, count: int) -> Array:
         InputError: the text is empty, too long or has other signs than A-Z and 0-9, or the robots are too
             few.
     """
-    if not text or len(text) > MOST_LETTERS or not set(text) <= set(STROKES):
+    if not text or len(text) > MAX_LETTERS or not set(text) <= set(STROKES):
         what = f"no shape {PREFIX + text!r}"
-        raise InputError(
-            "template.shape", what, f"1 to {MOST_LETTERS} letters A-Z and digits, as {PREFIX}SKY"
-        )
+        raise InputError("template.shape", what, f"1 to {MAX_LETTERS} letters A-Z and digits, as {PREFIX}SKY")
     strokes, joints = _strokes(text)
     points = _spread(strokes, joints, count)
     if points is None:
-        more = range(count + 1, count + MOST_MORE)
+        more = range(count + 1, count + MAX_MORE)
         enough = next((n for n in more if _spread(strokes, joints, n) is not None), None)
         allowed = "fewer letters" if enough is None else f"at least {enough} robots"
         raise InputError("template.shape", f"{count} robots to write {text}", allowed)
@@ -122,7 +120,7 @@ def _strokes(text: str) -> tuple[list[Stroke], ComplexArray]:
 
 def _spread(strokes: list[Stroke], joints: ComplexArray, count: int) -> ComplexArray | None:
     """Points (N,) of so many robots in writing order, or None if they are too few or stand too close."""
-    parts = [stroke.least_parts for stroke in strokes]
+    parts = [stroke.min_parts for stroke in strokes]
     spare = count - joints.size - sum(parts) + len(parts)
     if spare < 0:
         return None
@@ -142,5 +140,5 @@ def _spread(strokes: list[Stroke], joints: ComplexArray, count: int) -> ComplexA
         written |= {first, last}
     placed = np.concatenate(points)
     nearest = np.asarray(cKDTree(to_points(placed)).query(to_points(placed), k=2)[0])[:, 1]
-    is_clear = nearest.min() >= LEAST_SPACING * sum(lengths) / sum(parts)
+    is_clear = nearest.min() >= MIN_SPACING * sum(lengths) / sum(parts)
     return placed if is_clear else None

@@ -32,7 +32,7 @@ KNOT_PX = 5
 are right to 1e-4 px, and to 1e-3 px where a lens is about to fold. Fewer knots cost less and are less
 exact."""
 
-LEAST_KNOTS = 48
+MIN_KNOTS = 48
 """Knots along a side of an image, at least. *Chosen*: keeps the splines exact in small images, where a lens
 bends as much over fewer pixels."""
 
@@ -200,7 +200,7 @@ def _spline(length: int) -> tuple[Array, Array]:
     # Imported with the first lens: it takes long, and cameras without a lens do not need it.
     from scipy.interpolate import make_interp_spline
 
-    knots = np.linspace(-0.5, length - 0.5, max(LEAST_KNOTS, length // KNOT_PX))
+    knots = np.linspace(-0.5, length - 0.5, max(MIN_KNOTS, length // KNOT_PX))
     weights = make_interp_spline(knots, np.eye(knots.size), k=5)(np.arange(length))
     return knots, np.asarray(weights)
 

@@ -21,7 +21,7 @@ import numpy as np
 from skyherd.errors import InputError
 from skyherd.geometry import Array
 
-MOST_RAD = 1.45
+MAX_RAD = 1.45
 """Largest angle of a ray with the axis, rad (83 degrees). *Chosen*: rays are points of the plane at unit
 distance, which is 8 away at this angle; at 90 degrees it is infinitely far."""
 
@@ -63,11 +63,11 @@ class Equidistant:
             InputError: a ray is too far off the axis.
         """
         radius = np.linalg.norm(seen, axis=-1, keepdims=True)
-        if radius.max(initial=0.0) > MOST_RAD:
+        if radius.max(initial=0.0) > MAX_RAD:
             raise InputError(
                 "lens",
                 f"a corner {np.degrees(radius.max()):.0f} degrees off the axis of an equidistant lens",
-                f"at most {np.degrees(MOST_RAD):.0f}: a longer focal_px, or a smaller half_angle_deg",
+                f"at most {np.degrees(MAX_RAD):.0f}: a longer focal_px, or a smaller half_angle_deg",
             )
         return np.asarray(seen * _ratio(np.tan(radius), radius, 1 / 3))
 

@@ -37,7 +37,7 @@ ANGULAR_PER_SIGMA, ANGULAR_LEAST = 1.5, 3.0
 rays spread, and these more, rounded up. *Measured*: with three times as many no pixel of a marker changes by
 0.3 grey levels of 200, their root mean square by 0.03 (`tests/render/camera/test_lens_blur.py`)."""
 
-MOST_RAYS = 1024
+MAX_RAYS = 1024
 """Rays at most. *Chosen*: enough for discs of a radius of some 30 σ; a larger one shows single rays."""
 
 
@@ -128,7 +128,7 @@ class LensBlur:
         along, around = ((radius + times * self.coma_px) / sigma_px for times in (4, 3))
         rings = int(np.ceil(RADIAL_PER_SIGMA * along + RADIAL_LEAST))
         spokes = int(np.ceil(ANGULAR_PER_SIGMA * around + ANGULAR_LEAST))
-        rings = min(rings, MOST_RAYS // min(spokes, MOST_RAYS))
+        rings = min(rings, MAX_RAYS // min(spokes, MAX_RAYS))
         nodes, weights = np.polynomial.legendre.leggauss(rings)
         square = np.repeat((nodes + 1) / 2, spokes)
         turn = np.arange(spokes) + np.arange(rings)[:, None] / 2

@@ -9,7 +9,7 @@ from skyherd.errors import InputError
 from skyherd.geometry import Array
 from skyherd.render.scene.occluders import convex
 
-MOST = 200_000
+MAX_QUADS = 200_000
 """Quadrilaterals that a view may have. *Chosen*: more is a mistake in the density, and would be drawn for
 long."""
 
@@ -87,9 +87,9 @@ class Clutter:
         centers, shapes, levels = self._one_period
         low, high = low_m - self.side_m[1], high_m + self.side_m[1]
         first, last = np.floor(low / self.period_m), np.floor(high / self.period_m)
-        if float((last - first + 1).prod()) * A_PERIOD > MOST:
+        if float((last - first + 1).prod()) * A_PERIOD > MAX_QUADS:
             raise InputError(
-                "clutter", f"more than {MOST} quadrilaterals in view", "a smaller density_per_m2"
+                "clutter", f"more than {MAX_QUADS} quadrilaterals in view", "a smaller density_per_m2"
             )
         x, y = (np.arange(a, b + 1) * self.period_m for a, b in zip(first, last, strict=True))
         offsets = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 1, 2)

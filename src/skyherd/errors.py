@@ -2,7 +2,7 @@
 
 from skyherd.text import shorten
 
-MOST_CHARACTERS = 470
+MAX_CHARACTERS = 470
 """Characters of an InputError's three parts together. Chosen: the line on the terminal stays below 500
 whatever was given, and nearly all lists of allowed values fit."""
 
@@ -43,11 +43,11 @@ class InputWarning(UserWarning):
 
 
 def _fitted(*parts: str) -> list[str]:
-    """The parts, the longest of them shortened to one length, so that all have `MOST_CHARACTERS` together."""
+    """The parts, the longest of them shortened to one length, so that all have `MAX_CHARACTERS` together."""
     most = next(
         length
-        for length in range(MOST_CHARACTERS, 0, -1)
-        if sum(min(len(part), length) for part in parts) <= MOST_CHARACTERS
+        for length in range(MAX_CHARACTERS, 0, -1)
+        if sum(min(len(part), length) for part in parts) <= MAX_CHARACTERS
     )
     return [shorten(part, most) for part in parts]
 

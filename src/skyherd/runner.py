@@ -43,7 +43,7 @@ VERB = "run"
 """Verb by which a folder's record knows the files of a run, those that `skyherd report` makes again among
 them."""
 
-MOST_JOBS = 4096
+MAX_JOBS = 4096
 """Cores that a run may be told to use. *Chosen*: more than any machine has."""
 
 FREE_BYTES = 100 * 2**20
@@ -107,7 +107,7 @@ def run_mission(
         OutputError: a file could not be written, as on a full disk.
     """
     check_kind("run_mission: folder", folder, (str, Path), "a path")
-    check_count("run_mission: jobs", jobs, least=1, most=MOST_JOBS)
+    check_count("run_mission: jobs", jobs, least=1, most=MAX_JOBS)
     folder = Path(folder)
     output = OutputFolder(folder, VERB, output_names(), force=force)
     output.check()

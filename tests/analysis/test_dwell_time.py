@@ -91,7 +91,7 @@ def test_the_ratio_and_the_rate_are_those_of_the_quadratic_forms(base: History) 
     assert told.switch_ratio == pytest.approx(max(jumps), rel=1e-9)
     assert told.decay_ps == pytest.approx(min(falls), rel=1e-9)
     assert told.needed_s == pytest.approx(np.log(max(jumps)) / min(falls), rel=1e-8)
-    assert told.least_s == pytest.approx(SLOT * STEP_S)
+    assert told.min_s == pytest.approx(SLOT * STEP_S)
     assert told.mean_s == pytest.approx(6 * SLOT * STEP_S / 5)
 
 
@@ -164,7 +164,7 @@ def test_what_v_does_in_the_shape_is_not_counted(base: History) -> None:
     positions_m[end - 5] = whole.positions_m[end - 5]
     told, before = estimate_dwell_time(away), estimate_dwell_time(flown(base, 3))
     assert told.decay_ps is not None and told.decay_ps > 0
-    assert (told.least_s, told.switch_ratio) == (before.least_s, before.switch_ratio)
+    assert (told.min_s, told.switch_ratio) == (before.min_s, before.switch_ratio)
     assert told.mean_s == pytest.approx((end - 5) * STEP_S / 2)
 
 
@@ -175,7 +175,7 @@ def test_a_change_in_the_shape_tells_no_dwell_time(base: History) -> None:
     controlled[SLOT - 1] = controlled[SLOT - 2, ::-1]  # three changes at once, while in the shape
     errors = np.where(np.arange(whole.V.size) < SLOT, 0.0, 1.0)
     told = estimate_dwell_time(replace(whole, controlled=controlled, shape_error=errors))
-    assert told.least_s == pytest.approx(SLOT * STEP_S)
+    assert told.min_s == pytest.approx(SLOT * STEP_S)
     errors = np.where(np.arange(whole.V.size) < SLOT, 1.0, 0.0)  # the shape is reached as sets change
     assert estimate_dwell_time(replace(whole, shape_error=errors)).switch_ratio is None
 
@@ -189,7 +189,7 @@ def test_topologies_without_tc1_and_tc2_count_as_changes_and_tell_neither_ratio_
     broken[gone, 1], controlled[gone, 2], V[gone] = False, False, 1e-3 * V[gone]
     lost = replace(history, conditions=broken, V=V, controlled=controlled)
     told, whole = estimate_dwell_time(lost), estimate_dwell_time(history)
-    assert (told.mean_s, told.least_s) == (whole.mean_s, whole.least_s)
+    assert (told.mean_s, told.min_s) == (whole.mean_s, whole.min_s)
     assert told.decay_ps is not None and told.decay_ps > 0
     assert told.switch_ratio == pytest.approx(V[3 * SLOT] / before_change(history, 3 * SLOT))
     assert told.bound_s is not None and whole.bound_s is not None and told.bound_s <= whole.bound_s
@@ -237,7 +237,7 @@ def test_other_laws_have_no_bound(base: History, setting: str) -> None:
 def test_so_many_robots_have_no_bound(base: History, monkeypatch: pytest.MonkeyPatch) -> None:
     history = flown(base, 2)
     assert estimate_dwell_time(history).bound_s is not None
-    monkeypatch.setattr(dwell_time, "MOST_ROBOTS", 15)
+    monkeypatch.setattr(dwell_time, "MAX_ROBOTS", 15)
     assert estimate_dwell_time(history).bound_s is None
     assert estimate_dwell_time(history).needed_s is not None
 

@@ -20,7 +20,7 @@ LAW = [
     "perception=ideal",
     "roles.exchange=false",
     "avoidance.on=false",
-    "size.least_spacing_sides=0",
+    "size.min_spacing_sides=0",
     "units.*.frame_rate_hz=1",
     "step_s=0.2",
 ]
@@ -78,9 +78,9 @@ def test_the_shortest_way_is_of_the_start_alone_and_below_that_of_fixed_roles(hi
     template = history.mission.template.points_of(history.ids).conj()
     start = history.positions_m[0] @ np.array([1, 1j])
     fixed = shortest_path(template, start, classes=np.arange(16)).length
-    assert 0 < history.least_path_m <= fixed
+    assert 0 < history.min_path_m <= fixed
     other = replace(history, positions_m=history.positions_m[:1])
-    assert other.least_path_m == history.least_path_m
+    assert other.min_path_m == history.min_path_m
 
 
 @pytest.mark.parametrize("method", LAWS)

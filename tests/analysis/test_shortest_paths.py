@@ -15,16 +15,16 @@ def random_points(rng: np.random.Generator, count: int) -> ComplexArray:
     return rng.normal(size=count) + 1j * rng.normal(size=count)
 
 
-def least_sum(points: ComplexArray, starts: ComplexArray, least_size: float) -> float:
+def min_sum(points: ComplexArray, starts: ComplexArray, min_size: float) -> float:
     """The least `Σ |a p + b - x|`, by a quasi-Newton method from the least squares, on smoothed distances.
 
-    `sqrt(d² + s²)` with s = 1e-7 is above d by 1e-7 at most. `|a| = least_size + t²`.
+    `sqrt(d² + s²)` with s = 1e-7 is above d by 1e-7 at most. `|a| = min_size + t²`.
     """
     arms, way = points - points.mean(), starts - starts.mean()
     a0 = arms.conj() @ way / (np.abs(arms) ** 2).sum()
 
     def total(z: np.ndarray) -> tuple[float, np.ndarray]:
-        size, turn = least_size + z[0] ** 2, np.exp(1j * z[1])
+        size, turn = min_size + z[0] ** 2, np.exp(1j * z[1])
         away = size * turn * arms + z[2] + 1j * z[3] - starts
         smooth = np.sqrt(np.abs(away) ** 2 + 1e-14)
         unit = away / smooth
@@ -35,7 +35,7 @@ def least_sum(points: ComplexArray, starts: ComplexArray, least_size: float) -> 
         slope = [2 * z[0] * by_size, by_turn.real, unit.sum().real, unit.sum().imag]
         return float(smooth.sum()), np.array(slope)
 
-    start = [np.sqrt(max(abs(a0) - least_size, 0.01)), np.angle(a0), starts.mean().real, starts.mean().imag]
+    start = [np.sqrt(max(abs(a0) - min_size, 0.01)), np.angle(a0), starts.mean().real, starts.mean().imag]
     return float(minimize(total, start, jac=True, method="BFGS", options={"gtol": 1e-6}).fun)
 
 
@@ -76,7 +76,7 @@ def test_no_assignment_of_all_does_better(seed: int, spacing: float) -> None:
         permutations(range(5)), key=lambda order: least_squares(template[list(order)], starts)
     ):
         if best**2 > least_squares(template[list(order)], starts):
-            best = min(best, least_sum(template[list(order)], starts, size))
+            best = min(best, min_sum(template[list(order)], starts, size))
     path = shortest_path(template, starts, spacing=(spacing, np.inf))
     assert path.length <= best * (1 + 1e-6)
     if not spacing:
@@ -93,7 +93,7 @@ def test_of_six_it_is_never_below_the_least_and_hardly_above(seed: int) -> None:
     """
     rng = np.random.default_rng([seed, 6])
     template, starts = random_points(rng, 6), 3 * random_points(rng, 6)
-    best = min(least_sum(template[list(order)], starts, 0.0) for order in permutations(range(6)))
+    best = min(min_sum(template[list(order)], starts, 0.0) for order in permutations(range(6)))
     excess = shortest_path(template, starts).length - best
     assert -6e-6 <= excess <= (0.01 * best if seed == 0 else 6e-6)
 

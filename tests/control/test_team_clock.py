@@ -11,7 +11,7 @@ from skyherd.control import TeamClock
 from skyherd.errors import InputError
 from skyherd.messages.clock_offset import DRIFT
 
-LEAST_S = 0.1
+MIN_S = 0.1
 
 
 @dataclass
@@ -20,7 +20,7 @@ class Member:
 
     offset_s: float
     rate: float
-    clock: TeamClock = field(default_factory=lambda: TeamClock(LEAST_S))
+    clock: TeamClock = field(default_factory=lambda: TeamClock(MIN_S))
 
     def shows(self, time_s: float) -> np.ndarray:
         return np.array([self.offset_s + self.rate * time_s])
@@ -42,25 +42,25 @@ def test_no_member_runs_ahead_of_the_leading_clock_nor_lags_behind_a_message(clo
     for time_s in np.arange(0, 60, 0.2):
         for arrival_s, stamp_s, sent_s, to in [item for item in flying if item[0] <= time_s]:
             members[to].clock.hear(stamp_s, members[to].shows(arrival_s))
-            late_s = arrival_s - sent_s - LEAST_S
+            late_s = arrival_s - sent_s - MIN_S
             age_s = members[to].team_s(arrival_s) - stamp_s
             assert age_s >= arrival_s - sent_s - late_s - 1e-4
         flying = [item for item in flying if item[0] > time_s]
         leading_s = max(float(member.shows(time_s)[0]) for member in members)
         for number, member in enumerate(members):
             team_s = member.team_s(time_s)
-            assert team_s <= leading_s + 1e-4 * LEAST_S * 300 + 1e-9
+            assert team_s <= leading_s + 1e-4 * MIN_S * 300 + 1e-9
             assert team_s >= last_s[number] + 0.2 * (1 - 1e-4 - DRIFT) - 1e-9, "it never goes back"
             last_s[number] = team_s
             to = int(rng.integers(len(members)))
             if to != number and rng.random() > 1 / 3:
-                flying.append((time_s + LEAST_S + 0.3 * rng.random(), team_s, time_s, to))
+                flying.append((time_s + MIN_S + 0.3 * rng.random(), team_s, time_s, to))
 
 
 def test_who_hears_the_fastest_message_shares_the_senders_time_exactly() -> None:
     """Clocks 7 s apart: after one message that took the least delay both show one time, for good."""
     ahead, behind = Member(5.0, 1.0), Member(-2.0, 1.0)
-    behind.clock.hear(ahead.team_s(3.0), behind.shows(3.0 + LEAST_S))
+    behind.clock.hear(ahead.team_s(3.0), behind.shows(3.0 + MIN_S))
     assert behind.team_s(3.1) == pytest.approx(ahead.team_s(3.1), abs=1e-12)
     behind.clock.hear(ahead.team_s(4.0), behind.shows(4.9))
     assert ahead.team_s(5.0) - 2 * DRIFT <= behind.team_s(5.0) <= ahead.team_s(5.0)
@@ -97,8 +97,8 @@ def test_a_bound_gives_way_so_that_a_fast_clock_does_not_run_away_from_its_team(
 @pytest.mark.parametrize(
     ("given", "where"),
     [
-        ({"least_delay_s": -0.1}, "least_delay_s"),
-        ({"least_delay_s": np.nan}, "least_delay_s"),
+        ({"min_delay_s": -0.1}, "min_delay_s"),
+        ({"min_delay_s": np.nan}, "min_delay_s"),
         ({"members": -1}, "members"),
         ({"members": 2**63}, "members"),
     ],

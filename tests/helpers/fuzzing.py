@@ -24,7 +24,7 @@ from hypothesis import strategies as st
 from skyherd.cli import main
 from skyherd.errors import SkyherdError
 
-MOST_CHARACTERS = 500
+MAX_CHARACTERS = 500
 """Length of the longest line that a refusal may have."""
 
 LATEST_S = 5.0
@@ -159,7 +159,7 @@ def refusal(call: Callable[[], object]) -> SkyherdError | None:
             call()
     except SkyherdError as error:
         assert time.process_time() - began_s < LATEST_S, error
-        assert len(str(error)) < MOST_CHARACTERS and "\n" not in str(error), error
+        assert len(str(error)) < MAX_CHARACTERS and "\n" not in str(error), error
         return error
     return None
 
@@ -195,7 +195,7 @@ def assert_well_behaved(folder: Path, *arguments: Any) -> int:
     assert code in (0, 1, 2), (arguments, code, err)
     assert "Traceback" not in err
     lines = err.splitlines()
-    assert all(len(line) < MOST_CHARACTERS for line in lines), lines
+    assert all(len(line) < MAX_CHARACTERS for line in lines), lines
     assert all(line.startswith(("error: ", "warning: ")) for line in lines), lines
     changed = [name for name in before if after.get(name) != before[name]]
     assert not changed, (arguments, changed)

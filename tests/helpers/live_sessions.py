@@ -1,16 +1,16 @@
-"""Folders of live runs whose every time is known, written by the diaries that processes keep."""
+"""Folders of live runs whose every time is known, written by the process_logs that processes keep."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
-from skyherd.live.diaries.diary import Diary
-from skyherd.live.diaries.view import View
 from skyherd.live.lab import Lab, make_lab
-from skyherd.live.radio import Arrival
+from skyherd.live.logs.process_log import ProcessLog
+from skyherd.live.logs.view import View
+from skyherd.live.mailbox import Arrival
 from skyherd.live.robot_core import Order
-from skyherd.live.wire import Beat, Envelope
+from skyherd.live.wire import Envelope, Heartbeat
 from skyherd.messages import Detections, MotionGoals
 
 BEGUN_S = 1.7e9
@@ -109,20 +109,24 @@ class Script:
     def write(self, folder: Path) -> Path:
         """Write the files of the unit and of all robots into a folder, which is made."""
         folder.mkdir(parents=True, exist_ok=True)
-        with Diary(folder / "unit_0.mcap", "unit/0", self.lab, BEGUN_S) as diary:
+        with ProcessLog(folder / "unit_0.mcap", "unit/0", self.lab, BEGUN_S) as process_log:
             for image in range(self.images):
-                self.write_image(diary, image)
-            diary.put("/beat", float(self.passed_s[-1, 4]), {"refused": {"not JSON": 3}, "dropped": 1})
-            diary.put("/end", float(self.passed_s[-1, 4]), {})
+                self.write_image(process_log, image)
+            process_log.put(
+                "/heartbeat", float(self.passed_s[-1, 4]), {"refused": {"not JSON": 3}, "dropped": 1}
+            )
+            process_log.put("/end", float(self.passed_s[-1, 4]), {})
         for row, robot in enumerate(self.lab.ids):
             begun_s = BEGUN_S + self.clock_offset_s
-            with Diary(folder / f"robot_{robot}.mcap", f"robot/{robot}", self.lab, begun_s) as diary:
+            with ProcessLog(
+                folder / f"robot_{robot}.mcap", f"robot/{robot}", self.lab, begun_s
+            ) as process_log:
                 for image in range(self.images):
-                    self.write_decision(diary, image, row, robot)
-                diary.put("/end", float(self.commanded_s[-1, row] + self.clock_offset_s), {})
+                    self.write_decision(process_log, image, row, robot)
+                process_log.put("/end", float(self.commanded_s[-1, row] + self.clock_offset_s), {})
         return folder
 
-    def write_image(self, diary: Diary, image: int) -> None:
+    def write_image(self, process_log: ProcessLog, image: int) -> None:
         """What the unit keeps of an image."""
         captured_s, arrived_s, begun_s, found_s, sent_s = self.passed_s[image].tolist()
         ids, centers = np.array(self.lab.ids), self.places_px(image)
@@ -138,9 +142,9 @@ class Script:
             corners_px=centers[:, None] + square,
             covariances=np.zeros((ids.size, 3, 3)),
         )
-        diary.saw(detections, found_s)
-        diary.put("/sent", sent_s, {"messages": None})
-        diary.keep("/view", sent_s, View(captured_s, ids, centers + 5, 0.5 * 0.9**image, ids.size))
+        process_log.saw(detections, found_s)
+        process_log.put("/sent", sent_s, {"messages": None})
+        process_log.keep("/view", sent_s, View(captured_s, ids, centers + 5, 0.5 * 0.9**image, ids.size))
         stages = {
             "captured_s": captured_s,
             "arrived_s": arrived_s,
@@ -151,23 +155,23 @@ class Script:
             "number": image,
             "dropped": 0,
         }
-        diary.put("/stages", sent_s, stages)
+        process_log.put("/stages", sent_s, stages)
 
-    def write_decision(self, diary: Diary, image: int, row: int, robot: int) -> None:
+    def write_decision(self, process_log: ProcessLog, image: int, row: int, robot: int) -> None:
         """What a robot keeps of an image: a sign of life of the unit, its goals, and a decision.
 
         Signs of life take no time in either direction, so that the offset of the clocks is known exactly.
         """
         name, offset_s = f"robot/{robot}", self.clock_offset_s
         unit_s = float(self.captured_s[image])
-        beat = Beat({name: (unit_s + offset_s, unit_s)} if self.compared else {})
-        diary.heard(Arrival(Envelope("unit/0", unit_s, beat), unit_s + offset_s))
+        heartbeat = Heartbeat({name: (unit_s + offset_s, unit_s)} if self.compared else {})
+        process_log.heard(Arrival(Envelope("unit/0", unit_s, heartbeat), unit_s + offset_s))
         sent_s, received_s = float(self.passed_s[image, 4]), float(self.received_s[image, row]) + offset_s
-        diary.heard(Arrival(Envelope("unit/0", sent_s, self.goals(image)), received_s))
+        process_log.heard(Arrival(Envelope("unit/0", sent_s, self.goals(image)), received_s))
         now_s = float(self.commanded_s[image, row]) + offset_s
         reason = self.reasons.get(robot, ["driving"] * self.images)[image]
         speed = 0.1 * (reason == "driving")
         order = Order(v_mps=speed, omega_radps=0.0, reason=reason)
         age_s = now_s - float(self.captured_s[image]) - offset_s
-        diary.put("/decide", now_s, {"order": order, "armed": speed > 0, "image_age_s": age_s})
-        diary.put("/beat", now_s, {"refused": {}, "dropped": 0})
+        process_log.put("/decide", now_s, {"order": order, "armed": speed > 0, "image_age_s": age_s})
+        process_log.put("/heartbeat", now_s, {"refused": {}, "dropped": 0})

@@ -9,7 +9,7 @@ from skyherd.loop import run_steps
 
 THRESHOLD = {"triangle": 0.01, "star": 0.005, "grid": 0.01, "circle": 0.01}
 TREES = ("chain", "tree", "failure")
-LEAST_SIDE_PX = 18.0
+MIN_SIDE_PX = 18.0
 REPAIR_S = 30.0
 """TC1 and TC2 are to be back within this time after a unit dies; an own admission counts against it too."""
 
@@ -49,4 +49,4 @@ def check_tree_mission(name: str, perception: str, *settings: str) -> None:
     sides_px = np.concatenate(
         [frame.sight.detections.sides_px for step in steps for frame in step.frames.values()]
     )
-    assert sides_px.min() > LEAST_SIDE_PX
+    assert sides_px.min() > MIN_SIDE_PX

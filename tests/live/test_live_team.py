@@ -10,13 +10,13 @@ from PIL import Image
 
 from skyherd.errors import InputError
 from skyherd.live import unit_process
-from skyherd.live.diaries.diary import Diary
-from skyherd.live.diaries.diary_file import read_diary
-from skyherd.live.diaries.replay import replay
 from skyherd.live.lab import load_lab
 from skyherd.live.live_clock import LiveClock
-from skyherd.live.radio import Air, Post
-from skyherd.live.station import Station
+from skyherd.live.logs.process_log import ProcessLog
+from skyherd.live.logs.process_log_file import read_process_log
+from skyherd.live.logs.replay import replay
+from skyherd.live.mailbox import Air, Mailbox
+from skyherd.live.process_context import ProcessContext
 from skyherd.live.unit_process import UnitAtWork, run_unit
 from skyherd.recording.mcap_log import McapLog
 from skyherd.vision import DeferringDetector
@@ -33,33 +33,35 @@ def team_of(faults, seed=0):
 
 def recorded(team, tmp_path):
     """Diaries of the unit and of robot 3, kept as the processes keep theirs."""
-    diaries = {}
+    process_logs = {}
     for name in ("unit/0", "robot/3"):
         process = team.processes[name]
-        diary = diaries[name] = Diary(tmp_path / f"{name.replace('/', '_')}.mcap", name, team.lab, team.now_s)
-        wrap(process, diary)
-    return diaries
+        process_log = process_logs[name] = ProcessLog(
+            tmp_path / f"{name.replace('/', '_')}.mcap", name, team.lab, team.now_s
+        )
+        wrap(process, process_log)
+    return process_logs
 
 
-def wrap(process, diary):
-    core, fetch, beat = process.core, process.post.fetch, process.core.beat
+def wrap(process, process_log):
+    core, fetch, heartbeat = process.core, process.mailbox.fetch, process.core.heartbeat
 
     def fetch_and_keep(timeout_s=0.0):
         for arrival in fetch(timeout_s):
-            diary.heard(arrival)
+            process_log.heard(arrival)
             yield arrival
 
-    def beat_and_keep(now_s, state):
-        diary.put("/beat", now_s, {})
-        return beat(now_s, state)
+    def heartbeat_and_keep(now_s, state):
+        process_log.put("/heartbeat", now_s, {})
+        return heartbeat(now_s, state)
 
-    process.post.fetch, core.beat = fetch_and_keep, beat_and_keep
+    process.mailbox.fetch, core.heartbeat = fetch_and_keep, heartbeat_and_keep
     if process.name.startswith("robot"):
         decide = core.decide
 
         def decide_and_keep(now_s):
             order = decide(now_s)
-            diary.put("/decide", now_s, {"order": order})
+            process_log.put("/decide", now_s, {"order": order})
             return order
 
         core.decide = decide_and_keep
@@ -67,9 +69,9 @@ def wrap(process, diary):
         see = core.see
 
         def see_and_keep(detections, now_s):
-            diary.saw(detections, now_s)
+            process_log.saw(detections, now_s)
             news = see(detections, now_s)
-            diary.put("/sent", now_s, {"messages": None if news is None else news.messages})
+            process_log.put("/sent", now_s, {"messages": None if news is None else news.messages})
             return news
 
         core.see = see_and_keep
@@ -83,15 +85,15 @@ def test_a_team_forms_its_shape_and_is_replayed_to_the_bit(faults, tmp_path) -> 
         process.offset_s = float(rng.uniform(-0.4, 0.4))
     team.air.drop = lambda topic, receiver: bool(rng.random() < 0.1)
     team.air.delay_s = lambda topic, receiver: 0.2 * float(rng.random() < 0.1)
-    diaries = recorded(team, tmp_path)
+    process_logs = recorded(team, tmp_path)
     start_error = None
     for _ in range(110):
         team.step()
         start_error = start_error or team.errors[0]
     assert team.errors[-1] < 0.25 * start_error
     assert max(team.blind_s.values()) <= team.lab.model.limits.goal_timeout_s + 2 * faults.PERIOD_S
-    for diary in diaries.values():
-        diary.__exit__(None, None, None)
+    for process_log in process_logs.values():
+        process_log.__exit__(None, None, None)
     robot, unit = replay(tmp_path / "robot_3.mcap"), replay(tmp_path / "unit_0.mcap")
     assert (robot.different, unit.different) == (0, 0)
     assert robot.decisions == 110 and unit.decisions == 110
@@ -99,22 +101,22 @@ def test_a_team_forms_its_shape_and_is_replayed_to_the_bit(faults, tmp_path) -> 
 
 def test_a_replay_notices_a_message_that_was_changed(faults, tmp_path, monkeypatch) -> None:
     team = team_of(faults)
-    diaries = recorded(team, tmp_path)
-    diary = diaries["robot/3"]
-    put = Diary.keep
+    process_logs = recorded(team, tmp_path)
+    process_log = process_logs["robot/3"]
+    put = ProcessLog.keep
     heard = []
 
     def put_changed(self, topic, now_s, record):
-        if topic == "/heard" and record["kind"] == "goals" and self is diary:
+        if topic == "/heard" and record["kind"] == "goals" and self is process_log:
             heard.append(record)
             if len(heard) == 25:
                 record = record | {"received_s": record["received_s"] + 5.0}
         put(self, topic, now_s, record)
 
-    monkeypatch.setattr(Diary, "keep", put_changed)
+    monkeypatch.setattr(ProcessLog, "keep", put_changed)
     for _ in range(45):
         team.step()
-    for kept in diaries.values():
+    for kept in process_logs.values():
         kept.__exit__(None, None, None)
     assert len(heard) > 30
     assert replay(tmp_path / "robot_3.mcap").different > 0
@@ -155,41 +157,41 @@ def test_no_fault_moves_a_wheel_for_long(faults, fault) -> None:
 
 def test_a_full_disk_ends_the_diary_with_a_line_and_nothing_else(tmp_path, monkeypatch) -> None:
     lab = load_lab("triangle")
-    with Diary(tmp_path / "a.mcap", "robot/3", lab, 0.0) as diary:
-        diary.put("/tell", 0.1, {"line": "before"})
+    with ProcessLog(tmp_path / "a.mcap", "robot/3", lab, 0.0) as process_log:
+        process_log.put("/tell", 0.1, {"line": "before"})
 
         def full(*arguments):
             raise OSError(28, "No space left on device")
 
-        monkeypatch.setattr(diary._log, "flush", full)
-        diary.put("/tell", 5.0, {"line": "after"})
-        assert "No space left" in diary.trouble
-        diary.put("/tell", 6.0, {"line": "later"})
+        monkeypatch.setattr(process_log._log, "flush", full)
+        process_log.put("/tell", 5.0, {"line": "after"})
+        assert "No space left" in process_log.trouble
+        process_log.put("/tell", 6.0, {"line": "later"})
 
 
 def test_a_diary_cut_short_reads_up_to_its_last_chunk(tmp_path) -> None:
     lab = load_lab("triangle")
     path = tmp_path / "a.mcap"
-    with Diary(path, "robot/3", lab, 0.0) as diary:
+    with ProcessLog(path, "robot/3", lab, 0.0) as process_log:
         for step in range(100):
-            diary.put("/tell", step * 0.1, {"line": str(step)})
+            process_log.put("/tell", step * 0.1, {"line": str(step)})
         data = path.read_bytes()
     (tmp_path / "cut.mcap").write_bytes(data[:-5])
-    lines = [record["line"] for topic, record in read_diary(tmp_path / "cut.mcap") if topic == "/tell"]
+    lines = [record["line"] for topic, record in read_process_log(tmp_path / "cut.mcap") if topic == "/tell"]
     assert lines == [str(step) for step in range(len(lines))] and len(lines) >= 90
 
 
 def test_a_diary_reads_up_to_the_first_record_that_is_missing(tmp_path) -> None:
     """What comes after it would be decided on with other news than there were."""
     path = tmp_path / "a.mcap"
-    with Diary(path, "robot/3", load_lab("triangle"), 0.0) as diary:
+    with ProcessLog(path, "robot/3", load_lab("triangle"), 0.0) as process_log:
         for step in range(100):
-            diary.put("/tell", step * 0.1, {"line": str(step)})
+            process_log.put("/tell", step * 0.1, {"line": str(step)})
     data = bytearray(path.read_bytes())
     chunks = [found.end() for found in re.finditer(b"zstd", data)]
     data[chunks[8] + 30] ^= 0xFF
     path.write_bytes(data)
-    lines = [record["line"] for topic, record in read_diary(path) if topic == "/tell"]
+    lines = [record["line"] for topic, record in read_process_log(path) if topic == "/tell"]
     assert lines == [str(step) for step in range(len(lines))] and 10 < len(lines) < 90
 
 
@@ -211,8 +213,8 @@ def test_arm_and_stop_insist_until_all_answer(faults) -> None:
         team.step()
     rng = np.random.default_rng(0)
     team.air.drop = lambda topic, receiver: bool(rng.random() < 0.3)
-    post = Post(team.air.radio("desk"), team.lab.model.team, "desk", lambda: team.now_s, operator.HEARS)
-    watched = operator.Watch(post, lambda: team.now_s)
+    mailbox = Mailbox(team.air.radio("desk"), team.lab.model.team, "desk", lambda: team.now_s, operator.HEARS)
+    watched = operator.Watch(mailbox, lambda: team.now_s)
     listen = watched.listen
 
     def listen_and_step(timeout_s):
@@ -225,10 +227,10 @@ def test_arm_and_stop_insist_until_all_answer(faults) -> None:
     assert not any(p.core.armed for name, p in team.processes.items() if name.startswith("robot"))
 
 
-def station_of(folder, say, ended):
-    """A station of the lab `triangle` for unit 0, over a radio in memory; it ends after a while."""
+def context_of(folder, say, ended):
+    """A context of the lab `triangle` for unit 0, over a radio in memory; it ends after a while."""
     latest_s = time.monotonic() + PATIENCE_S
-    return Station(
+    return ProcessContext(
         load_lab("triangle"),
         Air().radio("unit/0"),
         LiveClock(),
@@ -247,12 +249,12 @@ def test_a_unit_whose_disk_is_full_says_so_and_goes_on(tmp_path, monkeypatch) ->
     def full(*arguments):
         raise OSError(28, "No space left on device")
 
-    station = station_of(tmp_path / "run", told.append, lambda: any("device" in line for line in told))
+    context = context_of(tmp_path / "run", told.append, lambda: any("device" in line for line in told))
     put = McapLog.put
     monkeypatch.setattr(
         McapLog, "put", lambda log, topic, *rest: put(log, topic, *rest) if topic == "/about" else full()
     )
-    run_unit(station, 0, address=str(images), dry_run=True)
+    run_unit(context, 0, address=str(images), dry_run=True)
     assert any("No space left on device; nothing is recorded from now on" in line for line in told)
 
 
@@ -267,6 +269,6 @@ def test_a_unit_searches_for_what_can_wait_when_it_has_sent_what_it_decided(tmp_
     monkeypatch.setattr(
         DeferringDetector, "look_around", lambda own, image, *, unit_id: order.append(int(image[0, 0]))
     )
-    station = station_of(tmp_path / "run", lambda line: None, lambda: order[-1] == 90)
-    run_unit(station, 0, address=str(images), dry_run=True)
+    context = context_of(tmp_path / "run", lambda line: None, lambda: order[-1] == 90)
+    run_unit(context, 0, address=str(images), dry_run=True)
     assert order[0] == "warm" and order[-3:] == ["looked", "reported", 90]

@@ -16,8 +16,8 @@ from mcap.reader import make_reader
 
 from skyherd.errors import InputError
 from skyherd.live.cameras import open_camera
-from skyherd.live.diaries.replay import replay
 from skyherd.live.lab import LabRadio, lab_text
+from skyherd.live.logs.replay import replay
 from skyherd.live.review import make_live_report
 from skyherd.live.supervisor import Child, Supervisor
 from skyherd.live.world.camera_stream import CameraStream, _yuv
@@ -50,11 +50,11 @@ def test_peers_hear_each_other_and_outlive_the_one_that_held_the_port(tmp_path) 
 
     def join(name):
         radios[name] = ZenohRadio(places, tmp_path)
-        radios[name].subscribe("skyherd/*/beat/**", heard[name].add)
+        radios[name].subscribe("skyherd/*/heartbeat/**", heard[name].add)
 
     def all_hear(names):
         for name in names:
-            radios[name].publish(f"skyherd/t/beat/{name}", name.encode())
+            radios[name].publish(f"skyherd/t/heartbeat/{name}", name.encode())
         return all(heard[name] >= {other.encode() for other in names} for name in names)
 
     try:
@@ -86,7 +86,7 @@ def test_a_peer_that_found_nobody_is_joined_by_who_comes_later(tmp_path) -> None
         try:
 
             def is_heard():
-                second.publish("skyherd/t/beat/second", b"second")
+                second.publish("skyherd/t/heartbeat/second", b"second")
                 return heard == {b"second"}
 
             wait_for(is_heard, "the second")
@@ -163,9 +163,9 @@ radio = ZenohRadio(LabRadio(listen=[sys.argv[1]], connect=[sys.argv[1]]), Path()
 heard = []
 radio.subscribe("skyherd/t/stop/**", heard.append)
 while not heard:
-    radio.publish("skyherd/t/beat/b", b"here")
+    radio.publish("skyherd/t/heartbeat/b", b"here")
     time.sleep(0.05)
-radio.publish("skyherd/t/beat/b", b"the last word")
+radio.publish("skyherd/t/heartbeat/b", b"the last word")
 begun_s = time.monotonic()
 radio.close()
 print(time.monotonic() - begun_s)
@@ -181,7 +181,7 @@ def test_who_leaves_while_the_port_is_anothers_is_heard_to_the_end_and_does_not_
     place = f"tcp/127.0.0.1:{free_port()}"
     radio = ZenohRadio(LabRadio(listen=[place], connect=[place]), tmp_path)
     heard: list[bytes] = []
-    radio.subscribe("skyherd/t/beat/**", heard.append)
+    radio.subscribe("skyherd/t/heartbeat/**", heard.append)
     other = subprocess.Popen([sys.executable, "-c", LAST_WORD, place], stdout=subprocess.PIPE, text=True)
     try:
         wait_for(lambda: heard, "the other")

@@ -12,7 +12,7 @@ from skyherd.control import MarkerGains, Wheels
 from skyherd.live.drivers import SpeedLimits
 from skyherd.live.peers import ClockLimits
 from skyherd.live.robot_core import DRIVING, RobotCore, RobotLimits
-from skyherd.live.wire import Arm, Beat, Envelope, Sighting, Stop
+from skyherd.live.wire import Arm, Envelope, Heartbeat, Sighting, Stop
 from skyherd.messages import MotionGoals
 
 LIMITS = RobotLimits(
@@ -45,7 +45,7 @@ class Scene:
         self.core.receive(Envelope("unit/0", self.now_s + self.offset_s, message), self.now_s)
 
     def compare_clocks(self) -> None:
-        self.unit_says(Beat({"robot/3": (self.now_s, self.now_s + self.offset_s)}))
+        self.unit_says(Heartbeat({"robot/3": (self.now_s, self.now_s + self.offset_s)}))
 
     def arm(self) -> None:
         self.core.receive(Envelope("operator", self.now_s, Arm({"robot/3": self.core.session})), self.now_s)

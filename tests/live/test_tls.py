@@ -83,11 +83,11 @@ def test_members_hear_each_other_and_a_stranger_is_neither_heard_nor_hears(folde
         files = {"authority": "team.pem", "certificate": f"{who}.pem", "key": f"{who}.key"}
         places = LabRadio(listen=list(listen), connect=[place], **(files if certified else {}))
         radios[who] = ZenohRadio(places, folder)
-        radios[who].subscribe("skyherd/t/beat/**", heard[who].append)
+        radios[who].subscribe("skyherd/t/heartbeat/**", heard[who].append)
 
     def all_speak():
         for who, radio in radios.items():
-            radio.publish(f"skyherd/t/beat/{who}", who.encode())
+            radio.publish(f"skyherd/t/heartbeat/{who}", who.encode())
 
     try:
         join("a", listen=[place])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from skyherd.live.lab import load_lab
-from skyherd.live.wire import Beat, Envelope
+from skyherd.live.wire import Envelope, Heartbeat
 
 LAB = load_lab("star")
 FRAME_S, DELAY_S = 0.2, 0.05
@@ -33,11 +33,11 @@ class TwoUnits:
                 self.tell(unit, time_s, self.decisions[1 - unit][-1].report)
 
     def tell(self, unit, sent_s, report):
-        """A report of the other unit, and a beat that says when a message of this one arrived there."""
+        """A report of the other unit, and a heartbeat that says when a message of this one arrived there."""
         ours_s, theirs_s = self.offsets_s[unit], self.offsets_s[1 - unit]
         sent_before_s = sent_s - 2 * DELAY_S
-        beat = Beat({f"unit/{unit}": (sent_before_s + ours_s, sent_before_s + DELAY_S + theirs_s)})
-        for message in (beat, report):
+        heartbeat = Heartbeat({f"unit/{unit}": (sent_before_s + ours_s, sent_before_s + DELAY_S + theirs_s)})
+        for message in (heartbeat, report):
             envelope = Envelope(f"unit/{1 - unit}", sent_s + theirs_s, message)
             self.cores[unit].receive(envelope, sent_s + DELAY_S + ours_s)
 

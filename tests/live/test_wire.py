@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
-from skyherd.live.radio import Air, Post, matches
+from skyherd.live.mailbox import Air, Mailbox, matches
 from skyherd.live.wire import (
-    MOST_BYTES,
+    MAX_BYTES,
     Arm,
-    Beat,
     Envelope,
+    Heartbeat,
     Refused,
     Sighting,
     Stop,
@@ -44,12 +44,12 @@ def everything() -> list[Envelope]:
         Proximity(0, 5.0, 8.0, [1, 2], [1], [2], [1.0], [0.5], [1.2], [0.5]),
         report,
         Sighting(0, 5.0, [1, 2], [3]),
-        Beat({"robot/3": (1.25, 1.5)}, "12 markers"),
+        Heartbeat({"robot/3": (1.25, 1.5)}, "12 markers"),
         FlightCommand(0, [0.1, 0.2], 0.3, 0.4, 0.5),
     ]
     return [Envelope("unit/0", 6.125, message) for message in from_unit] + [
         Envelope("robot/3", 6.5, Wheels(3, 0.25, -0.5)),
-        Envelope("robot/3", 6.5, Beat({}, "disarmed", "6.5/0", True)),
+        Envelope("robot/3", 6.5, Heartbeat({}, "disarmed", "6.5/0", True)),
         Envelope("operator", 7.0, Arm({"robot/3": "6.5/0"})),
         Envelope("operator", 7.0, Stop("space bar")),
     ]
@@ -80,7 +80,7 @@ def body(**parts) -> bytes:
         (b"\xff\x00", "not JSON"),
         (b"[" * 100_000, "not JSON"),
         (b"[1]", "no message of skyherd"),
-        (b"x" * (MOST_BYTES + 1), "larger"),
+        (b"x" * (MAX_BYTES + 1), "larger"),
         (changed(team="red"), "another team, 'red'"),
         (changed(version=3), "of format '3', here it is 2"),
         (changed(version=True), "of format"),
@@ -160,7 +160,7 @@ def test_no_value_anywhere_raises_anything_else(number, where, inside, value) ->
 
 def test_refusals_are_counted_and_named_once_and_fill_no_memory() -> None:
     air, told = Air(), []
-    post = Post(air.radio("robot/3"), TEAM, "robot/3", lambda: 9.0, ["goals/**"], told.append)
+    mailbox = Mailbox(air.radio("robot/3"), TEAM, "robot/3", lambda: 9.0, ["goals/**"], told.append)
     sender = air.radio("unit/0")
     for _ in range(5):
         sender.publish("skyherd/red/goals/unit/0", changed(team="red"))
@@ -168,23 +168,23 @@ def test_refusals_are_counted_and_named_once_and_fill_no_memory() -> None:
         sender.publish("skyherd/x/goals/unit/0", changed(team=f"t{number}"))
     sender.publish("skyherd/blue/goals/unit/0", encode(everything()[0], TEAM))
     air.advance(1.0)
-    arrived = list(post.fetch())
+    arrived = list(mailbox.fetch())
     assert [arrival.received_s for arrival in arrived] == [9.0]
-    assert post.refusals.counts["of another team, 'red'"] == 5
-    assert sum(post.refusals.counts.values()) == 505 and len(post.refusals.counts) < 50
-    assert len(told) == len(post.refusals.counts) == len(set(told))
+    assert mailbox.refusals.counts["of another team, 'red'"] == 5
+    assert sum(mailbox.refusals.counts.values()) == 505 and len(mailbox.refusals.counts) < 50
+    assert len(told) == len(mailbox.refusals.counts) == len(set(told))
 
 
 def test_own_messages_are_not_heard_and_a_full_queue_drops_the_newest() -> None:
     air = Air()
-    post = Post(air.radio("unit/0"), TEAM, "unit/0", lambda: 0.0, ["**"])
-    post.send(Stop("me"))
-    other = Post(air.radio("unit/1"), TEAM, "unit/1", lambda: 0.0, [])
+    mailbox = Mailbox(air.radio("unit/0"), TEAM, "unit/0", lambda: 0.0, ["**"])
+    mailbox.send(Stop("me"))
+    other = Mailbox(air.radio("unit/1"), TEAM, "unit/1", lambda: 0.0, [])
     for _ in range(6000):
         other.send(Stop("other"))
     air.advance(1.0)
-    assert len(list(post.fetch())) == 4999
-    assert post.dropped == 1001
+    assert len(list(mailbox.fetch())) == 4999
+    assert mailbox.dropped == 1001
 
 
 def test_the_air_loses_delays_and_keeps_order_of_arrival() -> None:
@@ -208,7 +208,7 @@ def test_the_air_loses_delays_and_keeps_order_of_arrival() -> None:
     [
         ("skyherd/*/goals/**", "skyherd/t/goals/unit/0", True),
         ("skyherd/*/goals/**", "skyherd/t/goals", True),
-        ("skyherd/*/beat/unit/*", "skyherd/t/beat/robot/3", False),
+        ("skyherd/*/heartbeat/unit/*", "skyherd/t/heartbeat/robot/3", False),
         ("skyherd/*/goals/**", "skyherd/t/u/goals/unit/0", False),
         ("a/*", "a", False),
     ],

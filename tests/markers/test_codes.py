@@ -33,7 +33,7 @@ def images_of(bits: np.ndarray, mirrored: bool) -> list[np.ndarray]:
     return [np.rot90(side, k, (1, 2)).reshape(len(bits), -1) * np.float32(2) - 1 for k in range(4)]
 
 
-def least_distance(bits: np.ndarray, *, mirrored: bool, every: int = 1) -> int:
+def min_distance(bits: np.ndarray, *, mirrored: bool, every: int = 1) -> int:
     """Of each marker, or of one in so many, to all in all turns; to itself unturned is left out."""
     n = bits[0].size
     chosen = np.arange(0, len(bits), every)
@@ -53,18 +53,18 @@ def test_markers_differ_by_the_stated_distance_however_turned_or_mirrored(name: 
     code = CODES[name]
     bits = code_bits(code)
     assert bits.shape == (code.size, code.cells, code.cells)
-    assert least_distance(bits, mirrored=False, every=every) == code.distance
-    assert least_distance(bits, mirrored=True, every=every) >= code.distance
+    assert min_distance(bits, mirrored=False, every=every) == code.distance
+    assert min_distance(bits, mirrored=True, every=every) >= code.distance
 
 
 def test_a_dictionary_with_a_turned_copy_in_it_is_caught() -> None:
     """Negative control of the brute force: OpenCV's 6X6_1000 has mirror images, and a copy has distance 0."""
     bits = code_bits(CODES["6X6_1900"])[:50]
     copied = np.concatenate([bits, np.rot90(bits[7:8], 1, (1, 2))])
-    assert least_distance(copied, mirrored=False) == 0
+    assert min_distance(copied, mirrored=False) == 0
     theirs = np.stack([marker_cells("6X6_1000", k)[1:-1, 1:-1] for k in range(1000)])
-    assert least_distance(theirs, mirrored=False) == 9
-    assert least_distance(theirs, mirrored=True) == 0
+    assert min_distance(theirs, mirrored=False) == 9
+    assert min_distance(theirs, mirrored=True) == 0
 
 
 @pytest.mark.parametrize(("name", "first", "last"), FROZEN)

@@ -11,7 +11,7 @@ from PIL import Image
 from skyherd.cli import main
 from skyherd.errors import InputError
 from skyherd.markers.dictionary import card_side
-from skyherd.markers.sheet_layout import PAPERS_MM, largest_side_mm, lay_out, parse_ids, parse_length_mm
+from skyherd.markers.sheet_layout import PAPERS_MM, lay_out, max_side_mm, parse_ids, parse_length_mm
 from skyherd.markers.sheets import draw_pages, write_sheets
 from skyherd.vision import create_detector
 
@@ -82,7 +82,7 @@ def test_pages_are_detected_at_true_size_heading_up(dictionary: str) -> None:
 @pytest.mark.parametrize("paper", PAPERS_MM)
 @pytest.mark.parametrize("dictionary", ["4X4_50", "7X7_8000"])
 def test_the_largest_side_fits_and_a_millimetre_more_does_not(paper: str, dictionary: str) -> None:
-    side_mm = largest_side_mm(paper, dictionary)
+    side_mm = max_side_mm(paper, dictionary)
     layout = lay_out(paper, side_mm, dictionary)
     x, y = layout.corner_mm(0)
     assert layout.per_page >= 1 and min(x, y) > 0

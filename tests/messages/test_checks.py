@@ -45,12 +45,12 @@ CONSTRUCTORS = {
     Perimeter: ({}, ("desired_radius", "lateral_gain_mps", "climb_gain_mps")),
     KeepInView: (
         {"template": SHAPE},
-        ("desired_radius", "zoom_gain_ps", "separation_sides", "least_side_px"),
+        ("desired_radius", "zoom_gain_ps", "separation_sides", "min_side_px"),
     ),
     BodyRule: ({"radius_sides": 1.0}, ("radius_sides", "margin_sides", "horizon_sides")),
     AvoidanceRule: (AVOIDANCE, ("side_m", "nominal_age_s", "step_s", "lag_s", "creep_mps", "lifetime_s")),
     RoleRule: ({}, ("period_s", "gain", "starts")),
-    SizeRule: ({}, ("least_sides", "most_sides")),
+    SizeRule: ({}, ("min_sides", "max_sides")),
 }
 """Constructors with numbers of 0 or more: what makes one, and the names of those numbers."""
 
@@ -75,7 +75,7 @@ def test_a_rate_is_finite_and_of_either_sign(value):
 
 def test_a_limit_that_there_is_not_may_be_infinite():
     assert Wheels(INF, INF) and SizeRule(0.0, INF) and TreeRule(patience_s=INF)
-    for kind, name in ((MarkerGains, "k"), (SafetyRadius, "radius"), (SizeRule, "least_sides")):
+    for kind, name in ((MarkerGains, "k"), (SafetyRadius, "radius"), (SizeRule, "min_sides")):
         with pytest.raises(SkyherdError):
             kind(**CONSTRUCTORS[kind][0] | {name: INF})
 

@@ -354,13 +354,13 @@ def linear_map(focal_over_height: float, yaw_rad: float, aspect: float, mirrored
 
 
 @pytest.mark.parametrize(
-    ("aspect", "mirrored", "least_rms"),
+    ("aspect", "mirrored", "min_rms"),
     [(640 / 480, False, 0.03), (1.1, False, 0.01), (1.0, True, 0.2)],
     ids=["pixels 640/480", "pixels 1.1", "mirrored"],
 )
 @pytest.mark.parametrize("yaw_deg", [0.0, 33.0, -120.0])
 def test_a_distorting_image_moves_the_goals_as_geometry_predicts(
-    mission_with, scenario_tree, reference_fit, aspect, mirrored, least_rms, yaw_deg
+    mission_with, scenario_tree, reference_fit, aspect, mirrored, min_rms, yaw_deg
 ) -> None:
     """Fit the similarity to A x, map back by A's inverse; the displacement is a good part of the span."""
     unit = {
@@ -383,7 +383,7 @@ def test_a_distorting_image_moves_the_goals_as_geometry_predicts(
     displacement = ground_goals(mission) - undistorted
     np.testing.assert_allclose(displacement, predicted - undistorted, rtol=0, atol=EXACT)
     span = np.ptp(start, axis=0).max()
-    assert np.sqrt(np.mean(np.abs(displacement) ** 2)) / span > least_rms
+    assert np.sqrt(np.mean(np.abs(displacement) ** 2)) / span > min_rms
 
 
 @pytest.mark.parametrize("tilt_deg", [(15.0, 0.0), (0.0, 15.0), (-8.0, 12.0)])

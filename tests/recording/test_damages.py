@@ -19,7 +19,7 @@ from skyherd.datasets import load_mission
 from skyherd.errors import InputError
 from skyherd.loop import run_steps
 from skyherd.recording.footer import MAGIC
-from skyherd.recording.reader import MOST_BYTES, read_messages, read_recording, read_steps
+from skyherd.recording.reader import MAX_BYTES, read_messages, read_recording, read_steps
 from skyherd.recording.survey import Flaw, describe_flaws, survey
 from skyherd.recording.writer import McapRecorder
 
@@ -334,7 +334,7 @@ def test_a_recording_comes_in_by_the_door_for_files(tmp_path, name, said):
     (tmp_path / "loop").symlink_to(tmp_path / "loop")
     (tmp_path / "large").touch()
     with (tmp_path / "large").open("wb") as file:
-        file.truncate(MOST_BYTES + 1)
+        file.truncate(MAX_BYTES + 1)
     for read in (read_recording, lambda path: next(read_messages(path)), lambda path: next(read_steps(path))):
         with pytest.raises(InputError, match=said):
             read(tmp_path / name)

@@ -319,7 +319,7 @@ def last_step(*settings: str):
         "perception=ideal",
         "roles.exchange=false",
         "avoidance.on=false",
-        "size.least_spacing_sides=0",
+        "size.min_spacing_sides=0",
         "robots.body_radius_sides=0",
         "robots.scatter.scale_m=2.6",
         "robots.scatter.jitter_m=0.5",

@@ -12,7 +12,7 @@ from skyherd.datasets.generated.random_missions import Crowd, random_mission
 from skyherd.loop import run_steps
 from skyherd.messages.clock_offset import DRIFT
 from skyherd.sim.agents import make_controller
-from skyherd.sim.delays import least_message_delay_s, least_report_delay_s, most_message_delay_s, whole_steps
+from skyherd.sim.delays import max_message_delay_s, min_message_delay_s, min_report_delay_s, whole_steps
 from skyherd.sim.robot_teams import make_avoidance, make_team
 
 OFFSETS_S = (-4.0, 3.0, 1.5)
@@ -102,12 +102,12 @@ def test_no_message_is_faster_than_the_least_delay_and_some_are_as_fast(case) ->
     for step, team in run_for(mission, 10.0, heard):
         fresh = np.isclose(team.inboxes.received_s, step.time_s)
         received += (step.time_s - team.inboxes.imaged_s[fresh]).tolist()
-    least_s, most_s = least_message_delay_s(scenario), most_message_delay_s(scenario)
-    assert min(received) == pytest.approx(least_s, abs=1e-9)
-    assert max(received) <= most_s + 1e-9
-    assert min(reported) >= least_report_delay_s(scenario) - 1e-9
+    min_s, max_s = min_message_delay_s(scenario), max_message_delay_s(scenario)
+    assert min(received) == pytest.approx(min_s, abs=1e-9)
+    assert max(received) <= max_s + 1e-9
+    assert min(reported) >= min_report_delay_s(scenario) - 1e-9
     if len(set(case[1])) == 1:
-        assert min(reported) == pytest.approx(least_report_delay_s(scenario), abs=1e-9)
+        assert min(reported) == pytest.approx(min_report_delay_s(scenario), abs=1e-9)
 
 
 def test_delays_are_rounded_up_to_whole_steps() -> None:

@@ -60,7 +60,7 @@ def row(method: str, task: str, **values: Any) -> dict[str, Any]:
         "shape_error": 0.002,
         "history.affine_error": [0.5, 0.001],
         "history.affine_reached_s": 9.0,
-        "history.least_path_m": 16.0,
+        "history.min_path_m": 16.0,
         "history.waypoints_m": [[[0.0, 0.0], [1.0, 0.0]], [[0.0, 1.0], [1.0, 1.0]]],
         "history.messages_per_robot_s": 5.0,
         "history.numbers_per_robot_s": 10.0,

@@ -15,11 +15,11 @@ from skyherd.vision.photometric.verify import FitTest, Quantity
 from skyherd.vision.search.quads import MIN_QUAD_SIDE_PX
 from skyherd.vision.search.regions import DARKER
 
-LEAST_SIDE_PX = MIN_QUAD_SIDE_PX + 1.0
+MIN_SIDE_PX = MIN_QUAD_SIDE_PX + 1.0
 """Smallest side of a marker that the search looks for, px. Derived: `MIN_QUAD_SIDE_PX` is between the centres
 of the outermost pixels, which are half a pixel inside of the edges."""
 
-LEAST_SEARCHED_CONTRAST = 3.0 * DARKER
+MIN_SEARCHED_CONTRAST = 3.0 * DARKER
 """Contrast, grey levels, below which the search may see no outline. Derived: it takes what is darker than the
 mean around it by `DARKER`, and that mean lies half-way at an edge. Chosen: half as much again, for blur and
 noise."""
@@ -201,8 +201,8 @@ def find_reason(suspect: Suspect, *, again: bool) -> tuple[Reason, Measured | No
         return Reason.NO_BITS, Measured("likeness", reading.likeness, CERTAIN, at_least=True)
     if exact and reading.mirrored:
         return Reason.MIRRORED, None
-    if reading.side_px < LEAST_SIDE_PX:
-        return Reason.FEW_PIXELS, Measured("side in px", reading.side_px, LEAST_SIDE_PX, at_least=True)
+    if reading.side_px < MIN_SIDE_PX:
+        return Reason.FEW_PIXELS, Measured("side in px", reading.side_px, MIN_SIDE_PX, at_least=True)
     if reading.blur_cells > LEGIBLE_BLUR_CELLS and reading.likeness >= CERTAIN:
         return Reason.BLURRED, Measured(UNITS[Quantity.BLUR], reading.blur_cells, LEGIBLE_BLUR_CELLS)
     if not suspect.seen:
@@ -218,9 +218,9 @@ def find_reason(suspect: Suspect, *, again: bool) -> tuple[Reason, Measured | No
 def _unseen_reason(suspect: Suspect) -> tuple[Reason, Measured | None]:
     """Why the search finds no outline around what reads as a marker."""
     reading = suspect.reading
-    if reading.contrast < LEAST_SEARCHED_CONTRAST and suspect.failed is None:
+    if reading.contrast < MIN_SEARCHED_CONTRAST and suspect.failed is None:
         name = UNITS[Quantity.CONTRAST]
-        return Reason.LOW_CONTRAST, Measured(name, reading.contrast, LEAST_SEARCHED_CONTRAST, at_least=True)
+        return Reason.LOW_CONTRAST, Measured(name, reading.contrast, MIN_SEARCHED_CONTRAST, at_least=True)
     dark = int(edges_without_quiet(reading).sum())
     if dark:
         return Reason.NO_QUIET_ZONE, Measured("edges without a white margin", dark, 0.0)

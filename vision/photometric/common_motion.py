@@ -18,7 +18,7 @@ from skyherd.vision.grey import Image
 from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
 from skyherd.vision.search.quads import find_quads
 
-MOST_SHARE = 0.5
+MAX_SHARE = 0.5
 """Share of an image up to which it is searched by parts. Chosen: parts overlap, and each costs something."""
 
 NEAR_MARKERS = 4
@@ -30,10 +30,10 @@ REACH_SIDES = 3.0
 climb at 1 m/s over 10 m moves markers in the corner of an image by half a side within 0.2 s, and those near
 its middle less; the time grows with the square."""
 
-LEAST_MARKERS = 3
+MIN_MARKERS = 3
 """Markers that tell a rotation at least. Chosen: two robots side by side that drive apart look like one."""
 
-LEAST_SHIFT_SIDES = 0.02
+MIN_SHIFT_SIDES = 0.02
 """Markers are fitted again only if the motion moves them by more than this, in their sides. Chosen: fits find
 a marker that lies a tenth of a side off, so that one that was missed for less is missed for another
 reason."""
@@ -43,11 +43,11 @@ def common_motion(before: LocalHomographies, after: LocalHomographies) -> tuple[
     """Return the similarity (a, b), `p -> a p + b`, that takes markers (N,), at least one, to where they are.
 
     By least squares over their centres, which says nothing of how each robot turned by itself. Fewer than
-    `LEAST_MARKERS` tell no rotation, and the scale by their sides.
+    `MIN_MARKERS` tell no rotation, and the scale by their sides.
     """
     middle, target = before.centers.mean(), after.centers.mean()
     here, there = before.centers - middle, after.centers - target
-    if here.size < LEAST_MARKERS:
+    if here.size < MIN_MARKERS:
         a = complex(np.median(after.sides_px() / before.sides_px()))
     else:
         a = complex(np.vdot(here, there) / np.vdot(here, here).real)
@@ -87,7 +87,7 @@ def find_quads_near(image: Image, markers: LocalHomographies) -> Array:
             for at in (center.real, center.imag)
         )
         boxes.append((image[lines, columns], (columns.start, lines.start)))
-    if sum(box.size for box, _ in boxes) > MOST_SHARE * image.size:
+    if sum(box.size for box, _ in boxes) > MAX_SHARE * image.size:
         return find_quads(image)
     return np.concatenate([np.zeros((0, 4, 2)), *(find_quads(box) + corner for box, corner in boxes)])
 

@@ -145,8 +145,8 @@ class PhotometricDetector:
         known.first_looks += 1
         interval = SECOND_LOOK_AFTER_SUCCESS if known.is_second_look_worth_it else SECOND_LOOK_INTERVAL
         if not thoroughly and known.first_looks < interval:
-            least_darkness = FAINT_SHARE * (known.contrast or 0.0)
-            quads = find_quads(image, to_points(followed.images(SQUARE_CORNERS)), least_darkness)
+            min_darkness = FAINT_SHARE * (known.contrast or 0.0)
+            quads = find_quads(image, to_points(followed.images(SQUARE_CORNERS)), min_darkness)
             return look_at_quads(image, self.dictionary, known, quads, followed, MIN_CORRELATION).found
         first, second = look_twice(image, self.dictionary, known, followed)
         known.first_looks, known.is_second_look_worth_it = 0, bool(second.good.any())

@@ -13,7 +13,7 @@ from skyherd.markers.dictionary import code_distance
 from skyherd.vision.grey import Image
 from skyherd.vision.photometric.acceptance import accepted
 from skyherd.vision.photometric.common_motion import (
-    LEAST_SHIFT_SIDES,
+    MIN_SHIFT_SIDES,
     REACH_SIDES,
     carried,
     common_motion,
@@ -83,7 +83,7 @@ def _fit_tracks(
     if not lost.size:
         return fits, start
     moved = _moved(image, dictionary, known, start, fits)
-    again = shifts_sides(start.take(lost), moved.take(lost)) > LEAST_SHIFT_SIDES
+    again = shifts_sides(start.take(lost), moved.take(lost)) > MIN_SHIFT_SIDES
     if not again.any():
         return fits, start
     # All are fitted again, since few may have told the plane.

@@ -116,7 +116,7 @@ def look_at_quads(
     known: ImageEstimates,
     quads: Array,
     there: LocalHomographies,
-    least_correlation: float,
+    min_correlation: float,
 ) -> Look:
     """Return what is seen where quadrilaterals are, but for where markers are known to be.
 
@@ -126,7 +126,7 @@ def look_at_quads(
         known: what is known of the unit's images; its plane becomes that of what is found.
         quads: (N, 4, 2) corners, px, clockwise as seen, beginning with any of the four.
         there: the markers that are known.
-        least_correlation: of a quadrilateral's cells with those of the marker that it resembles most.
+        min_correlation: of a quadrilateral's cells with those of the marker that it resembles most.
     """
     quads = quads[elsewhere(quads, there)]
     decoded = decode_quads(image, quads, dictionary, known.sigma_px or START_SIGMA_PX)
@@ -134,7 +134,7 @@ def look_at_quads(
         decoded = decoded.take(decoded.print_contrasts >= PALE_SHARE * known.print_contrast)
     start = LocalHomographies.of_corners(decoded.corners_px)
     best = best_of_each_place(decoded.ids, start.centers, start.sides_px(), decoded.correlations)
-    best &= decoded.correlations >= least_correlation
+    best &= decoded.correlations >= min_correlation
     return look_at_candidates(image, dictionary, known, quads, decoded.take(best))
 
 
@@ -169,7 +169,7 @@ def _fit_quads(
     sigma_px, noise = known.sigma_px or START_SIGMA_PX, known.noise or USUAL_NOISE
     fit = partial(fit_any_blur, image, dictionary, alone=not known.plane.shared)
     coarse_px = COARSE_CELL_PX * cells_per_side(dictionary)
-    fits, plane = fit(ids, start, sigma_px, known.plane, noise, largest_side_px=coarse_px)
+    fits, plane = fit(ids, start, sigma_px, known.plane, noise, max_side_px=coarse_px)
     promising = np.flatnonzero(is_promising(fits))
     if not promising.size:
         return fits, known.plane

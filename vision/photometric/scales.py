@@ -19,7 +19,7 @@ from skyherd.vision.photometric.fitting.local_homography import LocalHomographie
 from skyherd.vision.photometric.fitting.occlusion import fit_visible
 from skyherd.vision.photometric.fitting.plane import Plane
 
-LARGEST_SIDE_PX = 144.0
+MAX_SIDE_PX = 144.0
 """Side, px, above which a marker is fitted in an image shrunk by 2, 4, 8 and so on, so that its side there is
 between 72 and 144 px. Chosen: a smaller value makes large markers less precise, a larger one costs time and
 memory with its square."""
@@ -36,16 +36,16 @@ def fit_all_sizes(
     max_steps: int = MAX_STEPS,
     *,
     alone: bool = False,
-    largest_side_px: float = LARGEST_SIDE_PX,
+    max_side_px: float = MAX_SIDE_PX,
     streak_px2: complex | None = None,
 ) -> tuple[FitResults, Plane]:
     """Do as `fit_markers`, with each marker at a resolution that suits it.
 
     Arguments and results are those of `fit_markers` and refer to the full-size image; the plane is that of
-    the smallest markers. Markers of more than `largest_side_px` are fitted in a shrunk image.
+    the smallest markers. Markers of more than `max_side_px` are fitted in a shrunk image.
     """
     sigmas_px = np.broadcast_to(np.asarray(sigma_px, dtype=float), (ids.size,))
-    octaves = _octaves(homographies, largest_side_px)
+    octaves = _octaves(homographies, max_side_px)
     if not octaves.any():
         given = image, dictionary, ids, homographies, sigma_px, plane, noise, max_steps
         return fit_markers(*given, alone=alone, streak_px2=streak_px2)
@@ -77,7 +77,7 @@ def fit_visible_all_sizes(
     image: Image, dictionary: str, fits: FitResults, sigma_px: float | Array, plane: Plane, noise: float
 ) -> FitResults:
     """Do as `fit_visible`, with each marker at a resolution that suits it; in the order of `fits`."""
-    octaves, visible = _octaves(fits.homographies, LARGEST_SIDE_PX), fits
+    octaves, visible = _octaves(fits.homographies, MAX_SIDE_PX), fits
     sigmas_px = np.broadcast_to(np.asarray(sigma_px, dtype=float), (fits.ids.size,))
     for octave in np.unique(octaves):
         rows, scaled = np.flatnonzero(octaves == octave), ScaledImage(image, 2 ** int(octave))
@@ -94,9 +94,9 @@ def fit_visible_all_sizes(
     return visible
 
 
-def _octaves(homographies: LocalHomographies, largest_side_px: float) -> IntArray:
+def _octaves(homographies: LocalHomographies, max_side_px: float) -> IntArray:
     """How often (N,) the image is to be halved for each marker."""
-    octaves = np.maximum(np.ceil(np.log2(homographies.sides_px() / largest_side_px)), 0)
+    octaves = np.maximum(np.ceil(np.log2(homographies.sides_px() / max_side_px)), 0)
     return np.asarray(octaves, dtype=np.int64)
 
 

@@ -16,11 +16,11 @@ from skyherd.vision.photometric.fitting.fit_result import FitResults, weighted_m
 from skyherd.vision.photometric.fitting.plane import Plane
 from skyherd.vision.photometric.fitting.streak_evidence import streak_evidence
 from skyherd.vision.photometric.image_noise import image_noise
-from skyherd.vision.photometric.scales import LARGEST_SIDE_PX
+from skyherd.vision.photometric.scales import MAX_SIDE_PX
 from skyherd.vision.photometric.unknown_blur import fit_any_blur, is_promising, with_usual_blur
 from skyherd.vision.photometric.verify import verified
 
-MOST_MARKERS, MOST_PIXELS = 4, 3000
+MAX_MARKERS, MAX_PIXELS = 4, 3000
 """So many markers at most, of so many pixels together, are asked whether there is a streak. Chosen: a streak
 that turns a heading by its standard deviation raises the chi-squared of each marker by more than one, so
 that four tell it; more of them take time in every image."""
@@ -29,7 +29,7 @@ SIGNIFICANT = 20.0
 """Fall of the chi-squared from which on there is a streak. Derived: chance reaches `exp(-20 / 2)`, once in
 22000 images."""
 
-LEAST_STREAK_PX2 = 0.02
+MIN_STREAK_PX2 = 0.02
 """Smallest streak, px², that markers are fitted again for. Chosen: that of 0.7 px; less turns no heading by
 its noise, and lenses have as much."""
 
@@ -59,7 +59,7 @@ def with_streak(
     noise = weighted_median(fits.noise_stds, fits.pixels * good)
     few = _few(fits, rows)
     evidence = streak_evidence(image, dictionary, fits.take(few), plane, noise, 0j)
-    if evidence.significance() < SIGNIFICANT or abs(evidence.change_px2()) < LEAST_STREAK_PX2:
+    if evidence.significance() < SIGNIFICANT or abs(evidence.change_px2()) < MIN_STREAK_PX2:
         return fits, good, plane
     promising = np.flatnonzero(is_promising(fits))
     streak_px2, old = 0j, fits.take(promising)
@@ -90,10 +90,10 @@ def with_streak(
 
 def _telling(fits: FitResults, good: BoolArray) -> IntArray:
     """Indices of the fits that tell of a streak: verified ones that are fitted in the image's own pixels."""
-    return np.flatnonzero(good & (fits.homographies.sides_px() <= LARGEST_SIDE_PX))
+    return np.flatnonzero(good & (fits.homographies.sides_px() <= MAX_SIDE_PX))
 
 
 def _few(fits: FitResults, rows: IntArray) -> IntArray:
     """Those of the fits at indices `rows`, at least one, that are asked in every image."""
-    few = rows[:: max(1, -(-rows.size // MOST_MARKERS))]
-    return few[: max(1, int((np.cumsum(fits.pixels[few]) <= MOST_PIXELS).sum()))]
+    few = rows[:: max(1, -(-rows.size // MAX_MARKERS))]
+    return few[: max(1, int((np.cumsum(fits.pixels[few]) <= MAX_PIXELS).sum()))]

@@ -16,7 +16,7 @@ from skyherd.vision.photometric.fitting.fit import MAX_STEPS, USUAL_NOISE
 from skyherd.vision.photometric.fitting.fit_result import FitResults, weighted_median
 from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
 from skyherd.vision.photometric.fitting.plane import Plane
-from skyherd.vision.photometric.scales import LARGEST_SIDE_PX, fit_all_sizes
+from skyherd.vision.photometric.scales import MAX_SIDE_PX, fit_all_sizes
 from skyherd.vision.photometric.verify import MIN_MARKER_CONTRAST
 
 START_SIGMA_PX = 0.6
@@ -57,7 +57,7 @@ def fit_any_blur(
     max_steps: int = MAX_STEPS,
     *,
     alone: bool = False,
-    largest_side_px: float = LARGEST_SIDE_PX,
+    max_side_px: float = MAX_SIDE_PX,
     streak_px2: complex | None = None,
 ) -> tuple[FitResults, Plane]:
     """Fit markers as `fit_all_sizes` does, of which `sigmas_px` is only where the blur begins.
@@ -72,7 +72,7 @@ def fit_any_blur(
         noise: standard deviation of a pixel, grey levels, as far as it is known.
         max_steps: most steps of the first fit.
         alone: whether each marker has a plane of its own, also if one would explain them all.
-        largest_side_px: side from which on markers are fitted in a shrunk image.
+        max_side_px: side from which on markers are fitted in a shrunk image.
         streak_px2: as of `fit_markers`.
 
     Returns:
@@ -85,7 +85,7 @@ def fit_any_blur(
         dictionary,
         noise=noise,
         alone=alone,
-        largest_side_px=largest_side_px,
+        max_side_px=max_side_px,
         streak_px2=streak_px2,
     )
     fits, plane = fit(ids, homographies, sigmas_px, plane, max_steps=max_steps)
@@ -114,8 +114,8 @@ def with_usual_blur(fits: FitResults) -> Array:
 
 def _within_limits(fits: FitResults) -> Array:
     cells_px = fits.homographies.sides_px() / fits.cell_means.shape[1]
-    most_px = np.maximum(MAX_SIGMA_CELLS * cells_px, MIN_SIGMA_PX)
-    return np.clip(fits.sigmas_px, MIN_SIGMA_PX, most_px)
+    max_px = np.maximum(MAX_SIGMA_CELLS * cells_px, MIN_SIGMA_PX)
+    return np.clip(fits.sigmas_px, MIN_SIGMA_PX, max_px)
 
 
 def is_promising(fits: FitResults) -> BoolArray:

@@ -24,7 +24,7 @@ MIN_QUAD_SIDE_PX = 7.0
 """Shortest side of a dark region that is looked at, px between the centres of its outermost pixels. Chosen: a
 marker of 8 px, half a pixel further out on either side, is the smallest that can be told from others."""
 
-LEAST_AREA_PX2 = MIN_QUAD_SIDE_PX**2 / 2
+MIN_AREA_PX2 = MIN_QUAD_SIDE_PX**2 / 2
 """Smallest area within a boundary, px². Chosen: half of the smallest square's, so that squares at a slant
 pass."""
 
@@ -70,7 +70,7 @@ MAX_AREA_MISMATCH = 0.3
 through four corners of some other outline misses more."""
 
 
-def find_quads(image: Image, known_px: Array | None = None, least_darkness: float = 0.0) -> Array:
+def find_quads(image: Image, known_px: Array | None = None, min_darkness: float = 0.0) -> Array:
     """Return the corners (N, 4, 2), px, of the dark quadrilaterals in a grey image (height, width).
 
     Corners run clockwise as seen and begin with any of the four. A quadrilateral may be found several times:
@@ -83,7 +83,7 @@ def find_quads(image: Image, known_px: Array | None = None, least_darkness: floa
         known_px: (K, 4, 2) corners of squares, px, that need not be found again, which takes time. Measured:
             of markers beside them, 1.6 sides from middle to middle, all are found from 14 px on, and a third
             of those of 10 px.
-        least_darkness: of `crowded_places`. Measured under usual blur: squares of 9 px and more have 0.075 of
+        min_darkness: of `crowded_places`. Measured under usual blur: squares of 9 px and more have 0.075 of
             their contrast or more, those of 8 px 0.05.
     """
     found = []
@@ -91,7 +91,7 @@ def find_quads(image: Image, known_px: Array | None = None, least_darkness: floa
         small = image if shrink == 1 else block_means(image, shrink)
         middle = (shrink - 1) / 2
         known = None if known_px is None else (known_px - middle) / shrink
-        mosaic = crowded_places(small, known, least_darkness)
+        mosaic = crowded_places(small, known, min_darkness)
         if mosaic is None:
             continue
         regions = dark_regions(mosaic)
@@ -110,11 +110,11 @@ def small_quads(mosaic: Mosaic) -> Array:
     search of the same places in their own size.
     """
     boundaries = dark_boundaries(dark_regions(mosaic.enlarged()), ENLARGEMENT * MIN_POINTS)
-    quads = _quads_of(boundaries, GROWTH_PX, least_area_px2=(ENLARGEMENT * MIN_QUAD_SIDE_PX) ** 2)
+    quads = _quads_of(boundaries, GROWTH_PX, min_area_px2=(ENLARGEMENT * MIN_QUAD_SIDE_PX) ** 2)
     return (quads + 0.5) / ENLARGEMENT - 0.5
 
 
-def _quads_of(boundaries: Boundaries, growth_px: float, *, least_area_px2: float = LEAST_AREA_PX2) -> Array:
+def _quads_of(boundaries: Boundaries, growth_px: float, *, min_area_px2: float = MIN_AREA_PX2) -> Array:
     """Corners (N, 4, 2) of the quadrilaterals among boundaries, their sides moved outwards by `growth_px`."""
     points, lengths = boundaries.points, boundaries.lengths
     if not lengths.size:
@@ -122,7 +122,7 @@ def _quads_of(boundaries: Boundaries, growth_px: float, *, least_area_px2: float
     starts = np.cumsum(lengths) - lengths
     area = _areas(points, starts, lengths)
     # Outer boundaries run one way round, those of holes the other.
-    square = (area > least_area_px2) & (area > MIN_COMPACTNESS * lengths**2)
+    square = (area > min_area_px2) & (area > MIN_COMPACTNESS * lengths**2)
     if not square.any():
         return np.zeros((0, 4, 2))
     points, lengths, area = points[np.repeat(square, lengths)], lengths[square], area[square]

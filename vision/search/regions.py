@@ -122,21 +122,21 @@ class DarkRegions:
         return DarkRegions(np.asarray(cv2.erode(self.dark, square), dtype=np.uint8), self.mosaic)
 
 
-def crowded_places(image: Image, known_px: Array | None = None, least_darkness: float = 0.0) -> Mosaic | None:
+def crowded_places(image: Image, known_px: Array | None = None, min_darkness: float = 0.0) -> Mosaic | None:
     """Return the places of an image where dark pixels crowd; None if there is none.
 
     Args:
         image: grey, (height, width), of which an odd last line or column is not looked at.
         known_px: (K, 4, 2) corners of squares, px, along whose edges pixels do not count as crowded. What
             crowds beside them does, and its place may reach over them.
-        least_darkness: smallest mean darkness of a box, grey levels, that counts as crowded, if it is above
+        min_darkness: smallest mean darkness of a box, grey levels, that counts as crowded, if it is above
             what follows from the image.
     """
     height, width = (side - side % 2 for side in image.shape)
     if min(height, width) == 0:
         return None
     image = image[:height, :width]
-    crowded = _crowded(image, np.zeros((0, 4, 2)) if known_px is None else known_px, least_darkness)
+    crowded = _crowded(image, np.zeros((0, 4, 2)) if known_px is None else known_px, min_darkness)
     return _mosaic(image, crowded) if crowded.any() else None
 
 
@@ -187,7 +187,7 @@ def _mosaic(image: Image, crowded_mask: Image) -> Mosaic:
     return Mosaic(np.hstack(crops), mask, begins, low[:, 0] - begins + 1j * low[:, 1])
 
 
-def _crowded(image: Image, known_px: Array, least_darkness: float) -> Image:
+def _crowded(image: Image, known_px: Array, min_darkness: float) -> Image:
     """255 around the pixels, of the image of half the size, where dark pixels crowd.
 
     Those along the edges of squares that are known, (K, 4, 2), px of the image, are left out.
@@ -198,7 +198,7 @@ def _crowded(image: Image, known_px: Array, least_darkness: float) -> Image:
     )
     darkness = np.asarray(cv2.subtract(_mean(half, COARSE_WINDOW), half), dtype=np.uint8)
     crowd = np.clip(CROWD_FACTOR * cv2.mean(darkness)[0], MIN_CROWD, MAX_CROWD)
-    least = max(float(crowd), least_darkness)
+    least = max(float(crowd), min_darkness)
     _, crowded = cv2.threshold(_mean(darkness, COARSE_WINDOW), least, 255, cv2.THRESH_BINARY)
     for square in np.rint((known_px - 0.5) / 2).astype(np.int32):
         cv2.fillConvexPoly(crowded, square, 0)

@@ -39,10 +39,10 @@ TRUTH_COLUMNS = ["image", "id", *NUMBERS]
 DIGITS = 9
 """Decimals of the numbers of `images.csv`. *Chosen*: as those of labels."""
 
-MOST_BYTES = 2**30
+MAX_BYTES = 2**30
 """Size of the largest table that is read. *Chosen*: rows of some millions of markers."""
 
-MOST_IDS = 2**31
+MAX_IDS = 2**31
 """Ids of markers are below this. *Chosen*: far above the largest dictionary."""
 
 Row = dict[str, Any]
@@ -138,7 +138,7 @@ def read_table(path: Path, needed: Iterable[str]) -> list[dict[str, str]]:
         InputError: it cannot be read, or a column of `needed` is not there.
     """
     allowed = "a table that `skyherd dataset make` wrote"
-    text = read_text(path, allowed, MOST_BYTES)
+    text = read_text(path, allowed, MAX_BYTES)
     try:
         reader = csv.DictReader(io.StringIO(text, newline=""), strict=True)
         rows, columns = list(reader), reader.fieldnames or []
@@ -165,7 +165,7 @@ def read_labels(path: Path) -> dict[str, Labels]:
             values = [float("nan")]
         if not all(map(isfinite, values)):
             raise InputError(f"{path}: line {line}", "not all of its values are numbers", "a whole row")
-        if not 0 <= values[0] < MOST_IDS or values[0] != int(values[0]):
+        if not 0 <= values[0] < MAX_IDS or values[0] != int(values[0]):
             raise InputError(f"{path}: line {line}", f"id is {row['id']}", "a marker's number")
         numbers[row["image"]].append(values)
     return {image: _labels(np.array(values)) for image, values in numbers.items()}

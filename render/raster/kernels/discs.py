@@ -26,7 +26,7 @@ MIDDLE = 1e-6
 """Least distance of a pixel from a disc's centre, in radii. *Chosen*: there the direction outwards is not
 defined, and the disc is far from its edge anyhow."""
 
-LEAST_SPREAD = 1e-12
+MIN_SPREAD = 1e-12
 """Least variance of an edge's blur across a disc's radius, in squared radii. *Chosen*: keeps a division from
 zero where a pixel lies in the disc's centre; it is far below a pixel of any image."""
 
@@ -67,7 +67,7 @@ def lay_discs(
             radius = max(math.sqrt(x * x + y * y), MIDDLE)
             across_x, across_y = x / sharp_x, y / sharp_y
             square = across_x**2 + across_y**2 + 2 * cosine * across_x * across_y
-            sigma = math.sqrt(max(square, LEAST_SPREAD)) / radius
+            sigma = math.sqrt(max(square, MIN_SPREAD)) / radius
             covered = spread_at(table, start, (1 - radius) / sigma - sigma / 2)
             if whole:
                 image[v, u] = np.rint((1 - covered) * image[v, u] + level * covered)

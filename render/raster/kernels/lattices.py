@@ -28,7 +28,7 @@ from numba import float32, float64, njit, void
 from skyherd.jobs.compilation import FLAGS, INLINE, PARTS, readonly
 from skyherd.render.raster.kernels.pixels import (
     AFFINE,
-    LEAST_SQUARE,
+    MIN_SQUARE,
     SHAPES,
     matrix_of_row,
     place_of,
@@ -173,7 +173,7 @@ def _corner_sums(grid: Any, lines_x: Any, lines_y: Any, x: Any, y: Any, cosine: 
 def _cumulants(slopes: Any, kurtosis: float) -> Any:
     """κ_22 / 4, κ_31 / 6 and κ_13 / 6, over σ⁴, of a pixel's square across lines of x and of y."""
     a, b, c, d = slopes
-    x, y = math.sqrt(max(a * a + b * b, LEAST_SQUARE)), math.sqrt(max(c * c + d * d, LEAST_SQUARE))
+    x, y = math.sqrt(max(a * a + b * b, MIN_SQUARE)), math.sqrt(max(c * c + d * d, MIN_SQUARE))
     a, b, c, d = a / x, b / x, c / y, d / y
     return (
         kurtosis / 4 * (a * a * c * c + b * b * d * d),

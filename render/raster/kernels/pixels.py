@@ -23,7 +23,7 @@ AFFINE = 1e-7
 """Change of a map's scale from pixel to pixel below which it counts as affine. *Derived*: over a run of 1000
 pixels the place is then off by 1e-4 of the run."""
 
-LEAST_SQUARE = 1e-300
+MIN_SQUARE = 1e-300
 """Least squared length of a gradient. *Chosen*: keeps 0 / 0 from a direction that is of no use anyhow."""
 
 SHAPES = (
@@ -138,7 +138,7 @@ def table_start(u: float, v: float) -> Any:
     Half an entry is added, so that cutting off decimals rounds to the nearest entry.
     """
     u, v = u * u, v * v
-    cos_4_alpha = ((u - v) ** 2 - 4 * u * v) / max((u + v) ** 2, LEAST_SQUARE)
+    cos_4_alpha = ((u - v) ** 2 - 4 * u * v) / max((u + v) ** 2, MIN_SQUARE)
     direction = np.rint((1 - cos_4_alpha) / 2 * (DIRECTIONS - 1))
     return direction * SAMPLES + SAMPLES // 2 + 0.5
 
@@ -174,7 +174,7 @@ def slopes_at(matrix: Any, x: float, y: float) -> Any:
 def sharpness_of(slopes: Any, w: float, sigma_px: float) -> Any:
     """How many σ one unit of x and of y is, and the cosine between their gradients, from `slopes_at`."""
     a, b, c, d = slopes
-    x, y = math.sqrt(max(a * a + b * b, LEAST_SQUARE)), math.sqrt(max(c * c + d * d, LEAST_SQUARE))
+    x, y = math.sqrt(max(a * a + b * b, MIN_SQUARE)), math.sqrt(max(c * c + d * d, MIN_SQUARE))
     return w / (sigma_px * x), w / (sigma_px * y), (a * c + b * d) / (x * y)
 
 

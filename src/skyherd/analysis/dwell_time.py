@@ -36,14 +36,14 @@ from skyherd.geometry import BoolArray, ComplexArray, to_complex
 from skyherd.messages import TIME_TOLERANCE_S
 from skyherd.sim.truth_metrics import total_cost
 
-LEAST_RATE = 1e-9
+MIN_RATE = 1e-9
 """A third eigenvalue of L below this is zero, and the shape free. Derived: above rounding, 1e-15 a robot."""
 
 DIGITS = 12
 """Significant digits that are told. Chosen: sums over arrays that lie elsewhere in memory differ in the
 sixteenth, and a recording that is read again is to have the same summary."""
 
-MOST_ROBOTS = 200
+MAX_ROBOTS = 200
 """Most robots of which the bound is worked out. Chosen: the eigenvalues of a change then take a hundredth of
 a second, and their time grows with the third power."""
 
@@ -55,7 +55,7 @@ class DwellTime:
     All of them are None for a run in which V never fell, or no robot ever might move.
 
     Attributes:
-        least_s: least time between two changes of the topology; None with fewer than two.
+        min_s: least time between two changes of the topology; None with fewer than two.
         mean_s: the time counted over the number of changes in it; None without any.
         switch_ratio: μ as measured, V after over V before at the change that raised it most; below 1 if V
             fell at all of them, None without a change between topologies that satisfy TC1 and TC2.
@@ -63,10 +63,10 @@ class DwellTime:
         needed_s: τ_d of both, an estimate. 0 if V rose at no change: then any dwell time is enough. None
             without a change, where Theorem 1 holds and nothing is asked, or if V did not fall somewhere.
         bound_s: τ_d of the linear model, for any positions. None without a change, for gains in pixels or
-            laws other than the paper's, of which no rate is known, and for more than `MOST_ROBOTS`.
+            laws other than the paper's, of which no rate is known, and for more than `MAX_ROBOTS`.
     """
 
-    least_s: float | None = None
+    min_s: float | None = None
     mean_s: float | None = None
     switch_ratio: float | None = None
     decay_ps: float | None = None
@@ -104,7 +104,7 @@ def estimate_dwell_time(history: History) -> DwellTime:
     ratio = max((float(history.V[one.last]) / one.V_last for one in at), default=None)
     decay_ps = min(rates, default=None)
     return DwellTime(
-        least_s=float(between_s.min()) if between_s.size else None,
+        min_s=float(between_s.min()) if between_s.size else None,
         mean_s=counted_s / here.size if here.size else None,
         switch_ratio=_rounded(ratio),
         decay_ps=_rounded(decay_ps),
@@ -167,7 +167,7 @@ def _rate_ps(history: History, stretch: _Stretch) -> float:
 def _of_linear_model(history: History, stretches: list[_Stretch]) -> tuple[float | None, float | None]:
     """μ over all positions for the changes that were, and the least 2 k λ_3, 1/s; None where not known."""
     control = history.mission.scenario.control
-    if control.method != "similarity" or control.gains != "marker" or history.ids.size > MOST_ROBOTS:
+    if control.method != "similarity" or control.gains != "marker" or history.ids.size > MAX_ROBOTS:
         return None, None
     ratios = []
     least = np.inf
@@ -176,7 +176,7 @@ def _of_linear_model(history: History, stretches: list[_Stretch]) -> tuple[float
             continue
         before = _form(history, stretch.first)
         values, modes = np.linalg.eigh(before)
-        if values[2] < LEAST_RATE:
+        if values[2] < MIN_RATE:
             return None, None
         least = min(least, float(values[2]))
         if stretch.switches:

@@ -133,7 +133,7 @@ class History:
         return since_s if held else np.nan
 
     @property
-    def least_path_m(self) -> float:
+    def min_path_m(self) -> float:
         """Least sum of straight ways, m, from the start into the shape: any place, rotation, size and roles.
 
         It is what `shortest_path` finds with no bound on the size, whatever the mission allows: one lower
@@ -211,7 +211,7 @@ CURVES = (
     "commanded",
     "affine_error",
     "affine_reached_s",
-    "least_path_m",
+    "min_path_m",
     "waypoints_m",
     "messages_per_robot_s",
     "numbers_per_robot_s",

@@ -29,7 +29,7 @@ TOLERANCE = 1e-10
 """Relative change of the sum below which it counts as settled. Chosen: far above the rounding of float64,
 1e-16, and far below what a path length is judged by."""
 
-LEAST_DISTANCE = 1e-9
+MIN_DISTANCE = 1e-9
 """Least distance in the weights 1 / distance, as a share of the starts' extent: a robot that starts at its
 end point would have an infinite weight."""
 
@@ -134,7 +134,7 @@ def _nearest_similarity(
     along its own direction.
     """
     weights, length = np.ones(starts.size), np.inf
-    least = LEAST_DISTANCE * (np.ptp(starts.real) + np.ptp(starts.imag))
+    least = MIN_DISTANCE * (np.ptp(starts.real) + np.ptp(starts.imag))
     for _ in range(ROUNDS):
         share = weights / weights.sum()
         point, start = share @ points, share @ starts

@@ -116,7 +116,7 @@ def _dwell(history: History) -> dict[str, float | None]:
     """How long topologies lasted, and for how long Proposition 1 asks them to (`analysis/dwell_time.py`)."""
     dwell = estimate_dwell_time(history)
     return {
-        "dwell_least_s": dwell.least_s,
+        "dwell_min_s": dwell.min_s,
         "dwell_mean_s": dwell.mean_s,
         "switch_ratio": dwell.switch_ratio,
         "decay_rate_ps": dwell.decay_ps,
@@ -148,12 +148,12 @@ def _robots(history: History) -> dict[str, Any]:
 def _contacts(history: History) -> tuple[int, float]:
     """How many times two bodies began to overlap, counting the start, and the least room between any two."""
     bodies = history.mission.bodies
-    before, begun, least_m = np.zeros(1, dtype=bool), 0, np.inf
+    before, begun, min_m = np.zeros(1, dtype=bool), 0, np.inf
     for positions_m in history.positions_m:
         gaps_m = bodies.gaps_m(positions_m)
         begun += int(((gaps_m < 0) & ~before).sum())
-        before, least_m = gaps_m < 0, min(least_m, float(gaps_m.min()))
-    return begun, least_m
+        before, min_m = gaps_m < 0, min(min_m, float(gaps_m.min()))
+    return begun, min_m
 
 
 def _shortest_path_m(history: History) -> float:
@@ -185,7 +185,7 @@ def _spacing_m(scenario: Scenario, template: ComplexArray) -> tuple[float, float
         return (size.unit_m * float(pdist(to_points(template)).min()),) * 2
     if size.spacing_sides is not None:
         return (size.spacing_sides * side_m,) * 2
-    return size.least_spacing_sides * side_m, np.inf
+    return size.min_spacing_sides * side_m, np.inf
 
 
 def _tree(history: History) -> dict[str, Any]:

@@ -150,7 +150,7 @@ GROUPS: Mapping[str, tuple[Field, ...]] = {
     ),
     "Dwell time": (
         Field(
-            "dwell_least_s",
+            "dwell_min_s",
             "Shortest topology",
             "s",
             "Least time between two changes, while robots were not yet in the shape.",

@@ -32,10 +32,10 @@ FLOOR_FACTOR = 3.0
 """An error below this multiple of its least value counts as at its floor. Chosen: the noise about a floor
 stays below."""
 
-LEAST_SAMPLES = 20
+MIN_SAMPLES = 20
 """Fewest steps from which a rate is estimated. Chosen: with half as many the slope is mostly noise."""
 
-LEAST_RATE = 1e-9
+MIN_RATE = 1e-9
 """Eigenvalues of the Laplacian below this are zero: rounding, of about 1e-15 times the number of robots,
 stays below."""
 
@@ -144,7 +144,7 @@ def predicted_time_s(
     sense. It is without limits of speed, and as if robots could move sideways.
     """
     values, modes = np.linalg.eigh(laplacian(template.points_px, _rows(sets, template)))
-    if positions.size < 3 or values[2] < LEAST_RATE:
+    if positions.size < 3 or values[2] < MIN_RATE:
         return None
     image_sense = (positions - positions.mean()).conj()
     parts = np.abs(modes.conj().T @ image_sense) ** 2
@@ -179,11 +179,11 @@ def measured_rate_ps(times_s: Array, errors: Array) -> float | None:
     Minus the least-squares slope of log error over the second half of the stretch before the error reaches
     its floor, three times its least value, if it stops falling at all.
     """
-    if errors.size >= LEAST_SAMPLES and _is_flat(np.log(errors)):
+    if errors.size >= MIN_SAMPLES and _is_flat(np.log(errors)):
         above = np.flatnonzero(errors > FLOOR_FACTOR * errors.min())
         times_s, errors = (values[: above[-1] + 1 if above.size else 0] for values in (times_s, errors))
     late = slice(errors.size // 2, None)
-    if errors[late].size < LEAST_SAMPLES:
+    if errors[late].size < MIN_SAMPLES:
         return None
     return float(-np.polyfit(times_s[late], np.log(errors[late]), 1)[0])
 

@@ -19,7 +19,7 @@ bench_app = typer.Typer(help="Measure parts of skyherd, and their peers.", rich_
 
 FULL_FRAMES, FULL_BUDGET_S = 300, 5.0
 QUICK_FRAMES, QUICK_BUDGET_S = 20, 0.4
-MOST_SEED = 2**63
+MAX_SEED = 2**63
 """Seeds are below this. Chosen: what 64 bits with a sign hold, so that every format can keep it."""
 
 QUICK_SIZES_PX = ((640, 480), (1280, 960))
@@ -289,7 +289,7 @@ def _check(chosen: list[str], jobs: int | None, clutter_images: int | None, seed
         raise InputError("--detectors", f"{', '.join(repeated)} named twice", "each detector once")
     if jobs is not None and jobs < 1:
         raise InputError("--jobs", str(jobs), "1 or more")
-    if not 0 <= seed < MOST_SEED:
+    if not 0 <= seed < MAX_SEED:
         raise InputError("--seed", str(seed), "0 or more, and below 2 to the power of 63")
     if clutter_images is not None and clutter_images < 0:
         raise InputError("--clutter-images", str(clutter_images), "0 or more")

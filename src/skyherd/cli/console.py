@@ -11,7 +11,7 @@ import typer
 from skyherd.errors import InputWarning
 from skyherd.text import printable, shorten
 
-MOST_CHARACTERS = 480
+MAX_CHARACTERS = 480
 """Characters of a line on stderr, without its first word. Chosen: six lines of a terminal."""
 
 
@@ -50,7 +50,7 @@ def printing_input_warnings() -> Iterator[None]:
 
 
 def _one_line(text: str) -> str:
-    return shorten(printable(" ".join(text.split())), MOST_CHARACTERS)
+    return shorten(printable(" ".join(text.split())), MAX_CHARACTERS)
 
 
 def say_table(

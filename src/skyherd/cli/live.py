@@ -12,7 +12,7 @@ from skyherd.cli.console import say, say_table, warn
 
 if TYPE_CHECKING:
     from skyherd.live.lab import Lab
-    from skyherd.live.radio import Radio
+    from skyherd.live.mailbox import Radio
 
 live_app = typer.Typer(help="Real cameras and robots: check, run, arm and stop a lab.", rich_markup_mode=None)
 
@@ -169,7 +169,7 @@ def replay(
 ) -> int:
     """Decide anew from what each process recorded, and compare bit for bit; exit code 1 if they differ."""
     from skyherd.errors import InputError
-    from skyherd.live.diaries.replay import replay as replay_file
+    from skyherd.live.logs.replay import replay as replay_file
     from skyherd.live.review import recorded_files
 
     files = recorded_files(folder) if folder.is_dir() else [folder]

@@ -16,7 +16,7 @@ from skyherd.cli.console import say
 from skyherd.cli.live import Insecure, LabFile, Settings, joined_team
 
 if TYPE_CHECKING:
-    from skyherd.live.station import Station
+    from skyherd.live.process_context import ProcessContext
 
 Out = Annotated[Path, typer.Option("--out", help="Folder to record in.")]
 Supervised = Annotated[bool, typer.Option("--supervised", help="End when standard input does.")]
@@ -56,21 +56,21 @@ def _tell(line: str) -> None:
 
 
 @contextmanager
-def _station(
+def _context(
     lab_file: str,
     folder: Path,
     settings: list[str] | None,
     insecure: bool,
     supervised: bool,
     clock_offset_s: float,
-) -> "Iterator[Station]":
+) -> "Iterator[ProcessContext]":
     """What a unit or a robot has, until a signal asks for the end."""
     from skyherd.live.live_clock import LiveClock
-    from skyherd.live.station import Station
+    from skyherd.live.process_context import ProcessContext
 
     clock = LiveClock(clock_offset_s)
     with joined_team(lab_file, settings, insecure) as (lab, radio), _asked_to_end(supervised) as ended:
-        yield Station(lab, radio, clock, folder, _tell, ended)
+        yield ProcessContext(lab, radio, clock, folder, _tell, ended)
 
 
 def unit(
@@ -87,8 +87,8 @@ def unit(
     """Be one aerial unit of a lab: its camera in, goals for its robots out, until Ctrl-C."""
     from skyherd.live.unit_process import run_unit
 
-    with _station(lab_file, out_dir, settings, insecure, supervised, clock_offset_s) as station:
-        run_unit(station, number, address=camera, dry_run=dry_run)
+    with _context(lab_file, out_dir, settings, insecure, supervised, clock_offset_s) as context:
+        run_unit(context, number, address=camera, dry_run=dry_run)
     return 0
 
 
@@ -105,8 +105,8 @@ def robot(
     """Be one robot of a lab: goals in, wheel commands out, until Ctrl-C, disarmed until armed."""
     from skyherd.live.robot_process import run_robot
 
-    with _station(lab_file, out_dir, settings, insecure, supervised, clock_offset_s) as station:
-        run_robot(station, marker, dry_run=dry_run)
+    with _context(lab_file, out_dir, settings, insecure, supervised, clock_offset_s) as context:
+        run_robot(context, marker, dry_run=dry_run)
     return 0
 
 

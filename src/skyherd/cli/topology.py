@@ -20,13 +20,13 @@ if TYPE_CHECKING:
 PICTURES = (".png", ".svg")
 """Kinds of picture that can be written, by the end of the file's name."""
 
-MOST_CHANGES = 60
+MAX_CHANGES = 60
 """Changes of the topology that are listed; the rest are counted. Chosen: two screens."""
 
 REACHED_ERROR = 0.01
 """Shape error at which the shape counts as reached in the predicted and measured times: 1 %. Chosen."""
 
-LEAST_RATE = 1e-9
+MIN_RATE = 1e-9
 """A slowest mode below this, in units of the gain, is rounding, and shown as zero: the team is split."""
 
 
@@ -168,7 +168,7 @@ def _say_prediction(report: "TopologyReport", history: "History", *, is_run: boo
     from skyherd.analysis.topology_report import last_stretch, predicted_time_s, resting_error
     from skyherd.geometry import to_complex
 
-    slowest = report.slowest if report.slowest > LEAST_RATE else 0.0
+    slowest = report.slowest if report.slowest > MIN_RATE else 0.0
     say(f"slowest mode: λ = {slowest:.4g}, in units of the gain k")
     control = history.mission.scenario.control
     if control.b_th:
@@ -208,7 +208,7 @@ def _say_changes(history: "History") -> None:
     from skyherd.analysis.topology_changes import find_topology_changes
 
     changes = find_topology_changes(history)
-    rows = [(f"{change.time_s:.1f}", change.what) for change in changes[:MOST_CHANGES]]
-    if len(changes) > MOST_CHANGES:
-        rows.append(("", f"and {len(changes) - MOST_CHANGES} more"))
+    rows = [(f"{change.time_s:.1f}", change.what) for change in changes[:MAX_CHANGES]]
+    if len(changes) > MAX_CHANGES:
+        rows.append(("", f"and {len(changes) - MAX_CHANGES} more"))
     say_table(("time, s", "change"), rows)

@@ -77,19 +77,19 @@ SUFFIXES = frozenset(
 """How the names of picture files end, by which a folder is searched."""
 
 
-def read_grey(path: Path, *, most_pixels: int | None = None) -> Grey:
+def read_grey(path: Path, *, max_pixels: int | None = None) -> Grey:
     """Read a picture file as grey levels (height, width), upright; of several pages, the first.
 
     Warns with `InputWarning` if there are several.
 
     Args:
         path: the file.
-        most_pixels: pixels of the largest picture that is accepted; `MAX_PIXELS` if None.
+        max_pixels: pixels of the largest picture that is accepted; `MAX_PIXELS` if None.
 
     Raises:
         InputError: there is no such file, or it is no whole picture, or it is too large, or in CIE Lab.
     """
-    data, most = _read_bytes(path), MAX_PIXELS if most_pixels is None else most_pixels
+    data, most = _read_bytes(path), MAX_PIXELS if max_pixels is None else max_pixels
     with _quiet_pillow():
         try:
             with Image.open(io.BytesIO(data), formats=DECODERS) as picture:

@@ -15,7 +15,7 @@ from skyherd.errors import InputError
 MIB = 2**20
 """Bytes of a mebibyte, in which limits are said."""
 
-MOST_JSON_BYTES = 64 * MIB
+MAX_JSON_BYTES = 64 * MIB
 """Size of the largest JSON file that is read. *Chosen*: the largest that the package writes, the COCO file of
 ten thousand images, has some 30 MiB."""
 
@@ -29,13 +29,13 @@ KINDS = (
 """What a path may be that is no regular file, as complaints name it."""
 
 
-def open_regular(path: Path, allowed: str, most_bytes: int | None = None) -> BinaryIO:
+def open_regular(path: Path, allowed: str, max_bytes: int | None = None) -> BinaryIO:
     """Open a regular file for reading; a pipe or a device is refused without waiting for it.
 
     Args:
         path: the file; a symbolic link is followed.
         allowed: what to give instead, as the complaint says it.
-        most_bytes: size of the largest file that is accepted; None for any.
+        max_bytes: size of the largest file that is accepted; None for any.
 
     Raises:
         InputError: there is no such file, it cannot be opened, it is no regular file, or it is too large.
@@ -54,46 +54,46 @@ def open_regular(path: Path, allowed: str, most_bytes: int | None = None) -> Bin
     try:
         found = os.fstat(stream.fileno())
         _check_kind(path, found.st_mode, allowed)
-        if most_bytes is not None and found.st_size > most_bytes:
-            raise _too_large(path, found.st_size, most_bytes)
+        if max_bytes is not None and found.st_size > max_bytes:
+            raise _too_large(path, found.st_size, max_bytes)
     except InputError:
         stream.close()
         raise
     return stream
 
 
-def read_bytes(path: Path, allowed: str, most_bytes: int) -> bytes:
-    """Read a regular file of at most `most_bytes`; arguments and errors are those of `open_regular`."""
-    with open_regular(path, allowed, most_bytes) as stream:
+def read_bytes(path: Path, allowed: str, max_bytes: int) -> bytes:
+    """Read a regular file of at most `max_bytes`; arguments and errors are those of `open_regular`."""
+    with open_regular(path, allowed, max_bytes) as stream:
         try:
-            data = stream.read(most_bytes + 1)
+            data = stream.read(max_bytes + 1)
         except OSError as error:
             raise InputError(str(path), f"cannot be read: {error.strerror}", allowed) from None
-    if len(data) > most_bytes:
-        raise _too_large(path, len(data), most_bytes)
+    if len(data) > max_bytes:
+        raise _too_large(path, len(data), max_bytes)
     return data
 
 
-def read_text(path: Path, allowed: str, most_bytes: int) -> str:
-    """Read a text file in UTF-8 of at most `most_bytes`; arguments are those of `open_regular`.
+def read_text(path: Path, allowed: str, max_bytes: int) -> str:
+    """Read a text file in UTF-8 of at most `max_bytes`; arguments are those of `open_regular`.
 
     Raises:
         InputError: it cannot be read as `open_regular` says, or is no text in UTF-8.
     """
     try:
-        return read_bytes(path, allowed, most_bytes).decode("utf-8")
+        return read_bytes(path, allowed, max_bytes).decode("utf-8")
     except UnicodeDecodeError:
         raise InputError(str(path), "not a text file in UTF-8", allowed) from None
 
 
-def read_json(path: Path, allowed: str, most_bytes: int = MOST_JSON_BYTES) -> Any:
+def read_json(path: Path, allowed: str, max_bytes: int = MAX_JSON_BYTES) -> Any:
     """Read a JSON file as dictionaries, lists and plain values.
 
     Raises:
         InputError: it cannot be read as `open_regular` says, or is no JSON that makes sense.
     """
     try:
-        return json.loads(read_text(path, allowed, most_bytes))
+        return json.loads(read_text(path, allowed, max_bytes))
     except RecursionError:
         raise InputError(str(path), "damaged: nested too deeply", allowed) from None
     except InputError:
@@ -116,8 +116,8 @@ def _check_kind(path: Path, mode: int, allowed: str) -> None:
         raise InputError(str(path), what, allowed)
 
 
-def _too_large(path: Path, found_bytes: int, most_bytes: int) -> InputError:
-    return InputError(str(path), f"has {_size(found_bytes)} or more", f"at most {_size(most_bytes)} are read")
+def _too_large(path: Path, found_bytes: int, max_bytes: int) -> InputError:
+    return InputError(str(path), f"has {_size(found_bytes)} or more", f"at most {_size(max_bytes)} are read")
 
 
 def _size(count: int) -> str:

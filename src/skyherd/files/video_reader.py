@@ -51,7 +51,7 @@ UNSTATED = ("mpegvideo", "h264", "hevc", "m4v", "mpeg", "mpegts")
 DURATION = re.compile(r"(\d{1,9}):(\d{1,9}):(\d{1,9}(?:\.\d{1,9})?)")
 """How the tag of a stream in a Matroska file says when it ends. *Defined* by FFmpeg, which writes it."""
 
-MOST_MISSING = 5
+MAX_MISSING = 5
 """Frames by which a video may be shorter than its file says before it counts as cut short. *Chosen*: writers
 round, and count frames that a player does not show; a file of which a part is missing lacks more."""
 
@@ -219,7 +219,7 @@ def read_clip(clip: Clip) -> Generator[Frame]:
     if not index:
         raise _unreadable(clip.path, damage.error)
     end_s = time_s + frame_s
-    if damage.found or (clip.end_s is not None and clip.end_s - end_s > MOST_MISSING * frame_s):
+    if damage.found or (clip.end_s is not None and clip.end_s - end_s > MAX_MISSING * frame_s):
         whole = "" if clip.end_s is None else f" of {clip.end_s - first_s:.1f} s"
         what = f"cut short or damaged: {index} frames, {end_s - first_s:.1f} s{whole}"
         warnings.warn(InputWarning(f"{clip.path}: {what}"), stacklevel=2)

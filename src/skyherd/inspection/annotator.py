@@ -18,7 +18,7 @@ from skyherd.vision import Reason, Rejection
 FOUND_COLOR, REJECTED_COLOR, PLAIN_COLOR = rgb(UNIT_COLORS[0]), rgb(UNIT_COLORS[1]), rgb(UNIT_COLORS[6])
 """Colours of detections, of rejections, and of dark quadrilaterals without bits."""
 
-LEAST_SIDE_PX = 640
+MIN_SIDE_PX = 640
 """Smallest longer side of an annotated picture, px, unless asked otherwise. Chosen: ids can then be read."""
 
 FULL_SIDE_PX = 1280
@@ -45,16 +45,16 @@ class Annotator:
 
     Args:
         size_px: width and height of the images to be annotated.
-        least_side_px: smaller images are enlarged by a whole factor until their longer side has this many.
+        min_side_px: smaller images are enlarged by a whole factor until their longer side has this many.
 
     Attributes:
         zoom: the factor of enlargement.
         scale: the factor by which lines and letters grow.
     """
 
-    def __init__(self, size_px: tuple[int, int], *, least_side_px: int = LEAST_SIDE_PX) -> None:
+    def __init__(self, size_px: tuple[int, int], *, min_side_px: int = MIN_SIDE_PX) -> None:
         longer = max(size_px)
-        self.zoom = max(1, -(-least_side_px // longer))
+        self.zoom = max(1, -(-min_side_px // longer))
         self.scale = max(1.0, longer * self.zoom / FULL_SIDE_PX)
         self.font_px, self.line_px = round(FONT_PX * self.scale), round(LINE_PX * self.scale)
 

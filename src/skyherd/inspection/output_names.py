@@ -6,7 +6,7 @@ from pathlib import Path
 from skyherd.files.video_reader import is_video
 from skyherd.text import printable
 
-MOST_STEM_BYTES = 200
+MAX_STEM_BYTES = 200
 """Bytes of a file's name that the annotated file's name takes over. *Chosen*: with an ending and a number it
 stays below 255, the most that file systems have."""
 
@@ -14,7 +14,7 @@ stays below 255, the most that file systems have."""
 def output_name(name: str) -> str:
     """A name for an output, made of the name of a file that may be anything: printable, and not too long."""
     plain = "".join("_" if char in '\\/:*?"<>|' else char for char in printable(name)).lstrip(".") or "_"
-    return plain.encode()[:MOST_STEM_BYTES].decode(errors="ignore")
+    return plain.encode()[:MAX_STEM_BYTES].decode(errors="ignore")
 
 
 def picture_names(files: list[Path]) -> dict[Path, str]:

@@ -8,7 +8,7 @@ from skyherd.geometry import Array, ComplexArray, IntArray
 from skyherd.messages import Detections, among
 from skyherd.sim.truth_metrics import fit_shape
 
-LEAST_ROBOTS = 3
+MIN_ROBOTS = 3
 """Robots of a shape that an image has to show for an error. *Derived*: two points always fit any shape."""
 
 
@@ -26,7 +26,7 @@ def shape_residual(template: Template, ids: IntArray, points: ComplexArray) -> t
     """
     keep = among(ids, template.members)
     count = int(keep.sum())
-    if count < LEAST_ROBOTS:
+    if count < MIN_ROBOTS:
         return np.nan, count
     try:
         return fit_shape(template.points_of(ids[keep]), points[keep]).error, count

@@ -4,7 +4,7 @@ import time
 
 from skyherd.errors import InputError
 
-MOST_OFFSET_S = 86_400.0
+MAX_OFFSET_S = 86_400.0
 """Greatest offset of a clock that is off on purpose, s. *Chosen*: a day, far beyond what any lab trusts; the
 nanoseconds since 1970 that recordings keep have room for it."""
 
@@ -16,15 +16,15 @@ class LiveClock:
         offset_s: is added to it; a clock that is off, for tests of what that does.
 
     Raises:
-        InputError: the offset is no number, or more than `MOST_OFFSET_S` either way.
+        InputError: the offset is no number, or more than `MAX_OFFSET_S` either way.
     """
 
     def __init__(self, offset_s: float = 0.0) -> None:
-        if not abs(offset_s) <= MOST_OFFSET_S:
+        if not abs(offset_s) <= MAX_OFFSET_S:
             raise InputError(
                 "--clock-offset",
                 f"{offset_s:g}",
-                f"a number of seconds, {MOST_OFFSET_S:g} at most either way",
+                f"a number of seconds, {MAX_OFFSET_S:g} at most either way",
             )
         self._zero_s = time.time() - time.monotonic() + offset_s
 

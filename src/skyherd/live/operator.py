@@ -5,8 +5,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from skyherd.live.lab import Lab
-from skyherd.live.radio import Post, Radio
-from skyherd.live.wire import Arm, Beat, Stop
+from skyherd.live.mailbox import Mailbox, Radio
+from skyherd.live.wire import Arm, Heartbeat, Stop
 
 REPEAT_S = 0.2
 """Time between two sendings of a command, s. Chosen: messages may be lost."""
@@ -17,7 +17,7 @@ SETTLE_S = 3.0
 GONE_S = 2.0
 """A process without a sign of life for so long counts as gone, s."""
 
-HEARS = ("beat/**",)
+HEARS = ("heartbeat/**",)
 """What an operator listens to, after the team's name."""
 
 
@@ -26,24 +26,26 @@ class Watch:
     """The last sign of life of each process.
 
     Attributes:
-        beats: by name, the sign and when it came.
-        post: where they come from.
+        heartbeats: by name, the sign and when it came.
+        mailbox: where they come from.
     """
 
-    post: Post
+    mailbox: Mailbox
     clock: Callable[[], float]
-    beats: dict[str, tuple[Beat, float]] = field(default_factory=dict)
+    heartbeats: dict[str, tuple[Heartbeat, float]] = field(default_factory=dict)
 
     def listen(self, timeout_s: float) -> None:
         """Take in what has come; wait for something for so long at most."""
-        for arrival in self.post.fetch(timeout_s):
-            if isinstance(arrival.envelope.message, Beat):
-                self.beats[arrival.envelope.sender] = arrival.envelope.message, arrival.received_s
+        for arrival in self.mailbox.fetch(timeout_s):
+            if isinstance(arrival.envelope.message, Heartbeat):
+                self.heartbeats[arrival.envelope.sender] = arrival.envelope.message, arrival.received_s
 
-    def alive(self) -> dict[str, Beat]:
+    def alive(self) -> dict[str, Heartbeat]:
         """Signs of life of those that are there, by name."""
         now_s = self.clock()
-        return {name: beat for name, (beat, at_s) in self.beats.items() if now_s - at_s <= GONE_S}
+        return {
+            name: heartbeat for name, (heartbeat, at_s) in self.heartbeats.items() if now_s - at_s <= GONE_S
+        }
 
 
 @dataclass(frozen=True)
@@ -61,31 +63,33 @@ class Outcome:
 
 def watch(lab: Lab, radio: Radio, clock: Callable[[], float], name: str = "operator") -> Watch:
     """Begin to listen to the team."""
-    return Watch(Post(radio, lab.model.team, name, clock, HEARS), clock)
+    return Watch(Mailbox(radio, lab.model.team, name, clock, HEARS), clock)
 
 
 def arm(lab: Lab, watched: Watch, settle_s: float = SETTLE_S) -> Outcome:
     """Let the wheels of all robots turn; returns which of them are armed after `settle_s` at most."""
-    return _insist(lab, watched, settle_s, lambda beat: beat.armed, _arm)
+    return _insist(lab, watched, settle_s, lambda heartbeat: heartbeat.armed, _arm)
 
 
 def stop(lab: Lab, watched: Watch, why: str, settle_s: float = SETTLE_S) -> Outcome:
     """Stop and disarm all robots; returns which of them are, and the command goes out at once."""
-    watched.post.send(Stop(why))
-    return _insist(lab, watched, settle_s, lambda beat: not beat.armed, lambda w: w.post.send(Stop(why)))
+    watched.mailbox.send(Stop(why))
+    return _insist(
+        lab, watched, settle_s, lambda heartbeat: not heartbeat.armed, lambda w: w.mailbox.send(Stop(why))
+    )
 
 
 def _arm(watched: Watch) -> None:
-    sessions = {name: beat.session for name, beat in watched.alive().items() if beat.session}
+    sessions = {name: heartbeat.session for name, heartbeat in watched.alive().items() if heartbeat.session}
     if sessions:
-        watched.post.send(Arm(sessions))
+        watched.mailbox.send(Arm(sessions))
 
 
 def _insist(
     lab: Lab,
     watched: Watch,
     settle_s: float,
-    is_done: Callable[[Beat], bool],
+    is_done: Callable[[Heartbeat], bool],
     ask: Callable[[Watch], object],
 ) -> Outcome:
     """Ask again and again until all robots have done it, by signs of life that came after the first ask."""
@@ -100,6 +104,8 @@ def _insist(
         done = [
             robot
             for robot in lab.ids
-            if (found := watched.beats.get(f"robot/{robot}")) and found[1] > began_s and is_done(found[0])
+            if (found := watched.heartbeats.get(f"robot/{robot}"))
+            and found[1] > began_s
+            and is_done(found[0])
         ]
     return Outcome(done, [robot for robot in lab.ids if robot not in done])

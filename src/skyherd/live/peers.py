@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
-from skyherd.live.wire import Beat, Envelope
+from skyherd.live.wire import Envelope, Heartbeat
 from skyherd.messages import MotionGoals, Proximity
 from skyherd.messages.clock_offset import ClockOffset, OffsetEstimate
 
@@ -14,7 +14,7 @@ FORGET_S = 60.0
 """A process that was silent for so long is forgotten, s. Chosen: a restart takes seconds, and a day of
 restarts under new names fills no memory."""
 
-MOST_PEERS = 2000
+MAX_PEERS = 2000
 """Processes that are remembered at most. Chosen: twice the robots of the largest team that is simulated."""
 
 
@@ -46,12 +46,12 @@ class PeerClocks:
 
     def hear(self, envelope: Envelope, now_s: float) -> None:
         """Take in the stamps of a message that arrived now."""
-        if envelope.sender not in self._offsets and len(self._offsets) >= MOST_PEERS:
+        if envelope.sender not in self._offsets and len(self._offsets) >= MAX_PEERS:
             return
         offset = self._offsets.setdefault(envelope.sender, ClockOffset())
         offset.hear(envelope.sent_s, now_s)
         self._last[envelope.sender] = envelope.sent_s, now_s
-        if isinstance(envelope.message, Beat) and self.name in envelope.message.heard:
+        if isinstance(envelope.message, Heartbeat) and self.name in envelope.message.heard:
             our_sent_s, their_received_s = envelope.message.heard[self.name]
             if our_sent_s <= now_s:  # else it is of a run of ours with another clock
                 offset.confirm(our_sent_s, their_received_s, now_s)

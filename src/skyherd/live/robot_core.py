@@ -29,7 +29,7 @@ from skyherd.control import (
 from skyherd.live.drivers.limits import Limiter, SpeedLimits
 from skyherd.live.drivers.link import STILL, Motion
 from skyherd.live.peers import ClockLimits, PeerClocks
-from skyherd.live.wire import Arm, Beat, Envelope, Sighting, Stop
+from skyherd.live.wire import Arm, Envelope, Heartbeat, Sighting, Stop
 from skyherd.messages import MotionGoals, Proximity, VelocityCommand
 from skyherd.messages.checks import check_numbers
 
@@ -158,9 +158,9 @@ class RobotCore:
         elif isinstance(message, MotionGoals | Proximity | Sighting):
             self._hear_unit(message, envelope.sender, now_s)
 
-    def beat(self, now_s: float, state: str) -> Beat:
+    def heartbeat(self, now_s: float, state: str) -> Heartbeat:
         """A sign of life of this robot."""
-        return Beat(self.clocks.heard(now_s), state, self.session, self.armed)
+        return Heartbeat(self.clocks.heard(now_s), state, self.session, self.armed)
 
     def image_age_s(self, now_s: float) -> float | None:
         """How old the newest image is that a goal came from; None if there was none."""

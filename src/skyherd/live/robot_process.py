@@ -6,22 +6,22 @@ from contextlib import ExitStack
 import numpy as np
 
 from skyherd.live.drivers import WORLD, Motion, RobotDriver, open_driver
-from skyherd.live.radio import Arrival, Post
+from skyherd.live.mailbox import Arrival, Mailbox
+from skyherd.live.process_context import HeartbeatTimer, ProcessContext, StatusLine
 from skyherd.live.robot_core import Order
-from skyherd.live.station import Beats, Station, Told
 from skyherd.live.wire import Wheels
 from skyherd.messages import MotionGoals, VelocityCommand
 
-HEARS = ("goals/**", "proximity/**", "sighting/**", "beat/unit/*", "arm/**", "stop/**")
+HEARS = ("goals/**", "proximity/**", "sighting/**", "heartbeat/unit/*", "arm/**", "stop/**")
 """Topics that a robot listens to, after the team's name."""
 
-LEAST_SHARE = 0.2
+MIN_SHARE = 0.2
 """Share of a period that a robot lets pass between two decisions at least. Chosen: goals of several units
 come one after the other, and each is decided on at once or a few hundredths of a second later; a tenth would
 have a robot under many cameras do little else."""
 
 
-class Pace:
+class DecisionTimer:
     """When a robot decides: once a period, and as soon as there are news, but not much more often.
 
     Attributes:
@@ -40,7 +40,7 @@ class Pace:
         """A message arrived: a goal for this robot is worth a decision of its own."""
         message = arrival.envelope.message
         if isinstance(message, MotionGoals) and robot_id in message.ids:
-            soonest_s = self._decided_s + LEAST_SHARE * self._period_s
+            soonest_s = self._decided_s + MIN_SHARE * self._period_s
             self.due_s = min(self.due_s, max(now_s, soonest_s))
 
     def decided(self, now_s: float) -> None:
@@ -52,53 +52,55 @@ class Pace:
 class WorldWheels:
     """A link to the wheels of a simulated robot."""
 
-    def __init__(self, post: Post, robot_id: int) -> None:
-        self.name, self._post, self._robot_id = "world", post, robot_id
+    def __init__(self, mailbox: Mailbox, robot_id: int) -> None:
+        self.name, self._mailbox, self._robot_id = "world", mailbox, robot_id
 
     def write(self, motion: Motion) -> None:
         """Send it to the world."""
-        self._post.send(Wheels(self._robot_id, motion.forward_mps, motion.turn_radps))
+        self._mailbox.send(Wheels(self._robot_id, motion.forward_mps, motion.turn_radps))
 
     def close(self) -> None:
         """Nothing is open."""
 
 
-def run_robot(station: Station, robot_id: int, *, dry_run: bool = False) -> None:
-    """Be one robot until `station.ended`; wheels are told to stand still on the way out, whatever happens.
+def run_robot(context: ProcessContext, robot_id: int, *, dry_run: bool = False) -> None:
+    """Be one robot until `context.ended`; wheels are told to stand still on the way out, whatever happens.
 
     Args:
-        station: what the process has.
+        context: what the process has.
         robot_id: the robot's marker.
         dry_run: print commands in place of sending them.
     """
-    lab, clock = station.lab, station.clock
+    lab, clock = context.lab, context.clock
     core = lab.make_robot(robot_id)
-    post = station.post(core.name, HEARS)
+    mailbox = context.mailbox(core.name, HEARS)
     with ExitStack() as stack:
-        diary = stack.enter_context(station.diary(core.name))
-        driver = stack.enter_context(_driver(station, post, robot_id, dry_run=dry_run))
-        told = Told(station, diary)
-        beats = Beats()
-        pace = Pace(lab.model.limits.period_s, time.monotonic())
-        while not station.ended():
-            while (left_s := pace.due_s - time.monotonic()) > 0:
-                for arrival in post.fetch(left_s):
-                    diary.heard(arrival)
+        process_log = stack.enter_context(context.process_log(core.name))
+        driver = stack.enter_context(_driver(context, mailbox, robot_id, dry_run=dry_run))
+        status = StatusLine(context, process_log)
+        heartbeats = HeartbeatTimer()
+        timer = DecisionTimer(lab.model.limits.period_s, time.monotonic())
+        while not context.ended():
+            while (left_s := timer.due_s - time.monotonic()) > 0:
+                for arrival in mailbox.fetch(left_s):
+                    process_log.heard(arrival)
                     core.receive(arrival.envelope, arrival.received_s)
-                    pace.hear(arrival, robot_id, time.monotonic())
-            pace.decided(time.monotonic())
+                    timer.hear(arrival, robot_id, time.monotonic())
+            timer.decided(time.monotonic())
             now_s = clock()
             order = core.decide(now_s)
             driver.send(
                 VelocityCommand(np.array([robot_id]), np.array([order.v_mps]), np.array([order.omega_radps]))
             )
             news = {"order": order, "armed": core.armed, "image_age_s": core.image_age_s(now_s)}
-            diary.put("/decide", now_s, news)
-            told.say(_line(core.name, order, driver.trouble or diary.trouble))
-            if beats.due(now_s):
-                post.send(core.beat(now_s, order.reason))
-                diary.put("/beat", now_s, {"refused": post.refusals.counts, "dropped": post.dropped})
-        diary.put("/end", clock(), {})
+            process_log.put("/decide", now_s, news)
+            status.say(_line(core.name, order, driver.trouble or process_log.trouble))
+            if heartbeats.due(now_s):
+                mailbox.send(core.heartbeat(now_s, order.reason))
+                process_log.put(
+                    "/heartbeat", now_s, {"refused": mailbox.refusals.counts, "dropped": mailbox.dropped}
+                )
+        process_log.put("/end", clock(), {})
 
 
 def _line(name: str, order: Order, trouble: str | None) -> str:
@@ -106,9 +108,9 @@ def _line(name: str, order: Order, trouble: str | None) -> str:
     return f"{name}: {order.reason}{f'; {trouble}' if trouble else ''}"
 
 
-def _driver(station: Station, post: Post, robot_id: int, *, dry_run: bool) -> RobotDriver:
-    lab = station.lab
+def _driver(context: ProcessContext, mailbox: Mailbox, robot_id: int, *, dry_run: bool) -> RobotDriver:
+    lab = context.lab
     address = "dry-run" if dry_run else lab.robot(robot_id).driver
     if address == WORLD:
-        return RobotDriver(WorldWheels(post, robot_id), robot_id=robot_id, limits=lab.speed_limits)
+        return RobotDriver(WorldWheels(mailbox, robot_id), robot_id=robot_id, limits=lab.speed_limits)
     return open_driver(address, robot_id=robot_id, limits=lab.speed_limits)

@@ -27,7 +27,7 @@ from skyherd.text import printable
 REFRESH_HZ = 4.0
 """How often the dashboard is drawn anew, 1/s."""
 
-MOST_KEYS = 1024
+MAX_KEYS = 1024
 """Keys that are read at a time. Chosen: more than anybody presses within a drawing of the dashboard."""
 
 LINES = 12
@@ -208,14 +208,14 @@ def _report(supervisor: Supervisor, word: str, outcome: operator.Outcome) -> Non
 def _page(lab: Lab, watched: operator.Watch, supervisor: Supervisor, lines: Sequence[str]) -> Group:
     """The dashboard."""
     alive = watched.alive()
-    armed = sum(beat.armed for beat in alive.values())
+    armed = sum(heartbeat.armed for heartbeat in alive.values())
     table = Table(box=None, header_style="bold")
     for column in ("process", "starts", "armed", "what it says"):
         table.add_column(column)
     for child in supervisor.children:
-        beat = alive.get(child.name)
-        says = "no sign of life" if beat is None else printable(beat.state)
-        mark = "" if beat is None or not beat.session else "ARMED" if beat.armed else "no"
+        heartbeat = alive.get(child.name)
+        says = "no sign of life" if heartbeat is None else printable(heartbeat.state)
+        mark = "" if heartbeat is None or not heartbeat.session else "ARMED" if heartbeat.armed else "no"
         table.add_row(child.name, str(child.restarts + 1), mark, Text(says))
     head = (
         f"team {lab.model.team}: {armed} of {len(lab.ids)} robots armed.  a: arm   space: STOP   Ctrl-C: end"
@@ -251,7 +251,7 @@ def _keys() -> Iterator[Callable[[], str]]:
 
     def pressed() -> str:
         ready, _, _ = select.select([sys.stdin], [], [], 0)
-        keys = os.read(sys.stdin.fileno(), MOST_KEYS).decode(errors="replace") if ready else ""
+        keys = os.read(sys.stdin.fileno(), MAX_KEYS).decode(errors="replace") if ready else ""
         return " " if " " in keys else keys[-1:]
 
     try:

@@ -11,7 +11,7 @@ from typing import IO
 
 from skyherd.text import printable
 
-FIRST_WAIT_S, MOST_WAIT_S = 0.5, 8.0
+FIRST_WAIT_S, MAX_WAIT_S = 0.5, 8.0
 """Pause before a process that crashed is started again, doubled each time up to the second, s. Chosen: a
 short break costs little, and what crashes at once does not keep the machine busy."""
 
@@ -94,7 +94,7 @@ class Supervisor:
                 self.say(child.name, f"ended with code {code}")
                 continue
             ran_s = time.monotonic() - child.started_s
-            child.wait_s = FIRST_WAIT_S if ran_s >= STEADY_S else min(2 * child.wait_s, MOST_WAIT_S)
+            child.wait_s = FIRST_WAIT_S if ran_s >= STEADY_S else min(2 * child.wait_s, MAX_WAIT_S)
             child.again_s = time.monotonic() + child.wait_s
             self.say(child.name, f"ended with code {code}; is started again in {child.wait_s:g} s")
 

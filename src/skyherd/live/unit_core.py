@@ -14,7 +14,7 @@ import numpy as np
 from skyherd.control import AerialController, Decision
 from skyherd.live.peers import ClockLimits, PeerClocks
 from skyherd.live.robot_core import FUTURE_S
-from skyherd.live.wire import Beat, Envelope, Message, Sighting
+from skyherd.live.wire import Envelope, Heartbeat, Message, Sighting
 from skyherd.messages import Detections, UnitReport
 
 
@@ -76,9 +76,9 @@ class UnitCore:
         if last is None or message.time_s >= last.time_s:
             self._reports[message.unit_id] = message
 
-    def beat(self, now_s: float, state: str) -> Beat:
+    def heartbeat(self, now_s: float, state: str) -> Heartbeat:
         """A sign of life of this unit."""
-        return Beat(self.clocks.heard(now_s), state)
+        return Heartbeat(self.clocks.heard(now_s), state)
 
     def see(self, detections: Detections, now_s: float) -> UnitNews | None:
         """Decide on the markers of an image, whose time is by this unit's clock; None if it is left out."""

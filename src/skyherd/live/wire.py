@@ -5,9 +5,9 @@ stamp of sending by the sender's clock, the kind of the message, and the message
 Whatever arrives is bytes from somewhere: only what is of our team, of our version, of a known kind, of its
 shape and from who may send it becomes a message. All else is refused with a reason, never an exception.
 
-    unit/J   goals, proximity, report, sighting, beat, and flight where the world is simulated
-    robot/I  beat, and wheels where the world is simulated
-    any      beat, arm, stop
+    unit/J   goals, proximity, report, sighting, heartbeat, and flight where the world is simulated
+    robot/I  heartbeat, and wheels where the world is simulated
+    any      heartbeat, arm, stop
 """
 
 import math
@@ -30,7 +30,7 @@ from skyherd.text import printable, shorten
 VERSION = 2
 """Version of the format. It rises whenever a message changes in a way that an older process would misread."""
 
-MOST_BYTES = 1 << 20
+MAX_BYTES = 1 << 20
 """Size of the largest message that is looked at. Chosen: goals of a thousand robots with three neighbours
 each take a quarter of it."""
 
@@ -65,7 +65,7 @@ class Sighting:
 
 
 @dataclass(frozen=True)
-class Beat:
+class Heartbeat:
     """A sign of life, by which clocks are compared as well.
 
     Attributes:
@@ -126,7 +126,7 @@ class Wheels:
             raise MessageError("Wheels: v_mps and omega_radps must be finite")
 
 
-Message = MotionGoals | Proximity | UnitReport | Sighting | Beat | Arm | Stop | Wheels | FlightCommand
+Message = MotionGoals | Proximity | UnitReport | Sighting | Heartbeat | Arm | Stop | Wheels | FlightCommand
 """Everything that goes over the radio."""
 
 KINDS: Mapping[str, type] = {
@@ -134,7 +134,7 @@ KINDS: Mapping[str, type] = {
     "proximity": Proximity,
     "report": UnitReport,
     "sighting": Sighting,
-    "beat": Beat,
+    "heartbeat": Heartbeat,
     "arm": Arm,
     "stop": Stop,
     "wheels": Wheels,
@@ -210,7 +210,7 @@ def decode(data: bytes, team: str) -> Envelope:
     Raises:
         Refused: they are too many, no JSON, of another team or version, or no message of ours.
     """
-    if len(data) > MOST_BYTES:
+    if len(data) > MAX_BYTES:
         raise Refused("larger than a message can be")
     try:
         record = orjson.loads(data)
@@ -268,9 +268,9 @@ def plain_message(name: str, body: Any) -> Message:
             tree=None if tree is None else from_plain(TreeStatus, tree),
             roles=None if roles is None else from_plain(RoleMap, roles),
         )
-    if kind is Beat:
+    if kind is Heartbeat:
         heard = {_name(who): _stamps(when) for who, when in body["heard"].items()}
-        return from_plain(Beat, body, heard=heard)
+        return from_plain(Heartbeat, body, heard=heard)
     if kind is Arm:
         return Arm({_name(robot): _name(session) for robot, session in body["sessions"].items()})
     message: Message = from_plain(kind, body)

@@ -10,7 +10,7 @@ from typing import Any
 from skyherd.errors import InputError
 from skyherd.live.drivers.extras import import_extra
 from skyherd.live.lab import LabRadio
-from skyherd.live.radio import Radio
+from skyherd.live.mailbox import Radio
 
 ANY_PORT = "tcp/127.0.0.1:0"
 """Where a process listens besides: any port of loopback. On one machine one process gets the port of the

@@ -125,7 +125,7 @@ def _count(room: float, size: float) -> int:
     return int((room + GAP_MM + ROUNDING) // (size + GAP_MM))
 
 
-def largest_side_mm(paper: str, dictionary: str) -> float:
+def max_side_mm(paper: str, dictionary: str) -> float:
     """Largest side, in whole millimetres, with which one marker fits a paper, upright or turned."""
     width, height = PAPERS_MM[paper]
     rooms = [_room_mm(page) for page in ((width, height), (height, width))]
@@ -160,7 +160,7 @@ def lay_out(paper: str, side_mm: float, dictionary: str) -> Layout:
         )
     best = max(layouts, key=lambda layout: layout.per_page)
     if not best.per_page:
-        sides = {name: largest_side_mm(name, dictionary) for name in PAPERS_MM}
+        sides = {name: max_side_mm(name, dictionary) for name in PAPERS_MM}
         larger = [name for name, side in sides.items() if side >= side_mm]
         raise InputError(
             "--side",

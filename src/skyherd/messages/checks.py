@@ -13,7 +13,7 @@ import numpy.typing as npt
 from skyherd.errors import InputError, MessageError
 from skyherd.geometry import IntArray
 
-MOST_SHOWN = 60
+MAX_SHOWN = 60
 """Characters of a value that an error shows. Chosen: a number or a short list."""
 
 
@@ -23,7 +23,7 @@ def shown(value: object) -> str:
         text = " ".join(repr(value).split())
     except ValueError:
         return "an integer of very many digits"
-    return text if len(text) <= MOST_SHOWN else f"{text[:MOST_SHOWN]}…"
+    return text if len(text) <= MAX_SHOWN else f"{text[:MAX_SHOWN]}…"
 
 
 def check_numbers(

@@ -20,7 +20,7 @@ SIDE_IN = 7.2
 UNIT_SIZE, ROBOT_SIZE = 300, 110
 """Areas of the markers of units and of robots, square points, as Matplotlib's `scatter` takes them."""
 
-MOST_LABELS = 120
+MAX_LABELS = 120
 """Largest number of robots whose ids are written. Chosen: with more the numbers overlap."""
 
 
@@ -72,7 +72,7 @@ def draw_sets(axes: Axes, sets: ControlSets, ids: IntArray, robots_m: Array, uni
         axes.plot(*ends.T, color=INK, lw=3, zorder=2, solid_capstyle="round")
     owners = owners_by_robot(sets)
     for robot, place in zip(ids.tolist(), robots_m, strict=True):
-        _draw_robot(axes, robot, place, owners.get(robot, []), named=ids.size <= MOST_LABELS)
+        _draw_robot(axes, robot, place, owners.get(robot, []), named=ids.size <= MAX_LABELS)
     for unit in sets:
         x, y = units_m[unit].tolist()
         color = unit_color(unit)

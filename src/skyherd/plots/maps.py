@@ -14,7 +14,7 @@ from skyherd.geometry import Array, ComplexArray, IntArray, to_complex, to_point
 from skyherd.plots.style import frame_square, legend_above, new_figure, unit_handles
 from skyherd.render import CameraPose, footprint_m
 
-MOST_LABELS = 60
+MAX_LABELS = 60
 """Largest number of robots whose ids are written in a figure. Chosen: with more the numbers overlap."""
 
 STONE: dict[str, Any] = {"facecolor": "#e3e5e8", "edgecolor": INK, "linewidth": 0.9, "hatch": "///"}
@@ -115,7 +115,7 @@ def _draw_trace(axes: Axes, history: History, unit: int) -> None:
         _draw_outline(axes, points[0, first], _shape_of(history, 0)[first], MUTED)
         _draw_starts(axes, points[0, first], color)
         shape, ids = _shape_of(history, -1)[last], history.ids[last]
-        _draw_formation(axes, points[-1, last], shape, ids, color, size=8.5, labels=len(last) <= MOST_LABELS)
+        _draw_formation(axes, points[-1, last], shape, ids, color, size=8.5, labels=len(last) <= MAX_LABELS)
     axes.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), aspect="equal", title=f"unit {unit}")
     axes.locator_params(nbins=4)
     axes.spines[["top", "right"]].set_visible(True)
@@ -148,7 +148,7 @@ def _draw_formation(
     """Robots at points (N,) as numbered circles, joined by dashed lines into their shape (N,)."""
     _draw_outline(axes, points, shape, color)
     axes.plot(points.real, points.imag, "o", color=color, markersize=size, markerfacecolor=PAPER, zorder=4)
-    if not labels or ids.size > MOST_LABELS:
+    if not labels or ids.size > MAX_LABELS:
         return
     for robot, point in zip(ids, points, strict=True):
         label = axes.text(point.real, point.imag, str(robot), fontsize=0.62 * size, zorder=5, clip_on=True)

@@ -30,11 +30,11 @@ FEW_DECADES = 1.0
 """A logarithmic axis over fewer decades than this has labels between the powers of ten as well, since it
 might show no power of ten otherwise."""
 
-LEAST_EXTENT = 1e-9
+MIN_EXTENT = 1e-9
 """Least extent that axes around points are given, in the points' unit, so that a single point has axes at
 all."""
 
-MOST_TICKS = 20
+MAX_TICKS = 20
 """About as many robots are named beside the colour bar; of more, every second, third, … has a label."""
 
 _STYLE: Any = {
@@ -106,7 +106,7 @@ def time_axes(figure: Figure, labels: Sequence[str]) -> list[Axes]:
 def frame_square(axes: Axes, points: Array) -> None:
     """Set equal scales and limits that show a square around points (K, 2), with a margin of 4 %."""
     low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
-    center, half = (low + high) / 2, 0.54 * max(float((high - low).max()), LEAST_EXTENT)
+    center, half = (low + high) / 2, 0.54 * max(float((high - low).max()), MIN_EXTENT)
     axes.set(
         xlim=(center[0] - half, center[0] + half), ylim=(center[1] - half, center[1] + half), aspect="equal"
     )
@@ -161,7 +161,7 @@ def robot_colorbar(figure: Figure, axes: Sequence[Axes], ids: IntArray) -> None:
     """Put a bar beside the axes that shows which robot (N,) has which colour of `robot_colors`."""
     colors = ScalarMappable(Normalize(-0.5, ids.size - 0.5), ListedColormap(robot_colors(ids.size).tolist()))
     bar = figure.colorbar(colors, ax=list(axes), pad=0.02, aspect=40, label="robot", drawedges=False)
-    every = max(1, round(ids.size / MOST_TICKS))
+    every = max(1, round(ids.size / MAX_TICKS))
     bar.set_ticks(range(0, ids.size, every), labels=[str(robot) for robot in ids[::every]])
     bar.ax.tick_params(length=0)
     bar.ax.spines[:].set_visible(False)

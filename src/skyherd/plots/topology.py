@@ -29,7 +29,7 @@ WIDE_IN = 10.2
 ROW_IN = 0.14
 """Height of a robot's or a unit's row, inches. Chosen: labels of 8 points just do not touch."""
 
-MOST_ROWS_LABELLED = 24
+MAX_ROWS_LABELLED = 24
 """With more robots than this every fifth one's row is labelled."""
 
 
@@ -97,7 +97,7 @@ def _draw_control(axes: Axes, history: History, edges_s: Array) -> None:
                 bars.setdefault(unit, []).append(bar)
     for unit, rectangles in bars.items():
         axes.add_collection(PolyCollection(rectangles, facecolor=unit_color(unit), linewidth=0))
-    every = 1 if history.ids.size <= MOST_ROWS_LABELLED else 5
+    every = 1 if history.ids.size <= MAX_ROWS_LABELLED else 5
     axes.set_yticks(range(0, history.ids.size, every), labels=[str(robot) for robot in history.ids[::every]])
     _finish_rows(axes, history.ids.size)
     axes.set_ylabel("robot")

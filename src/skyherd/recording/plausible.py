@@ -17,7 +17,7 @@ from skyherd.loop import Step, UnitFrame
 from skyherd.messages import Detections
 from skyherd.sim.truth_metrics import ShapeFit
 
-LARGEST = 1e9
+MAX_MAGNITUDE = 1e9
 """Largest magnitude that a recording may hold, in any unit. Chosen: far beyond what scenario files allow, and
 small enough that no square of it overflows."""
 
@@ -25,7 +25,7 @@ small enough that no square of it overflows."""
 UNKNOWNS = GroundMap().unknowns.size
 """How many numbers a map to the ground has."""
 
-LARGEST_UNKNOWN = 1e3
+MAX_UNKNOWN = 1e3
 """Largest magnitude of an unknown of a map to the ground. Chosen: those of real lenses stay below 10."""
 
 
@@ -96,7 +96,7 @@ def check_map(ground_map: GroundMap) -> None:
     """
     _require_floats(ground_map.unknowns, (UNKNOWNS,), "map: unknowns")
     _require_floats(ground_map.covariance, (UNKNOWNS, UNKNOWNS), "map: covariance")
-    within = np.abs(ground_map.unknowns).max() < LARGEST_UNKNOWN
+    within = np.abs(ground_map.unknowns).max() < MAX_UNKNOWN
     _require(within and np.hypot(*ground_map.unknowns[:2]) < 1, "map: unknowns beyond any camera's")
 
 
@@ -107,7 +107,7 @@ def check_places(detections: Detections) -> None:
         ValueError: a coordinate is beyond any image.
     """
     for name in ("centers_px", "corners_px", "sides_px"):
-        _require(bool((np.abs(getattr(detections, name)) < LARGEST).all()), f"detections: {name}")
+        _require(bool((np.abs(getattr(detections, name)) < MAX_MAGNITUDE).all()), f"detections: {name}")
 
 
 def _check_metrics(step: Step, units: int) -> None:
@@ -150,7 +150,7 @@ def _are_among(ids: IntArray, known: IntArray) -> bool:
 
 
 def _is_count(value: Any) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool) and 0 <= value < LARGEST
+    return isinstance(value, int) and not isinstance(value, bool) and 0 <= value < MAX_MAGNITUDE
 
 
 def _points(pairs: Any) -> ComplexArray:
@@ -163,7 +163,7 @@ def _require_floats(array: Any, shape: tuple[int, ...], name: str, *, nan: bool 
     """Check shape and values of an array of floats; `nan` allows values that are not known."""
     _require(isinstance(array, np.ndarray) and array.shape == shape, f"{name}: expected shape {shape}")
     numbers = array[~np.isnan(array)] if nan else array
-    _require(bool((np.abs(numbers) < LARGEST).all()), f"{name}: a number is not finite")
+    _require(bool((np.abs(numbers) < MAX_MAGNITUDE).all()), f"{name}: a number is not finite")
 
 
 def _require(holds: Any, what: str) -> None:

@@ -24,7 +24,7 @@ from skyherd.recording.survey import Flaw, Survey, describe_flaws, read_chunk, s
 NOTHING_YET = "nothing was recorded yet"
 """What is said of a file that was begun, in which there is no step."""
 
-MOST_BYTES = 2**36
+MAX_BYTES = 2**36
 """Size of the largest recording that is read, bytes. Chosen: three hours of ten cameras with their images."""
 
 SHOWN_REASON = 160
@@ -141,7 +141,7 @@ def read_steps(path: Path) -> Iterator[Step]:
 @contextmanager
 def _opened(path: Path) -> Iterator[tuple[BinaryIO, Survey]]:
     """Open a recording and survey it; OSError becomes an InputError."""
-    with open_regular(path, "a recording, run.mcap", MOST_BYTES) as stream:
+    with open_regular(path, "a recording, run.mcap", MAX_BYTES) as stream:
         try:
             found = survey(stream)
         except OSError as error:

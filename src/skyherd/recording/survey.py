@@ -20,7 +20,7 @@ from mcap.stream_reader import breakup_chunk
 
 from skyherd.recording.footer import MAGIC, MALFORMED, find_footer
 
-LARGEST_CHUNK = 2**30
+MAX_CHUNK = 2**30
 """Largest chunk that is unpacked, bytes. Chosen: a step of a hundred images of 10 MB as JPEG; beyond it a
 few bytes that claim to be terabytes would take all memory."""
 
@@ -134,11 +134,11 @@ def read_chunk(stream: BinaryIO, start: int) -> list[Message]:
     stream.seek(start)
     head = stream.read(_CHUNK.size)
     *_, crc, _, _, packed_length = _CHUNK.unpack(head)
-    if crc == 0 or packed_length > LARGEST_CHUNK:
+    if crc == 0 or packed_length > MAX_CHUNK:
         raise ValueError("no checksum, or too large")
     packed = stream.read(packed_length)
     size = zstandard.get_frame_parameters(packed).content_size
-    if not 0 < size <= LARGEST_CHUNK:
+    if not 0 < size <= MAX_CHUNK:
         raise ValueError("no size, or too large")
     chunk = Chunk(
         compression="zstd",

@@ -30,7 +30,7 @@ from skyherd.control import (
 from skyherd.datasets import FlightModel, Mission, Scenario, SelectionModel
 from skyherd.geometry import IntArray
 from skyherd.messages import Detections, UnitReport
-from skyherd.sim.delays import least_report_delay_s
+from skyherd.sim.delays import min_report_delay_s
 from skyherd.sim.physics import read_unit_clock
 
 REPORT_LIFETIME_S = 2.0
@@ -60,7 +60,7 @@ def make_flight(model: FlightModel, template: Template) -> FlightLaw:
         zoom_gain_ps=model.zoom_gain_ps,
         dead_band=model.dead_band,
         separation_sides=model.separation_sides,
-        least_side_px=model.least_side_px,
+        min_side_px=model.min_side_px,
         **gains,
     )
 
@@ -97,7 +97,7 @@ def make_controller(mission: Mission, unit: int) -> AerialController:
         roles=make_roles(scenario),
         size=make_size(mission),
         bodies=make_bodies(mission),
-        clock=TeamClock(least_report_delay_s(scenario)) if scenario.clocks_differ else None,
+        clock=TeamClock(min_report_delay_s(scenario)) if scenario.clocks_differ else None,
     )
 
 
@@ -161,7 +161,7 @@ def make_size(mission: Mission) -> SizeRule:
         return SizeRule(sides, sides)
     if model.spacing_sides is not None:
         return SizeRule(model.spacing_sides, model.spacing_sides)
-    return SizeRule(model.least_spacing_sides)
+    return SizeRule(model.min_spacing_sides)
 
 
 def make_bodies(mission: Mission) -> BodyRule | None:

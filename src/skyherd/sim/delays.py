@@ -18,23 +18,23 @@ def whole_steps(delay_s: float, step_s: float) -> float:
     return float(np.ceil(delay_s / step_s - ROUNDING_STEPS) * step_s)
 
 
-def least_message_delay_s(scenario: Scenario) -> float:
+def min_message_delay_s(scenario: Scenario) -> float:
     """Least time, s, from an image to the robots that take in a message on it."""
     return whole_steps(min(unit.latency_s for unit in scenario.units), scenario.step_s)
 
 
-def most_message_delay_s(scenario: Scenario) -> float:
+def max_message_delay_s(scenario: Scenario) -> float:
     """Greatest time, s, from an image to the robots that take in a message on it."""
     slowest_s = max(unit.latency_s for unit in scenario.units)
     return whole_steps(slowest_s + scenario.network.delay_s, scenario.step_s)
 
 
-def least_report_delay_s(scenario: Scenario) -> float:
+def min_report_delay_s(scenario: Scenario) -> float:
     """Least time, s, from an image to an image of another unit that takes in the report on it.
 
     Where all units take their images at the same steps it is a whole number of images.
     """
-    taken_in_s = least_message_delay_s(scenario) + scenario.step_s
+    taken_in_s = min_message_delay_s(scenario) + scenario.step_s
     rates_hz = {unit.frame_rate_hz for unit in scenario.units}
     if len(rates_hz) > 1:
         return taken_in_s

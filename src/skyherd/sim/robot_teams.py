@@ -23,7 +23,7 @@ from skyherd.errors import InputError
 from skyherd.geometry import ComplexArray
 from skyherd.random_streams import RunStream, generator
 from skyherd.sim.baseline_laws import find_law
-from skyherd.sim.delays import least_message_delay_s, most_message_delay_s, whole_steps
+from skyherd.sim.delays import max_message_delay_s, min_message_delay_s, whole_steps
 from skyherd.sim.oracle_team import News, OracleTeam
 from skyherd.sim.physics import make_robot_clocks
 from skyherd.sim.world import World
@@ -95,7 +95,7 @@ def make_clocks(scenario: Scenario, count: int) -> RobotClocks | None:
     """How `count` robots tell the age of messages; None where all clocks agree."""
     if not scenario.clocks_differ:
         return None
-    team = TeamClock(least_message_delay_s(scenario), count, listens=True)
+    team = TeamClock(min_message_delay_s(scenario), count, listens=True)
     return RobotClocks(make_robot_clocks(scenario, count), team)
 
 
@@ -106,7 +106,7 @@ def make_clock_margin_s(scenario: Scenario) -> float:
     """
     if not scenario.clocks_differ:
         return 0.0
-    return most_message_delay_s(scenario) - least_message_delay_s(scenario)
+    return max_message_delay_s(scenario) - min_message_delay_s(scenario)
 
 
 def make_dead_reckoning(scenario: Scenario, count: int) -> DeadReckoning | None:

@@ -16,7 +16,7 @@ from skyherd.render import Camera, CameraPose, Motion
 from skyherd.sim.drive import Drive
 from skyherd.sim.sway import Sway
 
-LEAST_SPEED_MPS = 1e-12
+MIN_SPEED_MPS = 1e-12
 """Speeds are divided by at least this, m/s. Chosen: far below any speed of flight; it only avoids 0 / 0."""
 
 
@@ -150,7 +150,7 @@ def _fly(fleet: Fleet, commands: Sequence[FlightCommand], *, limits: AutopilotLi
     """The fleet after `step_s`: single integrators with limited speeds, each in its camera's axes."""
     lateral = np.array([command.lateral_mps for command in commands])
     speed = np.linalg.norm(lateral, axis=1, keepdims=True)
-    lateral *= np.minimum(1.0, limits.max_speed_mps / np.maximum(speed, LEAST_SPEED_MPS))
+    lateral *= np.minimum(1.0, limits.max_speed_mps / np.maximum(speed, MIN_SPEED_MPS))
     climb = np.clip([c.climb_mps for c in commands], -limits.max_climb_mps, limits.max_climb_mps)
     most = limits.max_yaw_rate_radps
     yaw_rate = np.clip([c.yaw_rate_radps for c in commands], -most, most)

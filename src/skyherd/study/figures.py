@@ -24,10 +24,10 @@ MARKDOWN = "table.md"
 MARKS = "osD^vPX<"
 """Matplotlib markers of the lines of a figure."""
 
-MOST_ERRORS = 5
+MAX_ERRORS = 5
 """Most different errors of failed runs that are listed; the others are counted."""
 
-MOST_TICKS = 9
+MAX_TICKS = 9
 """With at most this many values of x each has a tick of its own; more would overlap."""
 
 HEIGHT_IN = 4.2
@@ -127,7 +127,7 @@ def _places(axes: Axes, values: Sequence[Any], *, log: bool) -> dict[Any, float]
     if all(_is_number(value) for value in distinct):
         if log and distinct[0] > 0:
             axes.set_xscale("log")
-        if len(distinct) <= MOST_TICKS:
+        if len(distinct) <= MAX_TICKS:
             axes.set_xticks(distinct, [_text(value) for value in distinct])
             axes.xaxis.set_minor_formatter(NullFormatter())
         elif not log:
@@ -191,7 +191,7 @@ def _spread(values: list[Any]) -> str:
 def complaints(table: pa.Table) -> list[str]:
     """The errors of failed runs as one Markdown list, the most frequent first; nothing if none failed."""
     errors = Counter(error for error in table[ERROR].to_pylist() if error is not None)
-    lines = [f"- {count} failed: {error}" for error, count in errors.most_common(MOST_ERRORS)]
+    lines = [f"- {count} failed: {error}" for error, count in errors.most_common(MAX_ERRORS)]
     more = len(errors) - len(lines)
     return (
         ["\n".join([*lines, *([f"- and {more} other errors, in the column `error`"] if more > 0 else [])])]

@@ -30,7 +30,7 @@ from skyherd.version import __version__
 Settings = dict[str, Any]
 """Values that replace those of a scenario, by dotted key."""
 
-MOST_RUNS = 1_000_000
+MAX_RUNS = 1_000_000
 """Runs of the largest study, in all its sweeps. *Chosen*: a day's work for a large cluster; a grid of twenty
 keys with three values each has three thousand times as many."""
 
@@ -100,7 +100,7 @@ def make_plan(study: Study) -> Plan:
 
 
 def _check_count(study: Study) -> None:
-    """Refuse more than `MOST_RUNS`: a grid of few lines may have more points than can be counted through.
+    """Refuse more than `MAX_RUNS`: a grid of few lines may have more points than can be counted through.
 
     Raises:
         InputError: the study has too many runs.
@@ -109,8 +109,8 @@ def _check_count(study: Study) -> None:
         (sweep.random.runs if sweep.random else 1) * math.prod(map(len, sweep.grid.values()))
         for sweep in study.spec.all_sweeps
     )
-    if count > MOST_RUNS:
-        raise InputError(study.where, f"{count:.3g} runs", f"at most {MOST_RUNS}; fewer values in the grid")
+    if count > MAX_RUNS:
+        raise InputError(study.where, f"{count:.3g} runs", f"at most {MAX_RUNS}; fewer values in the grid")
 
 
 def mission_key(mission: Mission) -> str:

@@ -36,7 +36,7 @@ METHODS_KEEPS = (
     "shape_error",
     f"{CURVE}affine_error",
     f"{CURVE}affine_reached_s",
-    f"{CURVE}least_path_m",
+    f"{CURVE}min_path_m",
     f"{CURVE}waypoints_m",
     f"{CURVE}messages_per_robot_s",
     f"{CURVE}numbers_per_robot_s",

@@ -12,7 +12,7 @@ _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 ROUNDING = 1e-9
 """Values off a multiple of the step by this share of it still are that multiple."""
 
-LEAST_ROOM = 1e-9
+MIN_ROOM = 1e-9
 """Least margin around values of a linear range, so that a constant has a range at all."""
 
 DECADES = 4
@@ -43,7 +43,7 @@ class LinearRange:
         if not finite.size:
             return cls(0.0, 1.0)
         low, high = float(finite.min()), float(finite.max())
-        room = max(0.25 * (high - low), 0.1 * abs(high), LEAST_ROOM)
+        room = max(0.25 * (high - low), 0.1 * abs(high), MIN_ROOM)
         return cls(low - room, high + room)
 
     def place(self, values: Array) -> Array:

@@ -36,13 +36,13 @@ MUCH_LARGER = 1.2
 """Factor by which cameras must become larger for their block to have a further column, since a wide block
 leaves less width to the ground and more of the frame empty."""
 
-MOST_RECTIFIED = 3
+MAX_RECTIFIED = 3
 """With more units than this there is no room for rectified images."""
 
-MOST_NAMED = 5
+MAX_NAMED = 5
 """With more units than this the curves' names are bare numbers."""
 
-LEAST_COST = 1e-9
+MIN_COST = 1e-9
 """Costs below this, m², are those of two robots, which always make their shape, or of none: not shown."""
 
 
@@ -178,7 +178,7 @@ class Composer:
         bodies = bool(self._bodies.radius or self._bodies.obstacles or scenario.roles.exchange)
         bent = scenario.control.rectify and not all(unit.ideal for unit in scenario.units)
         layout = make_layout(
-            size_px, sizes, tree=tree, bodies=bodies, rectified=bent and len(sizes) <= MOST_RECTIFIED
+            size_px, sizes, tree=tree, bodies=bodies, rectified=bent and len(sizes) <= MAX_RECTIFIED
         )
         self._cameras = [
             CameraPanel(unit, box.of(self._canvas), sizes[unit], scenario.selection.radius, self._bodies)
@@ -209,14 +209,14 @@ class Composer:
         self._ground.draw(step, self._tree.add(step, dead), struck)
         seen = step.metrics
         cost = np.append(seen.V, seen.V_units)
-        self._cost.add(step.time_s, np.where(cost > LEAST_COST, cost, np.nan))
+        self._cost.add(step.time_s, np.where(cost > MIN_COST, cost, np.nan))
         self._scale.add(step.time_s, seen.scales)
         self._draw_header(step)
         return self._shown
 
     def _make_plots(self, layout: Layout) -> tuple[CurvePanel, CurvePanel]:
         duration_s = self.mission.scenario.duration_s
-        many = len(self._cameras) > MOST_NAMED
+        many = len(self._cameras) > MAX_NAMED
         names = [f"{unit}" if many else f"unit {unit}" for unit in range(len(self._cameras))]
         units = [Curve(name, unit_rgb(unit)) for unit, name in enumerate(names)]
         cost, scale = (box.of(self._canvas) for box in layout.plots)

@@ -51,7 +51,7 @@ LABEL_ROOM_PX = np.array([34.0, 18.0])
 EXCHANGE_S = 2.0
 """Simulated time for which a robot's place in the shape is shown as newly exchanged."""
 
-LEAST_EXTENT_M = 1e-3
+MIN_EXTENT_M = 1e-3
 """Least extent of the view, so that a single robot that does not move has one at all."""
 
 MARGIN_PX = 16.0
@@ -154,7 +154,7 @@ class GroundPanel:
         room = np.array([self._field.shape[1], self._field.shape[0]]) - 2 * MARGIN_PX
         past = np.concatenate(self._past_m)
         low, high = past.min(axis=0), past.max(axis=0)
-        middle, least = (low + high) / 2, 0.55 * np.maximum(high - low, LEAST_EXTENT_M)
+        middle, least = (low + high) / 2, 0.55 * np.maximum(high - low, MIN_EXTENT_M)
         most = np.maximum(
             least, room * _spacing_m(self._past_m[-1][: self.mission.ids.size]) / SPACING_PX / 2
         )

@@ -199,7 +199,7 @@ class LoneUnit:
         )
     )
 
-    def least_gap_m(self, make_detections, ticks: int = 150) -> float:
+    def min_gap_m(self, make_detections, ticks: int = 150) -> float:
         """The least gap between the two bodies while robot 0 drives at robot 1 as well as it can."""
         position_m = complex(*self.rng.uniform(-0.8, 0.8, 2))
         heading = self.rng.uniform(-np.pi, np.pi, 1)
@@ -208,7 +208,7 @@ class LoneUnit:
             [3.2 + 0.95j * along, -3.2 + 0.95j * along, along * 1.3 + 2.4j, along * 1.3 - 2.4j]
         )
         memory = NeighborMemory(TEAM[:1], TEAM, self.rule.lifetime_s)
-        least_m = np.inf
+        min_m = np.inf
         for tick in range(ticks):
             now_s = tick * self.rule.step_s
             if tick % self.image_every == 0:
@@ -227,8 +227,8 @@ class LoneUnit:
                 to_points([position_m]), heading, v, omega, step_s=self.rule.step_s, axis_offset_m=0.0
             )
             position_m = complex(to_complex(moved_m)[0])
-            least_m = min(least_m, abs(hidden_m - position_m))
-        return least_m - 2 * BODIES.radius_sides * 0.2
+            min_m = min(min_m, abs(hidden_m - position_m))
+        return min_m - 2 * BODIES.radius_sides * 0.2
 
     def _tell(self, memory: NeighborMemory, make_detections, places_m, heading, now_s: float) -> None:
         """An image 100 px a metre, v down; its message arrives at once."""
@@ -248,12 +248,12 @@ def test_nobody_drives_over_a_robot_that_the_image_does_not_show(make_detections
     """At full speed at it, from anywhere, on each of the four sides, under a unit that stands or flies."""
     for seed in range(12):
         unit = LoneUnit(np.random.default_rng(seed), reports_border=True, camera_mps=camera_mps)
-        assert unit.least_gap_m(make_detections) > 0, seed
+        assert unit.min_gap_m(make_detections) > 0, seed
 
 
 def test_without_the_border_it_is_driven_over(make_detections) -> None:
     gaps = [
-        LoneUnit(np.random.default_rng(seed), reports_border=False).least_gap_m(make_detections)
+        LoneUnit(np.random.default_rng(seed), reports_border=False).min_gap_m(make_detections)
         for seed in range(12)
     ]
     assert sum(gap < 0 for gap in gaps) >= 6

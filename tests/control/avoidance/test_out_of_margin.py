@@ -55,8 +55,8 @@ def drive(make_detections, seed: int, steps: int = 150) -> tuple[np.ndarray, flo
 @pytest.mark.parametrize("seed", range(8))
 def test_two_robots_within_the_margin_part_and_reach_their_goals(make_detections, seed) -> None:
     """And come no nearer than they were: the bound is applied last of all."""
-    left_m, least_m = drive(make_detections, seed)
-    assert left_m.max() < 0.05 and least_m > 0.1 * SIDE_M - 1e-9
+    left_m, min_m = drive(make_detections, seed)
+    assert left_m.max() < 0.05 and min_m > 0.1 * SIDE_M - 1e-9
 
 
 def test_without_that_some_stand_for_ever(make_detections, monkeypatch) -> None:

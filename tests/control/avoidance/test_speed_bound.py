@@ -48,7 +48,7 @@ class Crowd:
         )
         self.wheels = Drive(self.drive, self.count, step_s=STEP_S, gain_rng=gain_rng, slip_rng=slip_rng)
         self.waiting: list = []
-        self.least_m, self.pairs = np.inf, np.triu_indices(self.count, 1)
+        self.min_m, self.pairs = np.inf, np.triu_indices(self.count, 1)
 
     def _start(self) -> np.ndarray:
         placed: list[complex] = []
@@ -102,14 +102,14 @@ class Crowd:
         )
         there = to_complex(there).reshape(-1, self.count)
         one, other = self.pairs
-        self.least_m = min(self.least_m, float(np.abs(there[:, one] - there[:, other]).min()))
+        self.min_m = min(self.min_m, float(np.abs(there[:, one] - there[:, other]).min()))
         self.positions_m, self.headings = to_points(there[-1]), turned[-self.count :]
 
 
-def least_gap_m(crowd: Crowd, ticks: int = 80) -> float:
+def min_gap_m(crowd: Crowd, ticks: int = 80) -> float:
     for tick in range(ticks):
         crowd.step(tick)
-    return crowd.least_m - REACH_M
+    return crowd.min_m - REACH_M
 
 
 ROBOTS_AS_THEY_ARE = {
@@ -144,7 +144,7 @@ def test_bodies_never_touch(make_detections, kind, latency, loss, seed) -> None:
     }
     mine = AvoidanceRule(SIDE_M, **(usual | known))
     crowd = Crowd(np.random.default_rng([seed, 7]), mine, make_detections, drive, latency=latency, loss=loss)
-    assert least_gap_m(crowd) > -1e-9
+    assert min_gap_m(crowd) > -1e-9
 
 
 @pytest.mark.parametrize(
@@ -161,7 +161,7 @@ def test_robots_that_do_not_know_their_wheels_touch(make_detections, kind, forgo
             SIDE_M, WHEELS, nominal_age_s=0.0, superseded_age_s=0.2, step_s=0.001, lifetime_s=60.0
         )
     gaps = (
-        least_gap_m(Crowd(np.random.default_rng([seed, 7]), blind, make_detections, drive), 60)
+        min_gap_m(Crowd(np.random.default_rng([seed, 7]), blind, make_detections, drive), 60)
         for seed in range(8)
     )
     assert any(gap < 0 for gap in gaps)

@@ -47,7 +47,7 @@ def test_a_duty_outside_the_frame_draws_it_there_and_up(make_detections, make_re
     ground = np.array([0.1, 0.4j, -0.2, 1.6])
     seen = view_of(make_detections, ground[:3])
     report = make_report(1, range(4), CENTRE + HALF_PX * (ground - 1.0), NO_ID)
-    flight = KeepInView(TEMPLATE, desired_radius=0.75, dead_band=0.0, separation_sides=0.0, least_side_px=0.0)
+    flight = KeepInView(TEMPLATE, desired_radius=0.75, dead_band=0.0, separation_sides=0.0, min_side_px=0.0)
     command = flight.command(seen, FlightTask(np.arange(4)), [report])
     np.testing.assert_allclose(command.lateral_mps, [(1.6 - 0.2) / 2, 0.2], atol=1e-9)
     assert command.climb_mps == pytest.approx(1.6 - 0.75, abs=1e-9)
@@ -121,7 +121,7 @@ def test_the_same_view_gives_the_same_command_whatever_its_pixels(
 ) -> None:
     """Points, marker sides and the reports of others through another sensor: to rounding, 1e-12.
 
-    But for `least_side_px`, which is about pixels.
+    But for `min_side_px`, which is about pixels.
     """
     points = np.array([0.1 + 0.2j, 0.5 - 0.6j, -0.3, 0.8j])
     seen = view_of(make_detections, points, sides=[30.0, 20.0, 25.0, 28.0])
@@ -139,7 +139,7 @@ def test_the_same_view_gives_the_same_command_whatever_its_pixels(
         sides_px=seen.sides_px * scale,
         corners_px=moved(seen.corners_px),
     )
-    flights = [KeepInView(TEMPLATE, desired_radius=0.75, least_side_px=0.0) for _ in range(2)]
+    flights = [KeepInView(TEMPLATE, desired_radius=0.75, min_side_px=0.0) for _ in range(2)]
     views = zip(flights, (seen, other), strict=True)
     commands = [flight.command(view, FlightTask(np.arange(3)), [report]) for flight, view in views]
     assert np.abs(commands[0].lateral_mps).max() > 0.01
@@ -207,7 +207,7 @@ def fly_below_a_ceiling(make_detections, seconds, **settings):
             away[ids],
             ids,
             time_s=0.2 * tick,
-            sides=np.full(ids.size, flight.least_side_px),
+            sides=np.full(ids.size, flight.min_side_px),
         )
         command = flight.command(seen, FlightTask(np.arange(8)), [])
         place += 0.2 * float(command.lateral_mps[0])

@@ -96,7 +96,7 @@ def test_units_that_measure_differently_agree(make_detections, make_report, unit
 
 @pytest.mark.parametrize(
     ("size", "spacing_sides"),
-    [({}, None), ({"least_spacing_sides": 6.0}, 6.0), ({"spacing_sides": 2.0}, 2.0), ({"unit_m": 0.4}, 0.8)],
+    [({}, None), ({"min_spacing_sides": 6.0}, 6.0), ({"spacing_sides": 2.0}, 2.0), ({"unit_m": 0.4}, 0.8)],
 )
 @pytest.mark.parametrize(
     ("step_s", "rectify"), [(0.2, False), pytest.param(0.1, True, marks=pytest.mark.slow)]

@@ -137,7 +137,7 @@ def test_units_that_receive_their_neighbors_alone_stay_inside_p_by_relay(
         if left:
             patch.setattr(module.Watch, "done", lambda watch, step: watch.violated_s["p"] > 0.0)
         row = module.run_mission(seed, options(radio=1.1, form=form, units=(5, 5)))
-    assert row["cut_s"] == 0 and row["least_gap_m"] > 0 and (row["converged"] or left)
+    assert row["cut_s"] == 0 and row["min_gap_m"] > 0 and (row["converged"] or left)
     assert (row["p_violation_s"] == 0) == relay
 
 
@@ -153,7 +153,7 @@ def test_units_whose_clocks_differ_stay_inside_p_by_the_teams_time(load_benchmar
             patch.setattr(TeamClock, "hear", lambda *_: None)
             patch.setattr(module.Watch, "done", lambda watch, step: watch.violated_s["p"] > 1.0)
         row = module.run_mission(5020, options(clocks=5.0))
-    assert row["least_gap_m"] > 0
+    assert row["min_gap_m"] > 0
     assert (row["p_violation_s"] == 0 and row["converged"]) == learns
 
 

@@ -38,7 +38,7 @@ def held_for_s(names: Sequence[str]) -> float:
         unit["height_m"] = 0.5 * unit["height_m"]
 
     def controller(mission, unit):
-        flight = KeepInView(mission.template, least_side_px=0.0)
+        flight = KeepInView(mission.template, min_side_px=0.0)
         return AerialController(mission.template, TreeProtocol(RULE, rules=rules), flight)
 
     founded_s, still_s, before = np.inf, 0.0, None

@@ -7,9 +7,10 @@ whose values replace keys of a scenario have any type; they are checked as the s
 import numpy as np
 import pytest
 
+import skyherd.live.lab
 import skyherd.study.spec  # noqa: F401  (its models are subclasses of Model)
 from skyherd.datasets import Model, load_mission
-from skyherd.datasets.configuration.fields import LARGEST, LEAST
+from skyherd.datasets.configuration.fields import MAX_MAGNITUDE, MIN_MAGNITUDE
 from skyherd.datasets.labelled.spec import load_spec, make_spec
 from skyherd.errors import InputError
 from skyherd.loop import run_steps
@@ -51,13 +52,21 @@ def test_every_number_has_a_lower_and_an_upper_bound(model):
         high = schema.get("maximum", schema.get("exclusiveMaximum"))
         assert low is not None and high is not None, (model.__name__, at)
         assert np.isfinite([float(low), float(high)]).all()
-        assert max(abs(low), abs(high)) <= max(LARGEST, 2**63), (model.__name__, at)
+        assert max(abs(low), abs(high)) <= max(MAX_MAGNITUDE, 2**63), (model.__name__, at)
 
 
 def test_all_models_are_walked():
     """Scenarios, studies and specs with all their parts; and which values have any type."""
     names = {model.__name__ for model in all_models()}
-    assert {"Scenario", "UnitModel", "StudySpec", "DrawModel", "DatasetSpec", "CameraSpec"} <= names
+    assert {
+        "Scenario",
+        "UnitModel",
+        "LabModel",
+        "StudySpec",
+        "DrawModel",
+        "DatasetSpec",
+        "CameraSpec",
+    } <= names
     assert len(names) > 30
     untyped = {
         (model.__name__, name)
@@ -103,7 +112,7 @@ def test_a_number_beyond_its_bounds_is_refused_in_one_line(scenario, setting):
     assert "\n" not in str(refusal.value) and len(str(refusal.value)) < 500
 
 
-@pytest.mark.parametrize("value", [0.0, LEAST, 1e-6])
+@pytest.mark.parametrize("value", [0.0, MIN_MAGNITUDE, 1e-6])
 def test_a_quantity_of_zero_or_more_may_be_zero_or_small(value):
     assert load_mission("star", [f"robots.drive.wheel_step_mps={value}"])
 

@@ -27,7 +27,7 @@ PAIRS = [
     (KeepInView, FlightModel, {}),
     (RoleRule, RolesModel, {}),
     (BodyRule, AvoidanceModel, {}),
-    (SizeRule, SizeModel, {"least_sides": "least_spacing_sides"}),
+    (SizeRule, SizeModel, {"min_sides": "min_spacing_sides"}),
 ]
 
 

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from skyherd.datasets import load_mission, scenario_names, scenario_text
 from skyherd.datasets.configuration import toml_files
-from skyherd.datasets.configuration.toml_files import MOST_LEVELS, depth, parse_toml
+from skyherd.datasets.configuration.toml_files import MAX_LEVELS, depth, parse_toml
 from skyherd.datasets.labelled.spec import load_spec
 from skyherd.errors import InputError
 
@@ -60,8 +60,8 @@ def test_values_of_set_are_refused_too(key, value):
 
 def test_all_built_in_files_are_far_from_the_limits():
     texts = [scenario_text(name) for name in scenario_names()]
-    assert max(map(depth, texts)) <= 6 < MOST_LEVELS
-    assert max(map(len, texts)) < toml_files.MOST_BYTES / 20
+    assert max(map(depth, texts)) <= 6 < MAX_LEVELS
+    assert max(map(len, texts)) < toml_files.MAX_BYTES / 20
 
 
 def test_strings_and_comments_do_not_count():

@@ -7,13 +7,13 @@ from scipy.spatial.distance import pdist
 
 from skyherd.datasets import load_mission, shape_points
 from skyherd.datasets.shapes.letters import STROKES
-from skyherd.datasets.shapes.words import LEAST_SPACING, TURN_DEG, Stroke
+from skyherd.datasets.shapes.words import MIN_SPACING, TURN_DEG, Stroke
 from skyherd.errors import InputError
 
 WORDS = ["SKY", "HERD", "QUIZ", "BOX8", "WAVY", "JUMP", "2026", "FLOCK", "II", "AMK4", "95317"]
 
 
-def least_count(text: str) -> int:
+def min_count(text: str) -> int:
     """The fewest robots that write it, as the refusal of two tells; two may do."""
     try:
         shape_points(f"word:{text}", 2)
@@ -54,12 +54,12 @@ def test_strokes_have_no_corner_within() -> None:
 def test_robots_stand_on_the_strokes_with_room_between_them_for_every_count(letter: str) -> None:
     """No two nearer than 0.6 of the mean spacing, which is at least `length / (N + strokes)`."""
     length = sum(Stroke(curve, (0, 0)).length for curve in STROKES[letter])
-    tree, least = cKDTree(sampled(letter)), least_count(letter)
+    tree, least = cKDTree(sampled(letter)), min_count(letter)
     assert 2 <= least <= 12
     for count in range(least, 60):
         points = shape_points(f"word:{letter}", count)
         assert points.shape == (count, 2)
-        assert pdist(points).min() >= LEAST_SPACING * length / (count + len(STROKES[letter]))
+        assert pdist(points).min() >= MIN_SPACING * length / (count + len(STROKES[letter]))
         assert tree.query(points)[0].max() < 0.002
         for curve in STROKES[letter]:
             for end in (curve[0], curve[-1]):
@@ -81,7 +81,7 @@ def test_the_strokes_are_covered_without_gaps(letter: str) -> None:
 
 def test_curves_are_seen_to_be_curves() -> None:
     """The fewest robots still turn by no more than the stated angle from one to the next: O is a hexagon."""
-    assert least_count("O") == 6 == np.ceil(360 / TURN_DEG)
+    assert min_count("O") == 6 == np.ceil(360 / TURN_DEG)
     points = shape_points("word:O", 6)
     angles = np.unwrap(np.arctan2(points[:, 1] - 0.5, points[:, 0] - 0.42))
     assert np.abs(np.diff(angles)).max() < np.radians(90)
@@ -89,11 +89,11 @@ def test_curves_are_seen_to_be_curves() -> None:
 
 @pytest.mark.parametrize("text", WORDS)
 def test_words_have_room_too_and_read_from_left_to_right(text: str) -> None:
-    least = least_count(text)
+    least = min_count(text)
     for count in (least, least + 1, 2 * least, 12 * len(text)):
         points = shape_points(f"word:{text}", count)
         nearest = cKDTree(points).query(points, k=2)[0][:, 1]
-        assert nearest.min() >= LEAST_SPACING * 0.75 * np.median(nearest)
+        assert nearest.min() >= MIN_SPACING * 0.75 * np.median(nearest)
         assert len(np.unique(points.round(6), axis=0)) == count
     gaps = np.diff(np.sort(points[:, 0]))
     assert (gaps > 0.35).sum() >= len(text) - 1, "letters are told apart"

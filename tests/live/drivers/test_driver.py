@@ -143,7 +143,7 @@ def test_the_sender_never_waits_for_the_link() -> None:
 
 
 def test_a_new_command_is_written_without_waiting_for_the_next_turn(monkeypatch) -> None:
-    monkeypatch.setattr("skyherd.live.drivers.driver.LEAST_SHARE", 0.0)
+    monkeypatch.setattr("skyherd.live.drivers.driver.MIN_SHARE", 0.0)
     came = threading.Event()
 
     class Bell(Wire):

@@ -21,7 +21,7 @@ sizes = st.floats(1e-3, 10)
 limits = st.builds(SpeedLimits, sizes, sizes, sizes, sizes)
 
 LONGEST_S = 0.2
-"""What a pause counts as at most; `skyherd.live.drivers.limits.MOST_STEP_S`, written out."""
+"""What a pause counts as at most; `skyherd.live.drivers.limits.MAX_STEP_S`, written out."""
 
 ROUNDING = 1 + 1e-12
 """Room for the rounding of one sum and one product."""

@@ -10,12 +10,12 @@ from command_line import call
 from live_sessions import BEGUN_S, Script, small_lab
 
 from skyherd.errors import InputError
-from skyherd.live.diaries.diary import Diary
+from skyherd.live.logs.process_log import ProcessLog
 from skyherd.live.review import figures, make_live_report
 from skyherd.live.review.latency import latency_stages, whole_way
 from skyherd.live.review.page import summarize_session
 from skyherd.live.review.reasons import armed_stretches, gist, stretches
-from skyherd.live.review.session_log import clock_of, read_session
+from skyherd.live.review.session_history import clock_of, read_session
 
 KNOWN_S = 2e-4
 """How well the clocks of a `Script` are known: they are compared every fifth of a second, and may drift apart
@@ -188,10 +188,10 @@ def test_records_of_another_shape_end_a_file_and_nothing_else(script, folder, tm
             ("/tell", {"line": "later"}),
         ]
     ):
-        with Diary(run / f"robot_0.{number}.mcap", "robot/0", script.lab, BEGUN_S) as diary:
-            diary.put("/tell", BEGUN_S + 1.0, {"line": "before"})
-            diary.put(topic, BEGUN_S if number < 3 else float("nan"), record | {"now_s": 1e300})
-            diary.put("/end", BEGUN_S + 2.0, {})
+        with ProcessLog(run / f"robot_0.{number}.mcap", "robot/0", script.lab, BEGUN_S) as process_log:
+            process_log.put("/tell", BEGUN_S + 1.0, {"line": "before"})
+            process_log.put(topic, BEGUN_S if number < 3 else float("nan"), record | {"now_s": 1e300})
+            process_log.put("/end", BEGUN_S + 2.0, {})
     session = read_session(run)
     assert len(session.runs["robot/0"]) == 5
     assert sum("not as this version writes them" in flaw for flaw in session.flaws) == 4
@@ -201,8 +201,8 @@ def test_records_of_another_shape_end_a_file_and_nothing_else(script, folder, tm
 def test_a_file_of_another_lab_is_left_out(script, folder, tmp_path) -> None:
     run = tmp_path / "run"
     shutil.copytree(folder, run)
-    with Diary(run / "robot_7.mcap", "robot/0", small_lab(robots=5), BEGUN_S) as diary:
-        diary.put("/end", BEGUN_S, {})
+    with ProcessLog(run / "robot_7.mcap", "robot/0", small_lab(robots=5), BEGUN_S) as process_log:
+        process_log.put("/end", BEGUN_S, {})
     session = read_session(run)
     assert session.flaws == ["robot_7.mcap: of another lab, left out"]
     assert len(session.runs["robot/0"]) == 1
@@ -212,9 +212,9 @@ def test_nothing_that_a_file_says_becomes_markup(script, tmp_path, few_figures) 
     hostile = "<script>alert('$x')</script>\x1b[2J"
     made = Script(images=6, reasons={0: [hostile] * 6})
     run = made.write(tmp_path / "run")
-    with Diary(run / "robot_0.1.mcap", "robot/0", made.lab, BEGUN_S + 3) as diary:
-        diary.put("/tell", BEGUN_S + 3, {"line": hostile})
-        diary.put("/beat", BEGUN_S + 4, {"refused": {hostile: 2}, "dropped": 0})
+    with ProcessLog(run / "robot_0.1.mcap", "robot/0", made.lab, BEGUN_S + 3) as process_log:
+        process_log.put("/tell", BEGUN_S + 3, {"line": hostile})
+        process_log.put("/heartbeat", BEGUN_S + 4, {"refused": {hostile: 2}, "dropped": 0})
     make_live_report(run)
     text = (run / "report.html").read_text()
     assert "<script" not in text and "\x1b" not in text and "&lt;script" in text
@@ -258,4 +258,4 @@ def test_peaks_stay_in_curves_of_few_points() -> None:
     values = np.zeros(10_000)
     values[777] = 5.0
     times_s, few = figures._few(np.arange(10_000.0), values)
-    assert few.size == figures.MOST_POINTS == times_s.size and few.max() == 5.0
+    assert few.size == figures.MAX_POINTS == times_s.size and few.max() == 5.0

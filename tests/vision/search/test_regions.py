@@ -85,7 +85,7 @@ def test_where_only_strong_darkness_counts_texture_is_not_looked_at():
     shapes = squares(5, count=4)
     image = np.clip(drawn(shapes) + 5 * texture / texture.std(), 0, 255).astype(np.uint8)
     assert crowded_places(image).image.shape == image.shape
-    few = crowded_places(image, least_darkness=5.0)
+    few = crowded_places(image, min_darkness=5.0)
     assert few.image.size < image.size / 4
     middles = middles_of(few)
     assert all(np.abs(middles - complex(*corners.mean(axis=0))).min() < 1 for corners in shapes)

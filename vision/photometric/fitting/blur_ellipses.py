@@ -20,7 +20,7 @@ STEEP_SQUEEZE = 0.1
 blur to first order. Derived: the second order is half of the square of twice the squeeze, 2 % of the blur's
 part of the image here; it is that of a tilt of 35 degrees."""
 
-LEAST_VARIANCE_PX2 = 0.25**2
+MIN_VARIANCE_PX2 = 0.25**2
 """Variance that is left of a blur across a streak, at least. Chosen: a little less than that of a square
 pixel, 1/12."""
 
@@ -37,7 +37,7 @@ def possible_streaks(streak_px2: complex, sigmas_px: Array) -> ComplexArray:
         streak_px2: Q of the image, px².
         sigmas_px: (N,) roots of the mean variances of the whole blurs.
     """
-    most = np.maximum(sigmas_px**2 - LEAST_VARIANCE_PX2, 0.0)
+    most = np.maximum(sigmas_px**2 - MIN_VARIANCE_PX2, 0.0)
     return np.asarray(streak_px2 * np.minimum(1.0, most / max(abs(streak_px2), 1e-12)))
 
 

@@ -27,7 +27,7 @@ BOX_PX = 2
 """Side b of the smaller boxes, px; the larger have twice as much. Chosen: denoising and demosaicing reach
 over one or two pixels, blocks of a codec further; larger boxes are fewer, and tell less precisely."""
 
-MOST_MARKERS = 8
+MAX_MARKERS = 8
 """Residuals are summed for so many markers of an image at most. Chosen: the ratio of 8 markers of 30 px is
 known to a tenth; all markers of a crowd would take as long as a step of their fit."""
 

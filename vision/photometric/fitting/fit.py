@@ -19,7 +19,7 @@ from skyherd.vision.grey import Image
 from skyherd.vision.photometric.fitting import design_matrix
 from skyherd.vision.photometric.fitting.appearance import MarkerAppearances, appearances_of
 from skyherd.vision.photometric.fitting.common_unknowns import hold_common_unknowns
-from skyherd.vision.photometric.fitting.correlated_noise import BOX_PX, MOST_MARKERS, box_ratios
+from skyherd.vision.photometric.fitting.correlated_noise import BOX_PX, MAX_MARKERS, box_ratios
 from skyherd.vision.photometric.fitting.design_matrix import (
     BLACK,
     CONTRAST,
@@ -71,7 +71,7 @@ OUTLIER_SHARE, OUTLIER_SIGMAS = 0.25, 6.0
 """A pixel whose residual exceeds both this share of the contrast and this many standard deviations of the
 noise shows something other than the marker. Chosen: wrong poses and blurs leave less once a fit is near."""
 
-COVER_SHARE, LEAST_COVER_PX = 0.25, 16
+COVER_SHARE, MIN_COVER_PX = 0.25, 16
 """Residual, as a share of the contrast, and number of pixels with it, from which on something covers a
 marker. Measured: a disc over 2 % of a marker of 30 px leaves more. A drawing that was shrunk without a filter
 leaves 6 to 12 such pixels along the edges of a marker of 70 px, and more than 4 standard deviations of the
@@ -119,7 +119,7 @@ class PixelSamples:
             used = residuals < np.repeat(limits, pixels.counts)
             if margin_px is not None:
                 covers = residuals > np.repeat(COVER_SHARE * values[:, CONTRAST], pixels.counts)
-                is_covered = np.add.reduceat(covers, pixels.bounds[:-1]) >= LEAST_COVER_PX
+                is_covered = np.add.reduceat(covers, pixels.bounds[:-1]) >= MIN_COVER_PX
                 used = pixels.away_from(~used, np.where(is_covered, margin_px[rows], 0.0))
             pixels.restrict(used)
         self._grams[rows], self._counts[rows] = pixels.gram_matrices(), pixels.counts
@@ -162,7 +162,7 @@ class PixelSamples:
             The ratios (N, 2) of positions and of headings, and the numbers (N,) of boxes that they are of, 0
             for markers that were not looked at (`correlated_noise`).
         """
-        rows = np.flatnonzero(right)[:: max(1, -(-np.count_nonzero(right) // MOST_MARKERS))]
+        rows = np.flatnonzero(right)[:: max(1, -(-np.count_nonzero(right) // MAX_MARKERS))]
         ratios, numbers = np.ones((right.size, 2)), np.zeros(right.size)
         if not rows.size:
             return ratios, numbers

@@ -23,7 +23,7 @@ clipped."""
 GROUND_GREY = 128.0
 """Mean grey level of the ground, but in drawings."""
 
-MOST_MARKERS = 16
+MAX_MARKERS = 16
 """Most markers in an image: a grid of four by four."""
 
 SMALL_IMAGES_PX = 40.0
@@ -91,7 +91,7 @@ class Cell:
     jpeg: int | None = None
     h264: int | None = None
     shrink: float = 1.0
-    markers: int = MOST_MARKERS
+    markers: int = MAX_MARKERS
     cameras: int = 6
     frames: int = 12
 

@@ -41,7 +41,7 @@ alone."""
 GOLDEN_ANGLE_RAD = np.pi * (3.0 - 5.0**0.5)
 """Angle by which directions of coma differ from camera to camera: they fill the circle, however many."""
 
-LEAST_BLUR_PX = 0.05
+MIN_BLUR_PX = 0.05
 """Least blur of the bound's lens. *Chosen*: as narrow as the renderer draws one; the pixel hides it."""
 
 QUAD_SIDES = (0.4, 1.2)
@@ -266,7 +266,7 @@ def marker_bounds(cell: Cell, dictionary: str, blur_px: float, truth: FrameTruth
         dictionary,
         truth.ids,
         truth.images_marker,
-        psf_px=max(float(np.hypot(blur_px, cell.motion_px / 24**0.5)), LEAST_BLUR_PX),
+        psf_px=max(float(np.hypot(blur_px, cell.motion_px / 24**0.5)), MIN_BLUR_PX),
         noise=noise,
         black=cell.black,
         white=cell.white,

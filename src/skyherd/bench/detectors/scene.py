@@ -22,10 +22,10 @@ SPEED_PX, TURN_RAD = 3.0, 0.07
 FOCAL_SHARE = 1.0
 """Focal length in image widths: a horizontal field of view of 53 deg. Under a steep tilt it is longer."""
 
-MOST_OBLIQUE_DEG = 80.0
+MAX_OBLIQUE_DEG = 80.0
 """Largest angle between a ray of an image and the vertical. *Chosen*: at 90 it is the horizon."""
 
-MOST_IDS = 50
+MAX_IDS = 50
 """Only this many first markers of a dictionary are shown, so that the ids are the same in all
 dictionaries."""
 
@@ -73,7 +73,7 @@ def make_team(cell: Cell, dictionary: str, rng: np.random.Generator) -> Team:
     homes = np.column_stack([column.ravel(), row.ravel()]) * spacing - 0.5
     count = min(cell.markers, len(homes), dictionary_size(dictionary))
     return Team(
-        ids=np.sort(rng.permutation(min(dictionary_size(dictionary), MOST_IDS))[:count]),
+        ids=np.sort(rng.permutation(min(dictionary_size(dictionary), MAX_IDS))[:count]),
         homes_px=homes[np.sort(rng.permutation(len(homes))[:count])],
         room_px=float(max(min(spacing) - reach, 1.0) / 2),
         phases_rad=rng.uniform(-np.pi, np.pi, (count, 2)),
@@ -83,9 +83,9 @@ def make_team(cell: Cell, dictionary: str, rng: np.random.Generator) -> Team:
 
 
 def focal_share(cell: Cell) -> float:
-    """Focal length in image widths: `FOCAL_SHARE`, or so long that no ray is beyond `MOST_OBLIQUE_DEG`."""
+    """Focal length in image widths: `FOCAL_SHARE`, or so long that no ray is beyond `MAX_OBLIQUE_DEG`."""
     half_diagonal = np.hypot(*cell.size_px) / (2.0 * cell.size_px[0])
-    return max(FOCAL_SHARE, float(half_diagonal / np.tan(np.radians(MOST_OBLIQUE_DEG - cell.tilt_deg))))
+    return max(FOCAL_SHARE, float(half_diagonal / np.tan(np.radians(MAX_OBLIQUE_DEG - cell.tilt_deg))))
 
 
 def make_view(cell: Cell, rng: np.random.Generator) -> tuple[Camera, CameraPose]:

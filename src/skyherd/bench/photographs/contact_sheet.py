@@ -21,7 +21,7 @@ SHOWN_SIDES = 2.4
 """Side of what a tile shows, in marker sides. Chosen: the marker fills a sixth of it, so that what surrounds
 it is seen, too."""
 
-COLUMNS, MOST_TILES = 8, 64
+COLUMNS, MAX_TILES = 8, 64
 """Tiles in a row, and on a sheet. Chosen: of more, tiles at equal steps are shown; a sheet has a screen's
 height."""
 
@@ -65,8 +65,8 @@ def cut_tile(image: npt.NDArray[np.uint8], place: Place, file: str) -> PlaceTile
 
 
 def draw_sheet(tiles: Sequence[PlaceTile]) -> npt.NDArray[np.uint8]:
-    """Lay at most `MOST_TILES` tiles out in rows, and return the sheet (height, width, 3) in RGB."""
-    chosen = [tiles[k] for k in np.linspace(0, len(tiles) - 1, min(len(tiles), MOST_TILES)).astype(int)]
+    """Lay at most `MAX_TILES` tiles out in rows, and return the sheet (height, width, 3) in RGB."""
+    chosen = [tiles[k] for k in np.linspace(0, len(tiles) - 1, min(len(tiles), MAX_TILES)).astype(int)]
     lines = max(len(tile.lines) for tile in chosen)
     height, width = TILE_PX + LINE_PX * lines + 6, TILE_PX + 6
     rows = -(-len(chosen) // COLUMNS)

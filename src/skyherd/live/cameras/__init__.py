@@ -8,4 +8,13 @@ from skyherd.live.cameras.frame import Frame, Picture, Source
 from skyherd.live.cameras.mirrored import MirrorWatch
 from skyherd.live.cameras.reader import CameraReader
 
-__all__ = ["CameraReader", "Frame", "MirrorWatch", "Pace", "Picture", "Source", "check_camera", "open_camera"]
+__all__ = [
+    "CameraReader",
+    "Frame",
+    "MirrorWatch",
+    "Pace",
+    "Picture",
+    "Source",
+    "check_camera",
+    "open_camera",
+]

@@ -4,7 +4,7 @@ from skyherd.live.cameras.frame import Clock, Frame
 from skyherd.messages import Detections
 from skyherd.vision import explain_mirrored
 
-FIRST_S, MOST_S = 2.0, 60.0
+FIRST_S, MAX_S = 2.0, 60.0
 """How long after nothing was found the mirror image is looked at, and then ever later up to once in so long,
 s. *Chosen*: a camera is mirrored from its start; the look costs two detections."""
 
@@ -33,6 +33,6 @@ class MirrorWatch:
             self._next_s = self._clock() + FIRST_S
         elif self._clock() >= self._next_s:
             self.trouble = explain_mirrored(frame.image, self._dictionary)
-            self._every_s = min(2 * self._every_s, MOST_S)
+            self._every_s = min(2 * self._every_s, MAX_S)
             self._next_s = self._clock() + self._every_s
         return self.trouble

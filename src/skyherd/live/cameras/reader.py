@@ -23,7 +23,7 @@ OLD_S = 3.0
 """A stream that has shown nothing but pictures older than one before for so long is opened anew, s. *Chosen*:
 its clock may have begun again. Until then they are dropped, since they may be repeats."""
 
-FIRST_WAIT_S, MOST_WAIT_S = 0.25, 8.0
+FIRST_WAIT_S, MAX_WAIT_S = 0.25, 8.0
 """Pause before a stream that broke is opened again, doubled each time up to the second, s. *Chosen*: a short
 break costs little time, and a server that is down is left in peace."""
 
@@ -173,7 +173,7 @@ class CameraReader:
                 wait_s = FIRST_WAIT_S
             if self._pause(wait_s):
                 break
-            wait_s = min(2 * wait_s, MOST_WAIT_S)
+            wait_s = min(2 * wait_s, MAX_WAIT_S)
             with self._arrival:
                 self._tries += 1
         with self._arrival:

@@ -8,7 +8,7 @@ BURST = 0.5
 """A picture that comes sooner after another than this share of their distance on the stream's clock had been
 waiting somewhere. *Chosen*: pictures that come at their pace have a share of 1."""
 
-MOST_BURST_S = 2.0
+MAX_BURST_S = 2.0
 """A burst at the beginning is over after so long, s. *Chosen*: servers keep a second or so."""
 
 
@@ -48,6 +48,6 @@ class StreamStamps:
             passed_s = max(arrived_s - self._arrived_s, 0.0)
             self._offset_s = min(self._offset_s + DRIFT * passed_s, offset_s)
             at_pace = passed_s >= BURST * (stream_s - self._stream_s)
-            self.settled |= at_pace or arrived_s - self._began_s >= MOST_BURST_S
+            self.settled |= at_pace or arrived_s - self._began_s >= MAX_BURST_S
         self._stream_s, self._arrived_s = stream_s, arrived_s
         return stream_s + self._offset_s

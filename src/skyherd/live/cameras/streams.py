@@ -42,7 +42,7 @@ PROTOCOLS = {
 }
 """By scheme of an address, the protocols that FFmpeg may use for it, none of which reads a file."""
 
-LEAST_DELAY = {
+MIN_DELAY = {
     "fflags": "nobuffer",
     "flags": "low_delay",
     "analyzeduration": "1000000",
@@ -50,7 +50,7 @@ LEAST_DELAY = {
 }
 """What FFmpeg is told so that it keeps no picture back."""
 
-MOST_AGE_S = 10.0
+MAX_AGE_S = 10.0
 """A device's time is on our machine's clock if it lies in the past by no more than so much, s. *Chosen*: any
 other clock is off by more, but for a chance in many thousand."""
 
@@ -85,7 +85,7 @@ class Stream:
                 self.address,
                 "r",
                 format=self.form,
-                options=LEAST_DELAY | self.options,
+                options=MIN_DELAY | self.options,
                 timeout=(OPEN_S, READ_S),
             )
         try:
@@ -134,7 +134,7 @@ def age_on_this_machine(stream_s: float, now_s: float) -> float | None:
         now_s: the machine's, `time.monotonic`.
     """
     age_s = now_s - stream_s
-    return age_s if 0 <= age_s <= MOST_AGE_S else None
+    return age_s if 0 <= age_s <= MAX_AGE_S else None
 
 
 def stream_of(address: str) -> Stream:

@@ -21,7 +21,7 @@ RATE_HZ = 20.0
 HOLD_S = 0.5
 """Age at which a command is forgotten and zero is sent, s. *Chosen*: two or three images of a slow camera."""
 
-LEAST_SHARE = 0.25
+MIN_SHARE = 0.25
 """A new command is written at once, but no sooner after another than this share of the usual interval.
 *Chosen*: whoever sends too often does not fill a slow line."""
 
@@ -153,8 +153,8 @@ class RobotDriver:
 
     def _await_news(self, seconds: float) -> None:
         """Wait until there is a new command, for so long at most, and for a share of it in any case."""
-        if not self._closing.wait(LEAST_SHARE * seconds):
-            self._news.wait((1 - LEAST_SHARE) * seconds)
+        if not self._closing.wait(MIN_SHARE * seconds):
+            self._news.wait((1 - MIN_SHARE) * seconds)
         self._news.clear()
 
     def _due(self) -> Motion:

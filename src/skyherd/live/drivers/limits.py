@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from skyherd.live.drivers.link import STILL, Motion
 from skyherd.messages.checks import check_numbers
 
-MOST_STEP_S = 0.2
+MAX_STEP_S = 0.2
 """Time that passed between two commands counts as no more than this, s. *Chosen*: four times the usual
 interval; after a pause a robot speeds up no faster than otherwise."""
 
@@ -65,7 +65,7 @@ class Limiter:
         if not all(_is_finite(value) for value in wanted):
             self.last = STILL
             return STILL
-        passed_s = min(passed_s, MOST_STEP_S) if passed_s > 0 else 0.0
+        passed_s = min(passed_s, MAX_STEP_S) if passed_s > 0 else 0.0
         speed, growth = self.limits.speed_mps, self.limits.acceleration_mps2 * passed_s
         turn_growth = self.limits.turn_acceleration_radps2 * passed_s
         self.last = Motion(

@@ -26,7 +26,7 @@ WRITE_S = 0.2
 WAITING_BYTES = 64
 """With more than this still waiting to leave, a line is dropped. *Chosen*: about two lines."""
 
-MOST_BAUD = 100_000_000
+MAX_BAUD = 100_000_000
 """Greatest speed of a serial port, bit/s. *Chosen*: beyond any."""
 
 
@@ -70,7 +70,7 @@ def serial_place(address: str, robot_id: int) -> SerialPlace:
     if unknown := sorted(set(options) - {"baud"}):
         raise InputError(where, f"option {unknown[0]!r}", f"baud alone, as in {example}")
     baud = options.get("baud", str(BAUD))
-    if not baud.isdecimal() or not 0 < int(baud) <= MOST_BAUD:
+    if not baud.isdecimal() or not 0 < int(baud) <= MAX_BAUD:
         raise InputError(where, f"baud {baud!r}", f"a number of bits a second, as in {example}")
     return SerialPlace(parts.path, int(baud))
 

@@ -53,7 +53,7 @@ GID_BYTES = 16
 CONNECT_MS = 4000
 """How long the router may take to answer at the start, ms. *Chosen*."""
 
-MOST_CONFIG_BYTES = 2**20
+MAX_CONFIG_BYTES = 2**20
 """Size of the largest configuration of Zenoh that is read. *Chosen*: far beyond any."""
 
 NAME = re.compile(r"[A-Za-z_]\w*")
@@ -176,7 +176,7 @@ class Ros2:
         parts = urlsplit(address)
         file = dict(parse_qsl(parts.query)).get("config")
         if file:
-            text = read_text(Path(file), "a configuration of Zenoh, JSON5", MOST_CONFIG_BYTES)
+            text = read_text(Path(file), "a configuration of Zenoh, JSON5", MAX_CONFIG_BYTES)
             return self._zenoh.Config.from_json5(text)
         host = parts.hostname or "127.0.0.1"
         host = f"[{host}]" if ":" in host else host

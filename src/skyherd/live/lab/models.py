@@ -5,10 +5,10 @@ from typing import Annotated
 
 from pydantic import Field, FiniteFloat
 
-from skyherd.datasets import FlightModel, Model, SelectionModel, SizeModel
+from skyherd.datasets import FlightModel, Model, Point, SelectionModel, SizeModel
 from skyherd.errors import InputError
 
-MOST_ROBOTS = 1000
+MAX_ROBOTS = 1000
 """Greatest number of robots of a lab. Chosen: each is a process and a radio peer."""
 
 Seconds = Annotated[FiniteFloat, Field(ge=0.001, le=3600)]
@@ -30,8 +30,8 @@ class LabShape(Model):
     """The shape to form: one of `shape` and `points`."""
 
     shape: str | None = Field(None, description="circle, grid, line, star, triangle, or word:SKY")
-    points: list[tuple[FiniteFloat, FiniteFloat]] | None = Field(
-        None, max_length=MOST_ROBOTS, description="a point (x right, y up) for each robot, in any unit"
+    points: list[Point] | None = Field(
+        None, max_length=MAX_ROBOTS, description="a point (x right, y up) for each robot, in any unit"
     )
     size: SizeModel = Field(SizeModel(), description="how large the shape becomes")
     exchange: bool = Field(False, description="whether robots exchange their places for shorter ways")
@@ -79,7 +79,7 @@ class LabControl(Model):
     b_th: Annotated[FiniteFloat, Field(ge=0, le=100)] = Field(
         0.05, description="marker sides; robots nearer to their goal than this stop"
     )
-    neighbors: Annotated[int, Field(ge=1, le=MOST_ROBOTS)] = Field(
+    neighbors: Annotated[int, Field(ge=1, le=MAX_ROBOTS)] = Field(
         3, description="to how many nearest robots a unit sends each robot the distances"
     )
     rectify: bool = Field(True, description="learn tilt and lens of the cameras from the markers")
@@ -185,7 +185,7 @@ class LabModel(Model):
     shape: LabShape = Field(description="the shape to form")
     markers: LabMarkers = Field(description="the printed markers")
     cameras: list[LabCamera] = Field(min_length=1, max_length=64, description="the aerial units, 0, 1, …")
-    robots: list[LabRobot] = Field(min_length=2, max_length=MOST_ROBOTS, description="the robots")
+    robots: list[LabRobot] = Field(min_length=2, max_length=MAX_ROBOTS, description="the robots")
     control: LabControl = Field(LabControl(), description="the robots' law")
     selection: SelectionModel = Field(
         SelectionModel(radius=1.2), description="which robots each unit controls"

@@ -100,7 +100,7 @@ class Lab:
             return SizeRule(sides, sides)
         if model.spacing_sides is not None:
             return SizeRule(model.spacing_sides, model.spacing_sides)
-        return SizeRule(model.least_spacing_sides)
+        return SizeRule(model.min_spacing_sides)
 
     @property
     def clock_limits(self) -> ClockLimits:

@@ -4,6 +4,6 @@ Start with `make_live_report`.
 """
 
 from skyherd.live.review.page import make_live_report
-from skyherd.live.review.session_log import recorded_files
+from skyherd.live.review.session_history import recorded_files
 
 __all__ = ["make_live_report", "recorded_files"]

@@ -10,9 +10,9 @@ from skyherd.drawing.palette import INK, MUTED, UNIT_COLORS, WARNING, unit_color
 from skyherd.geometry import Array
 from skyherd.live.review.image_paths import draw_images
 from skyherd.live.review.latency import latency_stages, whole_way
-from skyherd.live.review.process_log import ProcessLog
+from skyherd.live.review.process_history import ProcessHistory
 from skyherd.live.review.reasons import DECIDING, armed_stretches, stretches, time_by_reason
-from skyherd.live.review.session_log import SessionLog
+from skyherd.live.review.session_history import SessionHistory
 from skyherd.live.robot_core import DRIVING
 from skyherd.plots.panels import Panel
 from skyherd.plots.style import (
@@ -25,7 +25,7 @@ from skyherd.plots.style import (
     use_log_scale,
 )
 
-ROW_IN, MOST_ROWS_IN = 0.3, 14.0
+ROW_IN, MAX_ROWS_IN = 0.3, 14.0
 """Height of a process in the timeline, and of all of them at most, inches. Chosen: names stay legible."""
 
 FIXED_COLORS = {DECIDING: UNIT_COLORS[0], DRIVING: UNIT_COLORS[2], "disarmed": "#d5d9de"}
@@ -34,14 +34,14 @@ FIXED_COLORS = {DECIDING: UNIT_COLORS[0], DRIVING: UNIT_COLORS[2], "disarmed": "
 REASON_COLORS = (*(UNIT_COLORS[k] for k in (1, 4, 3, 5, 6)), "#5a3a1a")
 """Colours of what else holds wheels still, by the time that it did; all further reasons share the last."""
 
-MOST_POINTS = 1500
+MAX_POINTS = 1500
 """Points of a curve that are drawn at most. Chosen: more than a figure has pixels across."""
 
 
-def draw_timeline(session: SessionLog) -> Figure:
+def draw_timeline(session: SessionHistory) -> Figure:
     """Draw what every process did and when, a row each."""
     names = list(session.runs)
-    row_in = min(ROW_IN, MOST_ROWS_IN / len(names))
+    row_in = min(ROW_IN, MAX_ROWS_IN / len(names))
     figure = new_figure(row_in * len(names) + 1.6)
     axes = figure.subplots()
     robots = list(session.logs("robot"))
@@ -73,7 +73,9 @@ def draw_timeline(session: SessionLog) -> Figure:
     return figure
 
 
-def _draw_process(axes: Axes, session: SessionLog, log: ProcessLog, row: int, colors: dict[str, str]) -> None:
+def _draw_process(
+    axes: Axes, session: SessionHistory, log: ProcessHistory, row: int, colors: dict[str, str]
+) -> None:
     found = stretches(session, log)
     for reason in {stretch.reason for stretch in found}:
         spans = [(one.start_s, one.length_s) for one in found if one.reason == reason]
@@ -85,7 +87,7 @@ def _draw_process(axes: Axes, session: SessionLog, log: ProcessLog, row: int, co
     axes.plot(refused_s, np.full(refused_s.size, row - 0.42), "|", color=INK, markersize=4)
 
 
-def draw_shape_error(session: SessionLog) -> Figure | None:
+def draw_shape_error(session: SessionHistory) -> Figure | None:
     """Draw how far the robots in each unit's images were from the shape; None if nobody knows."""
     logs = list(session.logs("unit"))
     if not any(np.isfinite(judged.shape_error) for log in logs for judged in log.judged):
@@ -108,7 +110,7 @@ def draw_shape_error(session: SessionLog) -> Figure | None:
     return figure
 
 
-def draw_latency(session: SessionLog) -> Figure | None:
+def draw_latency(session: SessionHistory) -> Figure | None:
     """Draw median and 99th percentile of each stage, and how old images were at commands over time."""
     stages = [stage for stage in latency_stages(session) if stage.times_s.size]
     if not stages:
@@ -151,7 +153,7 @@ def draw_latency(session: SessionLog) -> Figure | None:
     return figure
 
 
-def draw_news_age(session: SessionLog) -> Figure | None:
+def draw_news_age(session: SessionHistory) -> Figure | None:
     """Draw how old the newest image was that each robot decided by, and the age at which it stops."""
     logs = [log for log in session.logs("robot") if any(np.isfinite(one.image_age_s) for one in log.decided)]
     if not logs:
@@ -160,20 +162,20 @@ def draw_news_age(session: SessionLog) -> Figure | None:
     (axes,) = time_axes(figure, ["age of the newest image (s)"])
     limit_s = session.lab.model.limits.goal_timeout_s
     colors = dict(zip(session.lab.ids, robot_colors(len(session.lab.ids)), strict=True))
-    largest_s = limit_s
+    max_s = limit_s
     for log in logs:
         times_s = session.times_s(log, [decided.time_s for decided in log.decided])
         ages_s = np.array([decided.image_age_s for decided in log.decided])
-        largest_s = max(largest_s, float(np.nanpercentile(ages_s, 99)))
+        max_s = max(max_s, float(np.nanpercentile(ages_s, 99)))
         draw_line(axes, *_few(times_s, ages_s), color=colors[log.number], linewidth=0.8)
     axes.axhline(limit_s, color=WARNING, linestyle="--", linewidth=1.2)
-    axes.set_ylim(0, 1.25 * largest_s)
+    axes.set_ylim(0, 1.25 * max_s)
     robot_colorbar(figure, [axes], np.array(session.lab.ids))
     legend_above(figure, [Line2D([], [], color=WARNING, linestyle="--", label="older: robots stop")])
     return figure
 
 
-def draw_clocks(session: SessionLog) -> Figure | None:
+def draw_clocks(session: SessionHistory) -> Figure | None:
     """Draw the offsets of the units' clocks as every other process knew them, and how well."""
     figure = new_figure(3.2)
     (axes,) = time_axes(figure, ["clock offset (ms)"])
@@ -205,14 +207,14 @@ def draw_clocks(session: SessionLog) -> Figure | None:
 
 
 def _few(times_s: Array, values: Array) -> tuple[Array, Array]:
-    """A curve of at most `MOST_POINTS` points, each the largest value of its stretch, so that peaks stay."""
-    if times_s.size <= MOST_POINTS:
+    """A curve of at most `MAX_POINTS` points, each the largest value of its stretch, so that peaks stay."""
+    if times_s.size <= MAX_POINTS:
         return times_s, values
-    starts = np.linspace(0, times_s.size, MOST_POINTS, endpoint=False).astype(int)
+    starts = np.linspace(0, times_s.size, MAX_POINTS, endpoint=False).astype(int)
     return times_s[starts], np.fmax.reduceat(values, starts)
 
 
-PANELS: tuple[Panel[SessionLog], ...] = (
+PANELS: tuple[Panel[SessionHistory], ...] = (
     Panel(
         "timeline",
         "What each process did",

@@ -7,29 +7,29 @@ from matplotlib.lines import Line2D
 
 from skyherd.drawing.palette import INK, PAPER
 from skyherd.geometry import Array
-from skyherd.live.review.process_log import ProcessLog
-from skyherd.live.review.session_log import SessionLog
+from skyherd.live.review.process_history import ProcessHistory
+from skyherd.live.review.session_history import SessionHistory
 from skyherd.plots.style import frame_square, legend_above, new_figure, robot_colorbar, robot_colors
 
-MOST_PANELS = 12
+MAX_PANELS = 12
 """Units whose images are drawn at most. Chosen: more than a page can show well."""
 
-MOST_POINTS = 1500
+MAX_POINTS = 1500
 """Points of a path that are drawn at most. Chosen: more than a figure has pixels across."""
 
 GAP_S = 1.0
 """A path is not drawn over a time without the marker that is longer, s. Chosen: nobody knows the way."""
 
-MOST_LABELS = 24
+MAX_LABELS = 24
 """Robots that are numbered in images at most; the colour bar names those of more."""
 
 
-def draw_images(session: SessionLog) -> Figure | None:
+def draw_images(session: SessionHistory) -> Figure | None:
     """Draw the paths of the markers in each unit's image, and its last goals; None if there was no image."""
     units = [log for log in session.first_units() if any(run.seen for run in session.runs[log.name])]
     if not units:
         return None
-    units = units[:MOST_PANELS]
+    units = units[:MAX_PANELS]
     columns = min(len(units), 2)
     rows = -(-len(units) // columns)
     figure = new_figure((4.6 if columns == 1 else 3.2) * rows + 0.4)
@@ -41,7 +41,7 @@ def draw_images(session: SessionLog) -> Figure | None:
         axes.set_title(log.name)
     for axes in panels[len(units) :]:
         axes.set_visible(False)
-    if ids.size > MOST_LABELS:
+    if ids.size > MAX_LABELS:
         robot_colorbar(figure, list(panels), ids)
     handles = [
         Line2D([], [], color=INK, marker="s", linestyle="", markersize=4, label="first seen"),
@@ -52,7 +52,7 @@ def draw_images(session: SessionLog) -> Figure | None:
     return figure
 
 
-def _draw_image(axes: Axes, logs: list[ProcessLog], colors: dict[int, Array]) -> None:
+def _draw_image(axes: Axes, logs: list[ProcessHistory], colors: dict[int, Array]) -> None:
     images = [seen for log in logs for seen in log.seen]
     width, height = next(log.image_size_px for log in reversed(logs) if log.seen)
     all_ids = np.concatenate([seen.ids for seen in images])
@@ -62,11 +62,11 @@ def _draw_image(axes: Axes, logs: list[ProcessLog], colors: dict[int, Array]) ->
         rows = np.flatnonzero(all_ids == robot)
         if not rows.size:
             continue
-        rows = rows[:: -(-rows.size // MOST_POINTS)]
+        rows = rows[:: -(-rows.size // MAX_POINTS)]
         for piece in np.split(rows, np.flatnonzero(np.diff(all_times_s[rows]) > GAP_S) + 1):
             axes.plot(*all_points[piece].T, color=color, linewidth=1.0)
         first, last = all_points[rows[0]], all_points[rows[-1]]
-        labelled = len(colors) <= MOST_LABELS
+        labelled = len(colors) <= MAX_LABELS
         axes.plot(*first, "s", color=color, markersize=3.5)
         axes.plot(*last, "o", color=color, markersize=11 if labelled else 6, markeredgecolor=PAPER)
         if labelled:

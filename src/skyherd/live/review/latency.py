@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from skyherd.geometry import Array
-from skyherd.live.review.process_log import GoalNews
-from skyherd.live.review.session_log import SessionLog
+from skyherd.live.review.process_history import GoalNews
+from skyherd.live.review.session_history import SessionHistory
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class Stage:
         return float(np.percentile(self.times_s, 99)) if self.times_s.size else np.nan
 
 
-def latency_stages(session: SessionLog) -> list[Stage]:
+def latency_stages(session: SessionHistory) -> list[Stage]:
     """The stages in order, and last the whole way.
 
     Stages of a unit are measured once an image, those of robots once for each goal that one of them heard.
@@ -71,7 +71,7 @@ def latency_stages(session: SessionLog) -> list[Stage]:
     ]
 
 
-def whole_way(session: SessionLog) -> Iterator[tuple[str, Array, Array]]:
+def whole_way(session: SessionHistory) -> Iterator[tuple[str, Array, Array]]:
     """For each unit, when commands came that follow from its images, and how old these were then, s."""
     for name in session.runs:
         times, ages = [], []

@@ -15,9 +15,9 @@ from skyherd.files.output_folder import OutputFolder
 from skyherd.jobs.progress import NO_PROGRESS, Progress
 from skyherd.live.review.figures import PANELS
 from skyherd.live.review.latency import Stage, latency_stages
-from skyherd.live.review.process_log import ProcessLog
+from skyherd.live.review.process_history import ProcessHistory
 from skyherd.live.review.reasons import driving_share, time_by_reason
-from skyherd.live.review.session_log import SessionLog, clock_of, read_session
+from skyherd.live.review.session_history import SessionHistory, clock_of, read_session
 from skyherd.live.robot_core import DRIVING
 from skyherd.plots.panels import write_panels
 from skyherd.report.pages import Tile, figure_card, render_page
@@ -33,7 +33,7 @@ END_S = 1.0
 """The shape error at the end is the median over the images of so many seconds, s. Chosen: single images are
 noisy; in five times that a shape that still forms changes by a quarter."""
 
-MOST_LINES = 300
+MAX_LINES = 300
 """Lines of what processes told that the page shows at most, the first ones. Chosen: some pages of text."""
 
 
@@ -86,7 +86,7 @@ def make_live_report(folder: Path, progress: Progress = NO_PROGRESS) -> dict[str
     return summary
 
 
-def summarize_session(session: SessionLog) -> dict[str, Any]:
+def summarize_session(session: SessionHistory) -> dict[str, Any]:
     """The numbers of a live run, as JSON has them; None for what is not known."""
     robots = list(session.logs("robot"))
     summary: dict[str, Any] = {
@@ -115,26 +115,26 @@ def _known(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-def _last_runs(session: SessionLog, kind: str) -> list[ProcessLog]:
+def _last_runs(session: SessionHistory, kind: str) -> list[ProcessHistory]:
     """The last file of each process of a kind."""
     return [logs[-1] for name, logs in session.runs.items() if name.startswith(f"{kind}/")]
 
 
-def _end_error(session: SessionLog, log: ProcessLog) -> float | None:
+def _end_error(session: SessionHistory, log: ProcessHistory) -> float | None:
     """Median shape error of a unit's last images, None if it never knew one."""
     errors = [(judged.time_s, judged.shape_error) for judged in log.judged if np.isfinite(judged.shape_error)]
     last = [error for time_s, error in errors if time_s >= errors[-1][0] - END_S]
     return float(np.median(last)) if last else None
 
 
-def _lead(session: SessionLog) -> str:
+def _lead(session: SessionHistory) -> str:
     begun = datetime.fromtimestamp(max(0.0, min(session.zero_s, 1e10)), UTC)
     units, robots = len(session.lab.model.cameras), len(session.lab.ids)
     cameras = f"{units} camera{'s' * (units > 1)}"
     return f"{robots} robots under {cameras}, from {begun:%Y-%m-%d %H:%M:%S} UTC for {session.end_s:.0f} s."
 
 
-def _status(session: SessionLog) -> str:
+def _status(session: SessionHistory) -> str:
     """The sentence at the top of the page: whether the recordings are whole."""
     count = sum(len(logs) for logs in session.runs.values())
     if session.flaws:
@@ -142,7 +142,7 @@ def _status(session: SessionLog) -> str:
     return f"All {count} recordings are whole, and all processes ended as they should."
 
 
-def _tiles(session: SessionLog, summary: dict[str, Any]) -> list[Tile]:
+def _tiles(session: SessionHistory, summary: dict[str, Any]) -> list[Tile]:
     errors = [error for error in summary["shape_error"].values() if error is not None]
     whole = summary["latency_s"]["whole"]
     share = summary["driving_share"]
@@ -167,7 +167,7 @@ def _ms(value_s: float | None) -> str:
     )
 
 
-def _tables(session: SessionLog) -> list[Table]:
+def _tables(session: SessionHistory) -> list[Table]:
     return [
         Table(
             "Processes",
@@ -201,7 +201,7 @@ def _stage_row(stage: Stage) -> SummaryRow:
     return SummaryRow(stage.name, times, f"{stage.meaning} Measured {stage.times_s.size} times.")
 
 
-def _process_row(session: SessionLog, logs: Sequence[ProcessLog]) -> tuple[str, ...]:
+def _process_row(session: SessionHistory, logs: Sequence[ProcessHistory]) -> tuple[str, ...]:
     others = {reason: s for reason, s in time_by_reason(session, logs).items() if reason != DRIVING}
     is_unit = logs[0].is_unit
     share = driving_share(session, logs)
@@ -213,7 +213,7 @@ def _process_row(session: SessionLog, logs: Sequence[ProcessLog]) -> tuple[str, 
     return logs[0].name, str(len(logs)), str(decided), drove, mostly, str(refused), str(dropped), ended
 
 
-def _clock_rows(session: SessionLog, name: str) -> list[tuple[str, ...]]:
+def _clock_rows(session: SessionHistory, name: str) -> list[tuple[str, ...]]:
     """A row for the unit whose clock a process knows worst."""
     log = session.runs[name][-1]
     units = [other for other in session.runs if other.startswith("unit/") and other != name]
@@ -226,7 +226,7 @@ def _clock_rows(session: SessionLog, name: str) -> list[tuple[str, ...]]:
     return [(name, worst, _ms(known.offset_s), f"± {_ms(known.uncertainty_s)}")]
 
 
-def _lines(session: SessionLog) -> list[str]:
+def _lines(session: SessionHistory) -> list[str]:
     """What processes told people, and when each began and ended, in order."""
     told: list[tuple[float, str]] = []
     for name, logs in session.runs.items():
@@ -238,5 +238,5 @@ def _lines(session: SessionLog) -> list[str]:
             texts = [line.removeprefix(f"{name}: ") for _, line in log.lines]
             told += [(time_s, f"{name}: {text}") for time_s, text in zip(times_s, texts, strict=True)]
     lines = [f"{time_s:8.2f} s  {line}" for time_s, line in sorted(told)]
-    more = len(lines) - MOST_LINES
-    return lines[:MOST_LINES] + [f"… and {more} more"] * (more > 0)
+    more = len(lines) - MAX_LINES
+    return lines[:MAX_LINES] + [f"… and {more} more"] * (more > 0)

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skyherd.live.review.process_log import ProcessLog
-from skyherd.live.review.session_log import SessionLog
+from skyherd.live.review.process_history import ProcessHistory
+from skyherd.live.review.session_history import SessionHistory
 from skyherd.live.robot_core import DRIVING
 
 DECIDING = "decides on images"
@@ -37,7 +37,7 @@ def gist(reason: str) -> str:
     return _NUMBERS.sub("…", reason)
 
 
-def stretches(session: SessionLog, log: ProcessLog) -> list[Stretch]:
+def stretches(session: SessionHistory, log: ProcessHistory) -> list[Stretch]:
     """What the process of a file did, in order; what is between stretches of a unit had no image."""
     if log.is_unit:
         times_s = session.times_s(log, [stages.sent_s for stages in log.stages])
@@ -46,7 +46,7 @@ def stretches(session: SessionLog, log: ProcessLog) -> list[Stretch]:
     return _runs(times_s, [gist(decided.reason) for decided in log.decided], np.inf)
 
 
-def armed_stretches(session: SessionLog, log: ProcessLog) -> list[Stretch]:
+def armed_stretches(session: SessionHistory, log: ProcessHistory) -> list[Stretch]:
     """When the robot of a file was armed."""
     times_s = session.times_s(log, [decided.time_s for decided in log.decided])
     runs = _runs(times_s, ["armed" if decided.armed else "" for decided in log.decided], np.inf)
@@ -71,7 +71,7 @@ def _runs(times_s: np.ndarray, reasons: Sequence[str], gap_s: float) -> list[Str
     return found
 
 
-def time_by_reason(session: SessionLog, logs: Sequence[ProcessLog]) -> dict[str, float]:
+def time_by_reason(session: SessionHistory, logs: Sequence[ProcessHistory]) -> dict[str, float]:
     """How long processes did what, s, the longest first."""
     total_s: dict[str, float] = {}
     for log in logs:
@@ -80,7 +80,7 @@ def time_by_reason(session: SessionLog, logs: Sequence[ProcessLog]) -> dict[str,
     return dict(sorted(total_s.items(), key=lambda item: -item[1]))
 
 
-def driving_share(session: SessionLog, logs: Sequence[ProcessLog]) -> float:
+def driving_share(session: SessionHistory, logs: Sequence[ProcessHistory]) -> float:
     """Share of the time that robots decided in that they drove; NaN without any."""
     total_s = time_by_reason(session, logs)
     whole_s = sum(total_s.values())

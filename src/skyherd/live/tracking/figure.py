@@ -26,7 +26,7 @@ SIDE_IN, ERROR_IN = 3.4, 2.2
 COLUMNS = 2
 """Panels of tracks in a row at most. *Chosen*: they fill a page's width."""
 
-MOST_LABELS = 24
+MAX_LABELS = 24
 """Markers that are numbered at their last places at most; the colour bar names those of more."""
 
 NAME_LENGTH = 40
@@ -54,10 +54,8 @@ def draw_tracks(recordings: Sequence[GroundTracks], errors: Sequence[ShapeErrors
         ids = np.unique(np.concatenate([tracks.ids for tracks in shown]))
         colors = dict(zip(ids.tolist(), robot_colors(ids.size), strict=True))
         for axes, tracks in zip(panels, shown, strict=True):
-            _draw_recording(
-                axes, tracks, colors, titled=len(recordings) > 1, labelled=ids.size <= MOST_LABELS
-            )
-        if ids.size > MOST_LABELS:
+            _draw_recording(axes, tracks, colors, titled=len(recordings) > 1, labelled=ids.size <= MAX_LABELS)
+        if ids.size > MAX_LABELS:
             robot_colorbar(figure, panels, ids)
         if measured:
             _draw_errors(figure.add_subplot(grid[rows, :]), recordings, errors)

@@ -16,7 +16,7 @@ import numpy as np
 
 from skyherd.datasets import Mission
 from skyherd.live.live_clock import LiveClock
-from skyherd.live.radio import Post, Radio
+from skyherd.live.mailbox import Mailbox, Radio
 from skyherd.live.wire import Wheels
 from skyherd.live.world.camera_stream import CameraStream
 from skyherd.messages import FlightCommand, VelocityCommand
@@ -64,7 +64,7 @@ class WorldProcess:
         mission: what is simulated.
         speed: seconds of the scenario a second of real time.
         clock: the time of the wheels' commands.
-        post: what it hears.
+        mailbox: what it hears.
         path: where it records the truth; None for nowhere.
         streams: the cameras, by unit.
     """
@@ -72,7 +72,7 @@ class WorldProcess:
     mission: Mission
     speed: float
     clock: Callable[[], float]
-    post: Post
+    mailbox: Mailbox
     path: Path | None = None
     streams: Sequence[CameraStream] = ()
     wheels: dict[int, WheelState] = field(default_factory=dict, init=False)
@@ -97,7 +97,7 @@ class WorldProcess:
 
     def hear(self) -> None:
         """Take in what has come over the radio."""
-        for arrival in self.post.fetch():
+        for arrival in self.mailbox.fetch():
             message = arrival.envelope.message
             if isinstance(message, Wheels) and message.robot_id in self.wheels:
                 state = WheelState(message.v_mps, message.omega_radps, arrival.received_s)
@@ -209,12 +209,12 @@ def run_world(
     """
     clock = LiveClock()
     scenario = mission.scenario
-    post = Post(radio, team, "world", clock, ("wheels/**", "flight/**"), tell)
+    mailbox = Mailbox(radio, team, "world", clock, ("wheels/**", "flight/**"), tell)
     streams = [
         CameraStream(model.camera.size_px, model.frame_rate_hz * speed, first_port + unit)
         for unit, model in enumerate(scenario.units)
     ]
-    world = WorldProcess(mission, speed, clock, post, path, streams)
+    world = WorldProcess(mission, speed, clock, mailbox, path, streams)
     period_s = scenario.step_s / speed
     tell("cameras at " + " ".join(f"tcp://127.0.0.1:{stream.port}" for stream in streams))
     next_s, told_s, late = time.monotonic(), -math.inf, 0

@@ -12,12 +12,12 @@ from skyherd.geometry import ComplexArray, IntArray
 Law = Callable[[ComplexArray], ComplexArray]
 """A law: velocities (N,), m/s, of robots at positions (N,), m, both complex in the ground frame."""
 
-LEAST_DISTANCE_M = 1e-12
+MIN_DISTANCE_M = 1e-12
 """Distances are divided by at least this, m. Chosen: robots nearer than that are in one place; their bearing
 is then 0 instead of 0 / 0."""
 
 
-LEAST_HEIGHT = 1e-6
+MIN_HEIGHT = 1e-6
 """Triangles that are lower than this share of their longest side are left out. Chosen: far above the rounding
 of coordinates, 1e-16, by which points along a line make triangles, and far below the triangles of any shape
 that robots with bodies could form."""
@@ -35,7 +35,7 @@ def triangles(shape: ComplexArray) -> IntArray:
         corners = np.zeros((0, 3), dtype=np.int64)
     sides = shape[np.roll(corners, -1, axis=1)] - shape[corners]
     height = np.abs((sides[:, 0].conj() * sides[:, 1]).imag) / np.maximum(np.abs(sides).max(axis=1), 1e-300)
-    corners = np.asarray(corners[height > LEAST_HEIGHT * np.abs(sides).max(axis=1)])
+    corners = np.asarray(corners[height > MIN_HEIGHT * np.abs(sides).max(axis=1)])
     if not corners.size:
         raise InputError(
             "control.method", "the shape's points lie in a line", "a shape that has triangles, or similarity"
@@ -89,7 +89,7 @@ def within(groups: IntArray) -> IntArray:
 def bearings(positions: ComplexArray, first: IntArray, second: IntArray) -> ComplexArray:
     """Unit vectors (E,) from the first to the second robot of each pair; 0 for robots in one place."""
     apart = positions[second] - positions[first]
-    return np.asarray(apart / np.maximum(np.abs(apart), LEAST_DISTANCE_M))
+    return np.asarray(apart / np.maximum(np.abs(apart), MIN_DISTANCE_M))
 
 
 def pull_together(pulls: ComplexArray, first: IntArray, second: IntArray, count: int) -> ComplexArray:

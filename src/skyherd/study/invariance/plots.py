@@ -23,11 +23,11 @@ PANELS = (
 )
 """Panels of a figure from left to right: the field of `Measures`, and the panel's title."""
 
-LEAST = 1e-6
+MIN_SHOWN = 1e-6
 """Smaller values are drawn here, at the bottom of the logarithmic axes. Chosen: it is far above the rounding
 of exact images and below the detector's noise, so that neither hides the other."""
 
-MOST_TICKS = 6
+MAX_TICKS = 6
 """With at most this many values of the parameter each has a tick of its own; more would overlap."""
 
 AS_SEEN, RECTIFIED = UNIT_COLORS[1], UNIT_COLORS[0]
@@ -91,7 +91,7 @@ def draw_sweep(sweep: Sweep) -> Figure:
         axes.set_xlabel(sweep.label)
         if labels:
             axes.set_xticks(places, labels, rotation=35, ha="right")
-        elif len(places) <= MOST_TICKS:
+        elif len(places) <= MAX_TICKS:
             axes.set_xticks(places, [f"{place:g}" for place in places])
     legend_above(figure, _handles(), columns=6)
     return figure
@@ -108,19 +108,19 @@ def _places(points: Sequence[Point]) -> tuple[list[float], list[str]]:
 
 def _draw_panel(axes: Axes, sweep: Sweep, field: str, places: Sequence[float]) -> None:
     def shown(measures: Iterable[Measures]) -> Any:
-        return np.maximum(np.array([getattr(measure, field) for measure in measures], dtype=float), LEAST)
+        return np.maximum(np.array([getattr(measure, field) for measure in measures], dtype=float), MIN_SHOWN)
 
-    axes.fill_between(places, LEAST / 2, shown(sweep.floors()), color=MUTED, alpha=0.25, lw=0)
+    axes.fill_between(places, MIN_SHOWN / 2, shown(sweep.floors()), color=MUTED, alpha=0.25, lw=0)
     for perception, rectified, _, style in KINDS:
         values = shown(point.worst(perception, rectified=rectified) for point in sweep.points)
         axes.plot(places, values, **style)
     if not sweep.inside:
         predicted = np.array([getattr(point.predicted, field) for point in sweep.points], dtype=float)
-        axes.plot(places, np.where(predicted < LEAST, np.nan, predicted), **PREDICTED)
+        axes.plot(places, np.where(predicted < MIN_SHOWN, np.nan, predicted), **PREDICTED)
     axes.set_yscale("log")
     drawn = np.concatenate([np.asarray(line.get_ydata(), dtype=float) for line in axes.lines])
-    top = max(drawn[np.isfinite(drawn)], default=LEAST)
-    axes.set_ylim(LEAST / 2, max(2 * top, 10 * LEAST))
+    top = max(drawn[np.isfinite(drawn)], default=MIN_SHOWN)
+    axes.set_ylim(MIN_SHOWN / 2, max(2 * top, 10 * MIN_SHOWN))
     axes.yaxis.set_major_locator(LogLocator(numticks=8))
     axes.yaxis.set_minor_locator(NullLocator())
 

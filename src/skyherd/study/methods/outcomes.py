@@ -130,7 +130,7 @@ def _outcomes(rows: Sequence[Row]) -> Outcomes:
         errors=column("shape_error"),
         affine_errors=np.array([row[f"{CURVE}affine_error"][-1] for row in good], dtype=float),
         paths_m=column("path_length_m"),
-        detours=column("path_length_m") / column(f"{CURVE}least_path_m"),
+        detours=column("path_length_m") / column(f"{CURVE}min_path_m"),
         gaps_m=column("min_gap_m"),
         collided=column("collisions") > 0,
         messages_ps=column(f"{CURVE}messages_per_robot_s"),

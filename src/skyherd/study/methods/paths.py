@@ -17,7 +17,7 @@ COLUMNS = 5
 """Panels in a row, at most. Chosen: with seven they are too small to see single ways, with three the figure
 of ten methods is higher than a screen."""
 
-MOST_ZOOM = 2.2
+MAX_ZOOM = 2.2
 """Half the width of the frame over the distance of the farthest start from its middle, at most. Chosen: twice
 the start shows nearly all ways in full; a method that drives its robots apart would make the others' tiny."""
 
@@ -66,7 +66,7 @@ def _frame(all_places: Sequence[Array]) -> tuple[Array, float]:
     start = all_places[0][0]
     middle = (start.min(axis=0) + start.max(axis=0)) / 2
     most = max(float(np.abs(places - middle).max()) for places in all_places)
-    return middle, 1.1 * min(most, MOST_ZOOM * float(np.abs(start - middle).max()))
+    return middle, 1.1 * min(most, MAX_ZOOM * float(np.abs(start - middle).max()))
 
 
 def _draw_ways(axes: Axes, places: Array, bodies: Mapping[str, Any]) -> None:

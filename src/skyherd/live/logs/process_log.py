@@ -1,19 +1,19 @@
 """What one process hears, reads from its clock and does, as it happens, in an MCAP file of its own.
 
-Every input is there in the order in which it came, so that `skyherd.live.diaries.replay` decides anew from
+Every input is there in the order in which it came, so that `skyherd.live.logs.replay` decides anew from
 it:
 
     /about       first, and once more: who it is, the lab as it was checked, the versions, and the topics
     /heard       a message: its envelope, and when it arrived
     /detections  of a unit: the markers found in an image, and when the unit looked at them
-    /beat        when it gave a sign of life, and what it said
+    /heartbeat   when it gave a sign of life, and what it said
     /decide      of a robot: when it decided, its order to the wheels, and whether it was armed
     /sent        of a unit: what it sent on an image
     /view        of a unit: the image as it decided on it, with the goals in it and the shape error
     /stages      of a unit: when an image was taken, came in, was searched and was decided on
     /tell        a line for people
     /image, /overlay, /poses
-                 of a unit, now and then: see `skyherd.live.diaries.album`
+                 of a unit, now and then: see `skyherd.live.logs.frame_log`
     /end         the process ended as it should
 
 A process that is killed leaves all but the last half second.
@@ -24,10 +24,10 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from skyherd.live.diaries import album
-from skyherd.live.diaries.view import View
 from skyherd.live.lab import Lab
-from skyherd.live.radio import Arrival
+from skyherd.live.logs import frame_log
+from skyherd.live.logs.view import View
+from skyherd.live.mailbox import Arrival
 from skyherd.messages import Detections
 from skyherd.recording.mcap_log import CHUNK_BYTES, McapLog, Schema
 from skyherd.version import __version__
@@ -42,12 +42,12 @@ TOPICS: Mapping[str, Schema] = {
     "/end": ("skyherd.End", OBJECT),
     "/heard": ("skyherd.Heard", OBJECT),
     "/detections": ("skyherd.Seen", OBJECT),
-    "/beat": ("skyherd.Beating", OBJECT),
+    "/heartbeat": ("skyherd.Heartbeat", OBJECT),
     "/decide": ("skyherd.Decided", OBJECT),
     "/sent": ("skyherd.Sent", OBJECT),
     "/view": ("skyherd.View", View),
     "/stages": ("skyherd.Stages", OBJECT),
-    "/tell": ("skyherd.Told", OBJECT),
+    "/tell": ("skyherd.StatusLine", OBJECT),
 }
 """Topics of a process, and their schemas; the first two are those by which `skyherd.recording.survey` knows
 the beginning and the end of a recording."""
@@ -55,10 +55,10 @@ the beginning and the end of a recording."""
 
 def topics_of(name: str) -> dict[str, Schema]:
     """The topics of the file of a process; only units have pictures."""
-    return {**TOPICS, **(album.TOPICS if name.startswith("unit/") else {})}
+    return {**TOPICS, **(frame_log.TOPICS if name.startswith("unit/") else {})}
 
 
-class Diary:
+class ProcessLog:
     """Keeps what a process takes in and gives out; a disk that is full ends it with a line, and no more.
 
     Attributes:

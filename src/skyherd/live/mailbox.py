@@ -1,6 +1,6 @@
 """The radio as processes see it, and one that lies in memory, with which tests make it fail as they like.
 
-A radio carries bytes under topics and promises nothing: messages are lost, late, or twice. `Post` makes
+A radio carries bytes under topics and promises nothing: messages are lost, late, or twice. `Mailbox` makes
 envelopes of them for one process, and is the door at which all that is not for us ends.
 """
 
@@ -12,7 +12,7 @@ from typing import Protocol
 
 from skyherd.live.wire import Envelope, Message, Refusals, Refused, decode, encode
 
-MOST_WAITING = 5000
+MAX_WAITING = 5000
 """Messages that wait for a process at most; later ones are dropped, and counted. Chosen: ten seconds of a
 team of twenty; a process that is slower than its radio had better miss news than steer by old ones."""
 
@@ -47,7 +47,7 @@ class Arrival:
     received_s: float
 
 
-class Post:
+class Mailbox:
     """One process's messages: what it sends gets an envelope, what it receives is checked.
 
     Attributes:
@@ -75,7 +75,7 @@ class Post:
     ) -> None:
         self.name, self.refusals, self.dropped = name, Refusals(), 0
         self._radio, self._team, self._clock, self._tell = radio, team, clock, tell
-        self._waiting: queue.Queue[tuple[bytes, float]] = queue.Queue(MOST_WAITING)
+        self._waiting: queue.Queue[tuple[bytes, float]] = queue.Queue(MAX_WAITING)
         for kind in kinds:
             radio.subscribe(f"skyherd/*/{kind}", self._take)
 

@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import Any
 
 from skyherd.errors import InputError
-from skyherd.live.diaries.diary_file import read_diary
 from skyherd.live.lab import make_lab
+from skyherd.live.logs.process_log_file import read_process_log
 from skyherd.live.robot_core import RobotCore
 from skyherd.live.unit_core import UnitCore
 from skyherd.live.wire import Envelope, plain_message
@@ -42,7 +42,7 @@ def replay(path: Path) -> Replayed:
     core: RobotCore | UnitCore | None = None
     name, decisions, different, first_s, ended = "", 0, 0, None, False
     pending: bytes | None = None
-    for topic, record in read_diary(path):
+    for topic, record in read_process_log(path):
         if topic == "/about":
             if core is None:
                 name = record["name"]
@@ -54,8 +54,8 @@ def replay(path: Path) -> Replayed:
                 record["sender"], record["sent_s"], plain_message(record["kind"], record["body"])
             )
             core.receive(envelope, record["received_s"])
-        elif topic == "/beat":
-            core.beat(record["now_s"], "")
+        elif topic == "/heartbeat":
+            core.heartbeat(record["now_s"], "")
         elif topic == "/detections" and isinstance(core, UnitCore):
             news = core.see(from_plain(Detections, record["detections"]), record["now_s"])
             pending = to_json(None if news is None else news.messages)

@@ -7,7 +7,7 @@ import pytest
 from live_sessions import small_lab
 
 from skyherd.geometry import to_complex, to_points
-from skyherd.live.diaries.view import view_of
+from skyherd.live.logs.view import view_of
 from skyherd.messages import Detections
 from skyherd.messages.role_map import RoleMap
 

@@ -10,7 +10,7 @@ from skyherd.errors import InputError
 from skyherd.geometry import Array
 from skyherd.jobs.progress import NO_PROGRESS, Progress
 from skyherd.live.lab import Lab
-from skyherd.live.review.process_log import ProcessLog, read_log
+from skyherd.live.review.process_history import ProcessHistory, read_history
 from skyherd.messages.clock_offset import OffsetEstimate
 
 ALLOWED = "a folder of `skyherd live run`"
@@ -28,7 +28,7 @@ def recorded_files(folder: Path) -> list[Path]:
 
 
 @dataclass(frozen=True)
-class SessionLog:
+class SessionHistory:
     """A live run as its files have it.
 
     Times of a process are by its own clock; `times_s` lays them against that of one unit or robot, the
@@ -44,24 +44,24 @@ class SessionLog:
     """
 
     lab: Lab
-    runs: dict[str, list[ProcessLog]]
+    runs: dict[str, list[ProcessHistory]]
     flaws: list[str]
     reference: str
     zero_s: float
     end_s: float
 
-    def times_s(self, log: ProcessLog, times_s: Sequence[float] | Array) -> Array:
+    def times_s(self, log: ProcessHistory, times_s: Sequence[float] | Array) -> Array:
         """Times (N,) by the clock of a process, in seconds since the beginning of the run."""
         shift_s = clock_of(log, self.reference).offset_s
         return np.asarray(times_s, dtype=float) + shift_s - self.zero_s
 
-    def logs(self, kind: str) -> Iterator[ProcessLog]:
+    def logs(self, kind: str) -> Iterator[ProcessHistory]:
         """All files of `unit` or `robot`, in order."""
         for name, logs in self.runs.items():
             if name.startswith(f"{kind}/"):
                 yield from logs
 
-    def first_units(self) -> Iterator[ProcessLog]:
+    def first_units(self) -> Iterator[ProcessHistory]:
         """The first file of each unit."""
         return (logs[0] for logs in self.runs.values() if logs[0].is_unit)
 
@@ -82,7 +82,7 @@ class SessionLog:
         return "; ".join(self.flaws[:SHOWN_FLAWS]) + (f"; and {more} more" if more > 0 else "")
 
 
-def clock_of(log: ProcessLog, name: str) -> OffsetEstimate:
+def clock_of(log: ProcessHistory, name: str) -> OffsetEstimate:
     """What a process knew of another one's clock, all in all: the median, and its uncertainty in the median.
 
     Nothing is known of a process that it never compared clocks with; its own clock is its own.
@@ -98,7 +98,7 @@ def clock_of(log: ProcessLog, name: str) -> OffsetEstimate:
     )
 
 
-def read_session(folder: Path, progress: Progress = NO_PROGRESS) -> SessionLog:
+def read_session(folder: Path, progress: Progress = NO_PROGRESS) -> SessionHistory:
     """Read all files of a live run, as far as they can be read.
 
     Raises:
@@ -107,12 +107,12 @@ def read_session(folder: Path, progress: Progress = NO_PROGRESS) -> SessionLog:
     paths = recorded_files(folder)
     if not paths:
         raise InputError(str(folder), "no recordings of units or robots", ALLOWED)
-    logs: list[ProcessLog] = []
+    logs: list[ProcessHistory] = []
     flaws: list[str] = []
     for number, path in enumerate(paths):
         progress.update(folder.name, number, len(paths), path.name)
         try:
-            log = read_log(path)
+            log = read_history(path)
         except InputError as error:
             flaws.append(f"{path.name}: {error.what}")
             continue
@@ -130,7 +130,7 @@ def read_session(folder: Path, progress: Progress = NO_PROGRESS) -> SessionLog:
     return _joined(logs, flaws)
 
 
-def _joined(logs: list[ProcessLog], flaws: list[str]) -> SessionLog:
+def _joined(logs: list[ProcessHistory], flaws: list[str]) -> SessionHistory:
     lab = logs[0].lab
     names = [f"unit/{unit}" for unit in range(len(lab.model.cameras))] + [f"robot/{r}" for r in lab.ids]
     runs = {
@@ -148,4 +148,4 @@ def _joined(logs: list[ProcessLog], flaws: list[str]) -> SessionLog:
         for offset_s in [clock_of(log, reference).offset_s]
     ]
     zero_s = min(first for first, _ in spans)
-    return SessionLog(lab, runs, flaws, reference, zero_s, max(last for _, last in spans) - zero_s)
+    return SessionHistory(lab, runs, flaws, reference, zero_s, max(last for _, last in spans) - zero_s)

@@ -14,7 +14,7 @@ from skyherd.recording.survey import describe_flaws, read_chunk, survey
 ALLOWED = "a file of `skyherd live run`"
 """What is to be given where something else was, as complaints say it."""
 
-MOST_BYTES = 2**36
+MAX_BYTES = 2**36
 """Size of the largest file that is read, bytes. Chosen: as of recordings of simulated runs."""
 
 MALFORMED_RECORDS = (*MALFORMED, InputError, TypeError, AttributeError, IndexError, FloatingPointError)
@@ -26,7 +26,7 @@ class Entry(NamedTuple):
 
     Attributes:
         number: of the record in the file, from 0; what is missing between two was lost.
-        topic: as in `skyherd.live.diaries.diary`.
+        topic: as in `skyherd.live.logs.process_log`.
         content: dict, list, str, int, float, bool, None.
     """
 
@@ -35,7 +35,7 @@ class Entry(NamedTuple):
     content: Any
 
 
-class DiaryFile:
+class ProcessLogFile:
     """One process's file: what it lacks, and its records.
 
     Attributes:
@@ -49,7 +49,7 @@ class DiaryFile:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        with open_regular(path, ALLOWED, MOST_BYTES) as stream:
+        with open_regular(path, ALLOWED, MAX_BYTES) as stream:
             try:
                 found = survey(stream)
             except OSError as error:
@@ -63,7 +63,7 @@ class DiaryFile:
         Raises:
             MALFORMED_RECORDS: a record is not as this version writes it.
         """
-        with open_regular(self.path, ALLOWED, MOST_BYTES) as stream:
+        with open_regular(self.path, ALLOWED, MAX_BYTES) as stream:
             for chunk in self._chunks:
                 for message in read_chunk(stream, chunk.start):
                     topic = self._topics[message.channel_id]
@@ -71,7 +71,7 @@ class DiaryFile:
 
     def _read_topics(self) -> dict[int, str]:
         """The topics by the numbers of their channels, from the first record."""
-        with open_regular(self.path, ALLOWED, MOST_BYTES) as stream:
+        with open_regular(self.path, ALLOWED, MAX_BYTES) as stream:
             try:
                 first = read_chunk(stream, self._chunks[0].start)[0]
                 if first.channel_id == HEAD_CHANNEL:
@@ -83,13 +83,13 @@ class DiaryFile:
         raise InputError(str(self.path), f"nothing of a live process can be read in it{why}", ALLOWED)
 
 
-def read_diary(path: Path) -> Iterator[tuple[str, Any]]:
+def read_process_log(path: Path) -> Iterator[tuple[str, Any]]:
     """Iterate over topic and content of a process's records up to the first that is missing.
 
     Raises:
         InputError: there is no such file, or nothing of a live process can be read in it.
     """
-    for expected, entry in enumerate(DiaryFile(path).entries()):
+    for expected, entry in enumerate(ProcessLogFile(path).entries()):
         if entry.number != expected:
             return
         yield entry.topic, entry.content

@@ -15,8 +15,8 @@ import numpy.typing as npt
 
 from skyherd.control import Decision
 from skyherd.drawing.palette import INK, PAPER, UNIT_COLORS
-from skyherd.live.diaries.view import View
 from skyherd.live.ground import positions_in_sides
+from skyherd.live.logs.view import View
 from skyherd.messages import Detections, rows_of
 from skyherd.recording import foxglove
 from skyherd.recording.mcap_log import Schema
@@ -42,7 +42,7 @@ TOPICS: dict[str, Schema] = {
 """Topics of a unit's pictures, and their schemas."""
 
 
-class Album:
+class FrameLog:
     """Makes pictures of a unit's images, at most so many a second, and gives them when they are done.
 
     Args:
@@ -54,7 +54,7 @@ class Album:
     def __init__(self, unit: int, rate_hz: float, width_px: int) -> None:
         self._unit, self._rate_hz, self._width_px = unit, rate_hz, width_px
         self._due_s = -np.inf
-        self._maker = ThreadPoolExecutor(max_workers=1, thread_name_prefix="album")
+        self._maker = ThreadPoolExecutor(max_workers=1, thread_name_prefix="frame_log")
         self._made: Future[list[Page]] | None = None
 
     def show(

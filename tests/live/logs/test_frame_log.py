@@ -11,8 +11,8 @@ from live_sessions import small_lab
 from plain_messages import assert_valid, plain
 
 from skyherd.geometry import to_points
-from skyherd.live.diaries import album
-from skyherd.live.diaries.view import view_of
+from skyherd.live.logs import frame_log
+from skyherd.live.logs.view import view_of
 from skyherd.messages import Detections
 
 PATIENCE_S = 30.0
@@ -55,10 +55,10 @@ IMAGE = np.add.outer(np.arange(480) // 4, np.arange(640) // 8).astype(np.uint8)
 
 def test_a_page_has_the_image_the_markers_the_goals_and_the_places(seen, decided) -> None:
     decision, view = decided
-    made = {topic: plain(message) for topic, message in album.pages(0, 320, IMAGE, seen, decision, view)}
-    assert made.keys() == album.TOPICS.keys()
+    made = {topic: plain(message) for topic, message in frame_log.pages(0, 320, IMAGE, seen, decision, view)}
+    assert made.keys() == frame_log.TOPICS.keys()
     for topic, message in made.items():
-        assert_valid(message, album.TOPICS[topic][1], topic)
+        assert_valid(message, frame_log.TOPICS[topic][1], topic)
     picture = cv2.imdecode(
         np.frombuffer(base64.b64decode(made["/image"]["data"]), np.uint8), cv2.IMREAD_GRAYSCALE
     )
@@ -80,7 +80,7 @@ def test_a_page_has_the_image_the_markers_the_goals_and_the_places(seen, decided
 
 def test_places_on_the_ground_are_in_marker_sides(seen, decided) -> None:
     decision, view = decided
-    (poses,) = [m for topic, m in album.pages(2, 640, IMAGE, seen, decision, view) if topic == "/poses"]
+    (poses,) = [m for topic, m in frame_log.pages(2, 640, IMAGE, seen, decision, view) if topic == "/poses"]
     places = {one["child_frame_id"]: one for one in poses["transforms"]}
     assert places.keys() == {f"unit/2/robot/{robot}" for robot in range(4)}
     assert {one["parent_frame_id"] for one in places.values()} == {"unit/2/ground in marker sides"}
@@ -92,7 +92,7 @@ def test_places_on_the_ground_are_in_marker_sides(seen, decided) -> None:
 
 
 def test_an_image_that_was_not_decided_on_has_no_goals_and_no_places(seen) -> None:
-    made = dict(album.pages(0, 640, IMAGE, seen, None, None))
+    made = dict(frame_log.pages(0, 640, IMAGE, seen, None, None))
     assert made.keys() == {"/image", "/overlay"} and not made["/overlay"]["circles"]
 
 
@@ -105,14 +105,14 @@ def test_images_of_any_size(seen, shape) -> None:
             for name in ("ids", "centers_px", "headings_rad", "sides_px", "corners_px", "covariances")
         },
     )
-    made = dict(album.pages(0, 64, np.zeros(shape, dtype=np.uint8), nothing, None, None))
+    made = dict(frame_log.pages(0, 64, np.zeros(shape, dtype=np.uint8), nothing, None, None))
     assert made["/image"]["data"]
 
 
 @pytest.mark.parametrize(("rate_hz", "pictures"), [(0.0, 0), (2.0, 10), (100.0, 50)])
 def test_there_are_so_many_pictures_a_second(seen, rate_hz, pictures) -> None:
     made = []
-    with album.Album(0, rate_hz, 64) as kept:
+    with frame_log.FrameLog(0, rate_hz, 64) as kept:
         for step in range(50):
             kept.show(IMAGE[:4, :4], replace(seen, time_s=100 + 0.1 * step))
             if kept._made is not None:
@@ -128,8 +128,8 @@ def test_nobody_waits_for_a_picture(seen, monkeypatch) -> None:
         assert goes_on.wait(PATIENCE_S)
         return [("/image", arguments[2])]
 
-    monkeypatch.setattr(album, "pages", slow)
-    with album.Album(0, 10.0, 64) as kept:
+    monkeypatch.setattr(frame_log, "pages", slow)
+    with frame_log.FrameLog(0, 10.0, 64) as kept:
         for step in range(5):
             kept.show(IMAGE[step:], replace(seen, time_s=100.0 + step))
             assert not list(kept.done())

@@ -9,8 +9,8 @@ import numpy as np
 
 from skyherd.errors import InputError
 from skyherd.geometry import Array, IntArray
-from skyherd.live.diaries.diary_file import MALFORMED_RECORDS, DiaryFile
 from skyherd.live.lab import Lab, make_lab
+from skyherd.live.logs.process_log_file import MALFORMED_RECORDS, ProcessLogFile
 from skyherd.live.peers import PeerClocks
 from skyherd.live.wire import Envelope, is_stamp, plain_message
 from skyherd.messages import Detections, MotionGoals
@@ -52,7 +52,7 @@ class Seen(NamedTuple):
 
 
 class Judged(NamedTuple):
-    """The shape in one image, as `skyherd.live.diaries.view.View` has it."""
+    """The shape in one image, as `skyherd.live.logs.view.View` has it."""
 
     time_s: float
     shape_error: float
@@ -91,7 +91,7 @@ class Decided(NamedTuple):
 
 
 @dataclass
-class ProcessLog:
+class ProcessHistory:
     """What a file says of its process.
 
     Attributes:
@@ -180,7 +180,7 @@ class ProcessLog:
             news = GoalNews(envelope.sender, message.time_s, sent_s, received_s, np.nan, known)
             self._waiting.append(news)
 
-    def _take_beat(self, record: dict[str, Any]) -> None:
+    def _take_heartbeat(self, record: dict[str, Any]) -> None:
         now_s = self._now_s(record)
         refused = {_line(why): int(count) for why, count in record["refused"].items()}
         if sum(refused.values()) > sum(self.refused.values()):
@@ -235,18 +235,18 @@ class ProcessLog:
         self.lines.append((self._now_s(record), _line(record["line"])))
 
 
-def read_log(path: Path) -> ProcessLog:
+def read_history(path: Path) -> ProcessHistory:
     """Read a file of a live process, as far as it can be read; `flaws` says what is wrong with it.
 
     Raises:
         InputError: there is no such file, or nothing of a live process can be read in it.
     """
-    diary = DiaryFile(path)
-    log: ProcessLog | None = None
-    flaws = [str(flaw) for flaw in diary.flaws]
+    process_log = ProcessLogFile(path)
+    log: ProcessHistory | None = None
+    flaws = [str(flaw) for flaw in process_log.flaws]
     try:
         with np.errstate(invalid="raise", over="raise"):
-            for entry in diary.entries():
+            for entry in process_log.entries():
                 if log is not None:
                     log.take(entry.topic, entry.content)
                 elif entry.topic == "/about":
@@ -257,18 +257,18 @@ def read_log(path: Path) -> ProcessLog:
     if log is None:
         why = "; ".join(flaws) or "no record of who it is"
         raise InputError(str(path), why, "a file of `skyherd live run` of this version")
-    log.flaws, log.ended = flaws, diary.ended
+    log.flaws, log.ended = flaws, process_log.ended
     return log
 
 
-def _begin(path: Path, about: dict[str, Any]) -> ProcessLog:
+def _begin(path: Path, about: dict[str, Any]) -> ProcessHistory:
     """The log of a process, from what it says of itself first."""
     lab, name = make_lab(about["lab"], where=str(path)), str(about["name"])
     kind, _, number = name.partition("/")
     known = {"unit": range(len(lab.model.cameras)), "robot": lab.ids}
     if int(number) not in known[kind] or name != f"{kind}/{int(number)}":
         raise ValueError("name")
-    return ProcessLog(path, name, lab, _line(about["version"]))
+    return ProcessHistory(path, name, lab, _line(about["version"]))
 
 
 def _stamp(value: Any) -> float:

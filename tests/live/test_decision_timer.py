@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from live_sessions import Script
 
-from skyherd.live.radio import Arrival
-from skyherd.live.robot_process import LEAST_SHARE, Pace
-from skyherd.live.wire import Beat, Envelope, Sighting
+from skyherd.live.mailbox import Arrival
+from skyherd.live.robot_process import MIN_SHARE, DecisionTimer
+from skyherd.live.wire import Envelope, Heartbeat, Sighting
 
 PERIOD_S = 0.1
 GOALS = Script().goals(0)
@@ -18,14 +18,14 @@ def arrival(message):
 
 def decisions(news_s, until_s=2.0, step_s=1e-3, message=GOALS, robot=1):
     """Times of decisions of a loop that looks at its clock every millisecond."""
-    pace, made, news = Pace(PERIOD_S, 0.0), [], list(news_s)
+    timer, made, news = DecisionTimer(PERIOD_S, 0.0), [], list(news_s)
     for now_s in np.arange(0.0, until_s, step_s):
-        if now_s >= pace.due_s:
+        if now_s >= timer.due_s:
             made.append(now_s)
-            pace.decided(now_s)
+            timer.decided(now_s)
         while news and news[0] <= now_s:
             news.pop(0)
-            pace.hear(arrival(message), robot, now_s)
+            timer.hear(arrival(message), robot, now_s)
     return np.array(made)
 
 
@@ -44,12 +44,13 @@ def test_a_goal_is_decided_on_at_once() -> None:
 
 def test_many_goals_are_decided_on_five_times_a_period_at_most() -> None:
     made = decisions(np.arange(0.0, 2.0, 0.004))
-    assert np.diff(made).min() >= LEAST_SHARE * PERIOD_S - 1e-9
-    assert np.diff(made).max() <= LEAST_SHARE * PERIOD_S + 6e-3
+    assert np.diff(made).min() >= MIN_SHARE * PERIOD_S - 1e-9
+    assert np.diff(made).max() <= MIN_SHARE * PERIOD_S + 6e-3
 
 
 @pytest.mark.parametrize(
-    ("message", "robot"), [(GOALS, 9), (Beat({}), 1), (Sighting(0, 0.0, np.array([1]), np.array([], int)), 1)]
+    ("message", "robot"),
+    [(GOALS, 9), (Heartbeat({}), 1), (Sighting(0, 0.0, np.array([1]), np.array([], int)), 1)],
 )
 def test_what_is_no_goal_for_this_robot_changes_nothing(message, robot) -> None:
     np.testing.assert_array_equal(
@@ -58,8 +59,8 @@ def test_what_is_no_goal_for_this_robot_changes_nothing(message, robot) -> None:
 
 
 def test_a_loop_that_is_late_goes_on_from_there() -> None:
-    pace = Pace(PERIOD_S, 0.0)
-    pace.decided(5.0)
-    assert pace.due_s == 5.0
-    pace.decided(5.0)
-    assert pace.due_s == pytest.approx(5.1)
+    timer = DecisionTimer(PERIOD_S, 0.0)
+    timer.decided(5.0)
+    assert timer.due_s == 5.0
+    timer.decided(5.0)
+    assert timer.due_s == pytest.approx(5.1)

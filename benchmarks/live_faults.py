@@ -23,11 +23,12 @@ import numpy as np
 
 from skyherd.datasets import load_mission
 from skyherd.files.atomic import write_text
+from skyherd.live import operator, robot_process, unit_process
 from skyherd.live.lab import Lab, load_lab
 from skyherd.live.mailbox import Air, Mailbox, MemoryRadio
 from skyherd.live.robot_core import RobotCore
 from skyherd.live.unit_core import UnitCore
-from skyherd.live.wire import MAX_BYTES, Arm
+from skyherd.live.wire import MAX_BYTES, VERSION
 from skyherd.messages import VelocityCommand
 from skyherd.sim.physics import make_world
 from skyherd.sim.projected_perception import ProjectedPerception
@@ -41,8 +42,8 @@ HEARTBEAT_STEPS = 3
 HOLD_S = 0.5
 FORMED = 0.02
 KINDS = {
-    "unit": ("report/**", "heartbeat/**", "stop/**"),
-    "robot": ("goals/**", "proximity/**", "sighting/**", "heartbeat/unit/*", "arm/**", "stop/**"),
+    "unit": unit_process.HEARS,
+    "robot": robot_process.HEARS,
 }
 
 
@@ -105,9 +106,8 @@ class Team:
             self.start(f"unit/{unit}")
         for robot in lab.ids:
             self.start(f"robot/{robot}")
-        self.operator = Mailbox(
-            self.air.radio("operator"), lab.model.team, "operator", lambda: self.now_s, ("heartbeat/**",)
-        )
+        self.operator = operator.watch(lab, self.air.radio("operator"), lambda: self.now_s)
+        self._arming: tuple[operator.ArmCommand, float] | None = None
         self.wheels = {robot: (0.0, 0.0, -np.inf) for robot in lab.ids}
         self.imaged_s = dict.fromkeys(lab.ids, -np.inf)
         self.blind_s = dict.fromkeys(lab.ids, 0.0)
@@ -127,8 +127,9 @@ class Team:
             self.lab.model.team,
             name,
             lambda: self.now_s + process.offset_s,
-            KINDS[kind],
+            KINDS[kind] if kind == "unit" else (*KINDS[kind], f"heartbeat/{name}"),
             process.say,
+            lambda: process.core.latch,
         )
         process.core = getattr(self.lab, f"make_{kind}")(int(number))
         self.processes[name] = process
@@ -166,15 +167,15 @@ class Team:
         self.now_s = self.start_s + self._step * PERIOD_S
 
     def _command(self) -> None:
-        """The operator arms all robots, once, as `skyherd live arm` does: asking until it is heard."""
-        if self.armed_s is None or not self.armed_s <= self.time_s < self.armed_s + 3.0:
-            list(self.operator.fetch())
-            return
-        sessions = {
-            arrival.envelope.sender: arrival.envelope.message.session for arrival in self.operator.fetch()
-        }
-        if sessions := {name: session for name, session in sessions.items() if session}:
-            self.operator.send(Arm(sessions))
+        """The operator arms all robots, once, as `skyherd live arm` does: it repeats the command for 3 s."""
+        self.operator.listen(0.0)
+        if self.armed_s is not None and self.time_s >= self.armed_s:
+            self._arming, self.armed_s = (
+                (operator.ArmCommand(self.lab, self.operator), self.time_s + 3.0),
+                None,
+            )
+        if self._arming is not None and self.time_s < self._arming[1]:
+            self._arming[0].advance()
 
     def _look(self, process: Process, clock_s: float) -> None:
         unit = process.core.unit_id
@@ -298,12 +299,12 @@ def garbage(team: Team, rng: np.random.Generator, at_s: float) -> None:
         b"[]",
         b"null",
         json.dumps(
-            {"team": name, "version": 1, "sender": "unit/0", "sent_s": 1e308, "kind": "goals"}
+            {"team": name, "version": VERSION, "sender": "unit/0", "sent_s": 1e308, "kind": "goals"}
         ).encode(),
         json.dumps(
             {
                 "team": name,
-                "version": 1,
+                "version": VERSION,
                 "sender": "unit/0",
                 "sent_s": 5.0,
                 "kind": "goals",

@@ -15,7 +15,7 @@ from skyherd.live.live_clock import LiveClock
 from skyherd.live.logs.process_log import ProcessLog
 from skyherd.live.logs.process_log_file import read_process_log
 from skyherd.live.logs.replay import replay
-from skyherd.live.mailbox import Air, Mailbox
+from skyherd.live.mailbox import Air
 from skyherd.live.process_context import ProcessContext
 from skyherd.live.unit_process import UnitAtWork, run_unit
 from skyherd.recording.mcap_log import McapLog
@@ -213,8 +213,7 @@ def test_arm_and_stop_insist_until_all_answer(faults) -> None:
         team.step()
     rng = np.random.default_rng(0)
     team.air.drop = lambda topic, receiver: bool(rng.random() < 0.3)
-    mailbox = Mailbox(team.air.radio("desk"), team.lab.model.team, "desk", lambda: team.now_s, operator.HEARS)
-    watched = operator.Watch(mailbox, lambda: team.now_s)
+    watched = operator.watch(team.lab, team.air.radio("desk"), lambda: team.now_s, "desk")
     listen = watched.listen
 
     def listen_and_step(timeout_s):
@@ -222,8 +221,8 @@ def test_arm_and_stop_insist_until_all_answer(faults) -> None:
         listen(0.0)
 
     watched.listen = listen_and_step
-    assert operator.arm(team.lab, watched, settle_s=60.0).missing == []
-    assert operator.stop(team.lab, watched, "test", settle_s=60.0).missing == []
+    assert operator.arm(team.lab, watched, settle_s=60.0).missing == {}
+    assert operator.stop(team.lab, watched, "test", settle_s=60.0).missing == {}
     assert not any(p.core.armed for name, p in team.processes.items() if name.startswith("robot"))
 
 

@@ -12,6 +12,7 @@ from skyherd.control import MarkerGains, Wheels
 from skyherd.live.drivers import SpeedLimits
 from skyherd.live.peers import ClockLimits
 from skyherd.live.robot_core import DRIVING, RobotCore, RobotLimits
+from skyherd.live.stop_latch import StopLatch
 from skyherd.live.wire import Arm, Envelope, Heartbeat, Sighting, Stop
 from skyherd.messages import MotionGoals
 
@@ -48,7 +49,13 @@ class Scene:
         self.unit_says(Heartbeat({"robot/3": (self.now_s, self.now_s + self.offset_s)}))
 
     def arm(self) -> None:
-        self.core.receive(Envelope("operator", self.now_s, Arm({"robot/3": self.core.session})), self.now_s)
+        latch = self.core.latch.with_arm()
+        arm = Arm({"robot/3": self.core.session})
+        self.core.receive(Envelope("operator", self.now_s, arm, latch=latch), self.now_s)
+
+    def stop(self) -> None:
+        latch = self.core.latch.with_stop(self.now_s)
+        self.core.receive(Envelope("operator", self.now_s, Stop("test"), latch=latch), self.now_s)
 
     def see(self, age_s: float = 0.0, repeated=()) -> None:
         taken_s = self.now_s + self.offset_s - age_s
@@ -60,9 +67,16 @@ class Scene:
         self.orders.append(self.core.decide(self.now_s))
         return self.orders[-1]
 
-    def drive(self, steps: int = 10):
+    def wake(self) -> None:
+        """Let the robot decide for the first time, and a unit be heard after that."""
+        self.core.decide(self.now_s)
+        self.now_s += STEP_S
         self.core.decide(self.now_s)
         self.compare_clocks()
+
+    def drive(self, steps: int = 10):
+        self.wake()
+        self.see()
         self.arm()
         for _ in range(steps):
             self.see()
@@ -72,8 +86,7 @@ class Scene:
 
 def test_disarmed_at_start_and_says_what_would_happen() -> None:
     scene = Scene()
-    scene.core.decide(scene.now_s)
-    scene.compare_clocks()
+    scene.wake()
     for _ in range(5):
         scene.see()
         order = scene.step()
@@ -112,7 +125,7 @@ def test_old_images_do_not_count_however_often_they_come() -> None:
     for _ in range(30):
         scene.see(age_s=LIMITS.goal_timeout_s + 0.01)
         order = scene.step()
-    assert order.v_mps == 0 and "ago" in order.reason
+    assert order.v_mps == 0 and "stale image" in order.reason
 
 
 @pytest.mark.parametrize(("offset_s", "drives"), [(0.2, True), (-0.9, True), (2.0, False), (-20.0, False)])
@@ -129,7 +142,7 @@ def test_images_from_the_future_are_refused() -> None:
     for _ in range(30):
         scene.see(age_s=-0.3)
         order = scene.step()
-    assert order.v_mps == 0 and "from now" in order.reason
+    assert order.v_mps == 0 and "in the future" in order.reason
 
 
 def test_without_compared_clocks_nothing_moves() -> None:
@@ -165,16 +178,16 @@ def test_goals_without_sightings_do_not_move_it() -> None:
     assert order.v_mps == 0 and order.reason == "no unit sees its marker"
 
 
-def test_stop_disarms_and_an_arm_command_under_way_means_nothing() -> None:
+def test_stop_disarms_and_voids_an_arm_under_way() -> None:
     scene = Scene()
     scene.drive()
-    late = Arm({"robot/3": scene.core.session})
-    scene.core.receive(Envelope("operator", scene.now_s, Stop("space bar")), scene.now_s)
+    late = Envelope("operator", scene.now_s, Arm({"robot/3": scene.core.session}), latch=StopLatch(0, 9))
+    scene.stop()
     scene.see()
-    assert scene.step().reason == "disarmed"
-    scene.core.receive(Envelope("operator", scene.now_s, late), scene.now_s)
+    assert scene.step().reason == "stopped"
+    scene.core.receive(late, scene.now_s)
     scene.see()
-    assert scene.step().reason == "disarmed"
+    assert scene.step().reason == "stopped" and not scene.core.armed
     scene.arm()
     scene.see()
     assert scene.step().reason == DRIVING
@@ -240,7 +253,7 @@ def test_wheels_turn_only_while_everything_holds(script) -> None:
             scene.arm()
             armed = True
         elif action == "stop":
-            core.receive(Envelope("operator", scene.now_s, Stop("")), scene.now_s)
+            scene.stop()
             armed = False
         elif action == "goal":
             scene.unit_says(goals(scene.now_s + scene.offset_s, rho=value))

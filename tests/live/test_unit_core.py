@@ -85,7 +85,7 @@ def test_a_report_of_a_time_to_come_leads_nobody(make_detections) -> None:
     team.run(2.0)
     lie = replace(team.decisions[1][-1].report, time_s=200.0)
     team.tell(0, 102.0, lie)
-    assert "from now" in team.cores[0].trouble
+    assert "in the future" in team.cores[0].trouble
     own_s = 102.2
     news = team.cores[0].see(replace(team.image, time_s=own_s), own_s)
     assert news.decision.report.time_s == own_s

@@ -22,13 +22,61 @@ class Interrupted(Exception):
     """A verb was interrupted; the message says what is left. Typer would catch a KeyboardInterrupt."""
 
 
+class EndRequest:
+    """Whether a signal asked the process to end.
+
+    Attributes:
+        name: of the last signal, such as SIGTERM; empty if there was none.
+    """
+
+    def __init__(self) -> None:
+        self.name = ""
+        self._asked = threading.Event()
+
+    def ask(self, name: str = "") -> None:
+        """Ask for the end, by a signal of this name or for another reason."""
+        self.name = name or self.name
+        self._asked.set()
+
+    def is_asked(self) -> bool:
+        """Return whether the end was asked for."""
+        return self._asked.is_set()
+
+    @property
+    def exit_code(self) -> int:
+        """The exit code of a process that ended by the signal; 0 without one."""
+        return CODES.get(self.name, 0)
+
+
+@contextmanager
+def signals_as_requests() -> Iterator[EndRequest]:
+    """Let each signal of `CODES` ask for the end in the body, however often it comes, and raise nothing.
+
+    For bodies that have to end in order, such as those that move robots or own other processes.
+    """
+    request = EndRequest()
+
+    def ask(number: int, frame: FrameType | None) -> None:
+        request.ask(signal.Signals(number).name)
+
+    with _handling_signals(ask):
+        yield request
+
+
 class SignalReceived(KeyboardInterrupt):
     """One of `CODES` was received; `args[0]` is its name."""
 
 
 @contextmanager
 def signals_as_interrupts() -> Iterator[None]:
-    """Let each signal of `CODES` raise SignalReceived in the body; afterwards all is as it was."""
+    """Let each signal of `CODES` raise SignalReceived in the body; restore the handlers afterwards."""
+    with _handling_signals(_raise):
+        yield
+
+
+@contextmanager
+def _handling_signals(handle: Callable[[int, FrameType | None], None]) -> Iterator[None]:
+    """Handle the signals of `CODES` in the body, apart from those that are ignored, as under nohup."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -36,8 +84,8 @@ def signals_as_interrupts() -> Iterator[None]:
     before = {number: signal.getsignal(number) for number in numbers}
     try:
         for number, handler in before.items():
-            if handler not in (signal.SIG_IGN, None):  # as under nohup
-                signal.signal(number, _raise)
+            if handler not in (signal.SIG_IGN, None):
+                signal.signal(number, handle)
         yield
     finally:
         for number, handler in before.items():

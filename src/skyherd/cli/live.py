@@ -9,10 +9,12 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from skyherd.cli.console import say, say_table, warn
+from skyherd.cli.interrupts import signals_as_requests
 
 if TYPE_CHECKING:
     from skyherd.live.lab import Lab
     from skyherd.live.mailbox import Radio
+    from skyherd.live.operator import Outcome
 
 live_app = typer.Typer(help="Real cameras and robots: check, run, arm and stop a lab.", rich_markup_mode=None)
 
@@ -121,46 +123,55 @@ def run(
     from skyherd.live.session import run_session
 
     lab = load_lab(lab_file, settings or [])
-    return run_session(
-        lab,
-        lab_file,
-        out_dir,
-        cameras=[] if cameras is None else cameras.split(","),
-        dry_run=dry_run,
-        armed=armed,
-        duration_s=duration_s,
-        settings=settings or [],
-        insecure=insecure,
-        say=say,
-    )
+    with signals_as_requests() as request:
+        code = run_session(
+            lab,
+            lab_file,
+            out_dir,
+            cameras=[] if cameras is None else cameras.split(","),
+            dry_run=dry_run,
+            armed=armed,
+            duration_s=duration_s,
+            settings=settings or [],
+            insecure=insecure,
+            say=say,
+            ended=request.is_asked,
+        )
+    return request.exit_code or code
 
 
 @live_app.command()
 def arm(lab_file: LabFile, settings: Settings = None, insecure: Insecure = False) -> int:
-    """Let the wheels of all robots of a running lab turn. Exit code 1 if some robot did not answer."""
+    """Arm all robots of a running lab, which units have to see. Exit code 1 if some robot is not armed."""
     from skyherd.live import operator
     from skyherd.live.live_clock import LiveClock
 
     with joined_team(lab_file, settings, insecure) as (lab, radio):
-        outcome = operator.arm(lab, operator.watch(lab, radio, LiveClock()))
-    say(f"armed: {outcome.done or 'none'}")
-    if outcome.missing:
-        say(f"NOT armed: {outcome.missing}: these robots did not answer")
-    return 1 if outcome.missing else 0
+        return _report("armed", operator.arm(lab, operator.watch(lab, radio, LiveClock())))
 
 
 @live_app.command()
 def stop(lab_file: LabFile, settings: Settings = None, insecure: Insecure = False) -> int:
-    """Stop and disarm all robots of a running lab. Exit code 1 if some robot did not answer."""
+    """Stop and disarm all robots of a running lab until they are armed again.
+
+    Units send no goals meanwhile, so that a robot that misses the stop stands still within
+    `limits.goal_timeout_s`. Exit code 1 if some robot did not confirm the stop.
+    """
     from skyherd.live import operator
     from skyherd.live.live_clock import LiveClock
 
     with joined_team(lab_file, settings, insecure) as (lab, radio):
-        outcome = operator.stop(lab, operator.watch(lab, radio, LiveClock()), "skyherd live stop")
-    say(f"stopped: {outcome.done or 'none'}")
-    if outcome.missing:
-        say(f"no answer from: {outcome.missing}; a robot that hears nothing stops by itself")
-    return 1 if outcome.missing else 0
+        watched = operator.watch(lab, radio, LiveClock())
+        return _report("stopped", operator.stop(lab, watched, "skyherd live stop"))
+
+
+def _report(word: str, outcome: "Outcome") -> int:
+    """Print the result of a command; return 1 if some robot did not confirm it, else 0."""
+    from skyherd.live.session import outcome_lines
+
+    for line in outcome_lines(word, outcome):
+        say(line)
+    return int(not outcome.is_complete)
 
 
 @live_app.command()

@@ -1,18 +1,17 @@
 """`skyherd unit`, `skyherd robot` and `skyherd world`: single processes of a live team."""
 
 import os
-import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from types import FrameType
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from skyherd.cli.console import say
+from skyherd.cli.interrupts import EndRequest, signals_as_requests
 from skyherd.cli.live import Insecure, LabFile, Settings, joined_team
 
 if TYPE_CHECKING:
@@ -23,31 +22,12 @@ Supervised = Annotated[bool, typer.Option("--supervised", help="End when standar
 Offset = Annotated[float, typer.Option("--clock-offset", help="s; a clock that is off by this, for tests.")]
 
 
-@contextmanager
-def _asked_to_end(supervised: bool) -> Iterator[Callable[[], bool]]:
-    """Whether a signal asked for the end; of a supervised process, the end of its standard input as well."""
-    asked = threading.Event()
-
-    def ask(number: int, frame: FrameType | None) -> None:
-        asked.set()
-
-    names = [name for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
-    before = {name: signal.signal(getattr(signal, name), ask) for name in names}
-    if supervised:
-        threading.Thread(target=_read_to_end, args=[asked], daemon=True).start()
-    try:
-        yield asked.is_set
-    finally:
-        for name, handler in before.items():
-            signal.signal(getattr(signal, name), handler)
-
-
-def _read_to_end(asked: threading.Event) -> None:
-    """Read standard input until whoever holds its other end is gone, which asks for the end."""
+def _read_to_end(request: EndRequest) -> None:
+    """Read standard input until the process that holds its other end is gone, and ask for the end."""
     with suppress(OSError):
         while os.read(sys.stdin.fileno(), 4096):
             pass
-    asked.set()
+    request.ask()
 
 
 def _tell(line: str) -> None:
@@ -56,21 +36,27 @@ def _tell(line: str) -> None:
 
 
 @contextmanager
-def _context(
+def _process(
     lab_file: str,
+    name: str,
     folder: Path,
     settings: list[str] | None,
     insecure: bool,
     supervised: bool,
     clock_offset_s: float,
-) -> "Iterator[ProcessContext]":
-    """What a unit or a robot has, until a signal asks for the end."""
+) -> "Iterator[tuple[ProcessContext, EndRequest]]":
+    """Provide what a unit or a robot of this name needs, until a signal asks for the end."""
     from skyherd.live.live_clock import LiveClock
     from skyherd.live.process_context import ProcessContext
 
     clock = LiveClock(clock_offset_s)
-    with joined_team(lab_file, settings, insecure) as (lab, radio), _asked_to_end(supervised) as ended:
-        yield ProcessContext(lab, radio, clock, folder, _tell, ended)
+    with joined_team(lab_file, settings, insecure) as (lab, radio), signals_as_requests() as request:
+        lab.check_process(name)
+        if supervised:
+            threading.Thread(target=_read_to_end, args=[request], daemon=True).start()
+        context = ProcessContext(lab, radio, clock, folder, _tell, request.is_asked)
+        with context.claimed(name):
+            yield context, request
 
 
 def unit(
@@ -84,12 +70,13 @@ def unit(
     supervised: Supervised = False,
     clock_offset_s: Offset = 0.0,
 ) -> int:
-    """Be one aerial unit of a lab: its camera in, goals for its robots out, until Ctrl-C."""
+    """Run one aerial unit of a lab until Ctrl-C: its camera in, goals for its robots out."""
     from skyherd.live.unit_process import run_unit
 
-    with _context(lab_file, out_dir, settings, insecure, supervised, clock_offset_s) as context:
+    name = f"unit/{number}"
+    with _process(lab_file, name, out_dir, settings, insecure, supervised, clock_offset_s) as (context, end):
         run_unit(context, number, address=camera, dry_run=dry_run)
-    return 0
+    return end.exit_code
 
 
 def robot(
@@ -102,12 +89,13 @@ def robot(
     supervised: Supervised = False,
     clock_offset_s: Offset = 0.0,
 ) -> int:
-    """Be one robot of a lab: goals in, wheel commands out, until Ctrl-C, disarmed until armed."""
+    """Run one robot process. It starts disarmed and stops on Ctrl-C."""
     from skyherd.live.robot_process import run_robot
 
-    with _context(lab_file, out_dir, settings, insecure, supervised, clock_offset_s) as context:
+    name = f"robot/{marker}"
+    with _process(lab_file, name, out_dir, settings, insecure, supervised, clock_offset_s) as (context, end):
         run_robot(context, marker, dry_run=dry_run)
-    return 0
+    return end.exit_code
 
 
 def world(
@@ -125,14 +113,16 @@ def world(
     port: Annotated[int, typer.Option(min=1, max=65000, help="TCP port of the first camera.")] = 7461,
     insecure: Insecure = False,
 ) -> int:
-    """Be the world of a scenario: streams of its cameras out, wheel commands in, in real time."""
+    """Run the world of a scenario in real time: streams of its cameras out, wheel commands in."""
     from skyherd.datasets import load_mission
+    from skyherd.live.name_locks import hold_name
     from skyherd.live.world.process import run_world
 
     mission = load_mission(scenario, settings or [])
     with (
         joined_team(lab_file or mission.scenario.name, None, insecure) as (lab, radio),
-        _asked_to_end(supervised=False) as ended,
+        signals_as_requests() as request,
+        hold_name(lab, "world"),
     ):
         run_world(
             mission,
@@ -142,6 +132,6 @@ def world(
             path=record,
             first_port=port,
             tell=_tell,
-            ended=ended,
+            ended=request.is_asked,
         )
-    return 0
+    return request.exit_code

@@ -1,15 +1,17 @@
-"""The radio as processes see it, and one that lies in memory, with which tests make it fail as they like.
+"""The radio as processes see it, and a radio in memory for tests of its faults.
 
-A radio carries bytes under topics and promises nothing: messages are lost, late, or twice. `Mailbox` makes
-envelopes of them for one process, and is the door at which all that is not for us ends.
+A radio carries bytes under topics and promises nothing: messages are lost, late, repeated or reordered. A
+`Mailbox` puts the messages of one process into envelopes and validates those that arrive.
 """
 
 import queue
+import secrets
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from heapq import heappop, heappush
 from typing import Protocol
 
+from skyherd.live.stop_latch import StopLatch
 from skyherd.live.wire import Envelope, Message, Refusals, Refused, decode, encode
 
 MAX_WAITING = 5000
@@ -48,10 +50,14 @@ class Arrival:
 
 
 class Mailbox:
-    """One process's messages: what it sends gets an envelope, what it receives is checked.
+    """The messages of one process: outgoing ones get an envelope, incoming ones are validated.
+
+    Messages of its own are left out. Those that another process sends under the same name arrive, with an
+    `instance` that differs.
 
     Attributes:
         name: of the process, such as `unit/0`.
+        instance: random id of this process.
         refusals: what was refused, by reason.
         dropped: messages that were dropped since the process did not fetch them in time.
 
@@ -62,6 +68,7 @@ class Mailbox:
         clock: gives the time, s.
         kinds: topics to listen to, after the team's name: `goals/**`.
         tell: called with a line, the first time that something is refused for a reason.
+        latch: returns the stop and arm numbers that the process knows, for every message that it sends.
     """
 
     def __init__(
@@ -72,22 +79,25 @@ class Mailbox:
         clock: Callable[[], float],
         kinds: Sequence[str],
         tell: Callable[[str], None] = lambda line: None,
+        latch: Callable[[], StopLatch] = StopLatch,
     ) -> None:
         self.name, self.refusals, self.dropped = name, Refusals(), 0
+        self.instance = secrets.token_hex(4)
+        self._latch = latch
         self._radio, self._team, self._clock, self._tell = radio, team, clock, tell
         self._waiting: queue.Queue[tuple[bytes, float]] = queue.Queue(MAX_WAITING)
         for kind in kinds:
             radio.subscribe(f"skyherd/*/{kind}", self._take)
 
     def send(self, message: Message) -> Envelope:
-        """Send a message to whoever listens; returns it as it was sent."""
-        envelope = Envelope(self.name, self._clock(), message)
+        """Send a message to all listeners, and return its envelope."""
+        envelope = Envelope(self.name, self._clock(), message, self.instance, self._latch())
         topic = f"skyherd/{self._team}/{envelope.kind}/{self.name}"
         self._radio.publish(topic, encode(envelope, self._team))
         return envelope
 
     def fetch(self, timeout_s: float = 0.0) -> Iterator[Arrival]:
-        """All messages that have arrived, in order; waits for the first one for so long at most."""
+        """Yield the messages that have arrived, in order; wait for the first one up to `timeout_s`."""
         wait = timeout_s > 0
         while True:
             try:
@@ -101,7 +111,7 @@ class Mailbox:
                 if line := self.refusals.refuse(str(error)):
                     self._tell(f"refused a message {line}" if " " in line else line)
                 continue
-            if envelope.sender != self.name:
+            if (envelope.sender, envelope.instance) != (self.name, self.instance):
                 yield Arrival(envelope, received_s)
 
     def _take(self, data: bytes) -> None:

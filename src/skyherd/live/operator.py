@@ -1,111 +1,268 @@
-"""What a person at a keyboard may do from any process of the team: arm, stop, and watch."""
+"""Commands of an operator from any process of the team: arm, stop, and watch."""
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Protocol
 
 from skyherd.live.lab import Lab
-from skyherd.live.mailbox import Mailbox, Radio
+from skyherd.live.mailbox import Arrival, Mailbox, Radio
+from skyherd.live.peers import Instances
+from skyherd.live.stop_latch import NO_COMMAND, StopLatch
 from skyherd.live.wire import Arm, Heartbeat, Stop
 
 REPEAT_S = 0.2
 """Time between two sendings of a command, s. Chosen: messages may be lost."""
 
+LEARN_S = 1.0
+"""Time within which an operator learns the team's numbers, s. Chosen: four heartbeats of each process."""
+
 SETTLE_S = 3.0
-"""How long arm and stop wait for all robots, s. Chosen: a dozen signs of life of each."""
+"""Longest time that arm and stop wait for all robots, s. Chosen: a dozen heartbeats of each."""
 
 GONE_S = 2.0
-"""A process without a sign of life for so long counts as gone, s."""
+"""A process without a heartbeat for so long counts as gone, s."""
 
-HEARS = ("heartbeat/**",)
-"""What an operator listens to, after the team's name."""
+HEARS = ("heartbeat/**", "arm/**", "stop/**")
+"""Topics that an operator listens to, after the team's name."""
+
+
+@dataclass(frozen=True)
+class Sign:
+    """The last heartbeat of a process.
+
+    Attributes:
+        heartbeat: the message.
+        latch: the stop and arm numbers that it carried.
+        received_s: when it arrived, by the operator's clock.
+    """
+
+    heartbeat: Heartbeat
+    latch: StopLatch
+    received_s: float
 
 
 @dataclass
 class Watch:
-    """The last sign of life of each process.
+    """What an operator has heard of the team.
 
     Attributes:
-        heartbeats: by name, the sign and when it came.
-        mailbox: where they come from.
+        mailbox: its messages, which carry its latch.
+        clock: its own.
+        latch: the stop and arm numbers that it knows.
+        signs: the last heartbeat of each process, by name.
     """
 
     mailbox: Mailbox
     clock: Callable[[], float]
-    heartbeats: dict[str, tuple[Heartbeat, float]] = field(default_factory=dict)
+    latch: StopLatch = NO_COMMAND
+    signs: dict[str, Sign] = field(default_factory=dict)
+    _instances: dict[str, Instances] = field(default_factory=dict)
 
     def listen(self, timeout_s: float) -> None:
-        """Take in what has come; wait for something for so long at most."""
+        """Take in the messages that have arrived; wait for the first one up to `timeout_s`."""
         for arrival in self.mailbox.fetch(timeout_s):
-            if isinstance(arrival.envelope.message, Heartbeat):
-                self.heartbeats[arrival.envelope.sender] = arrival.envelope.message, arrival.received_s
+            self.hear(arrival)
+
+    def hear(self, arrival: Arrival) -> None:
+        """Take in one message."""
+        envelope = arrival.envelope
+        self.latch = self.latch.merged(envelope.latch)
+        if isinstance(envelope.message, Heartbeat):
+            self.signs[envelope.sender] = Sign(envelope.message, envelope.latch, arrival.received_s)
+            instances = self._instances.setdefault(envelope.sender, Instances(envelope.instance))
+            instances.hear(envelope.instance, arrival.received_s)
 
     def alive(self) -> dict[str, Heartbeat]:
-        """Signs of life of those that are there, by name."""
+        """Return the last heartbeats of the processes that are alive, by name."""
         now_s = self.clock()
         return {
-            name: heartbeat for name, (heartbeat, at_s) in self.heartbeats.items() if now_s - at_s <= GONE_S
+            name: sign.heartbeat for name, sign in self.signs.items() if now_s - sign.received_s <= GONE_S
         }
+
+    def is_ambiguous(self, name: str) -> bool:
+        """Return whether two processes use a name now."""
+        return name in self._instances and self._instances[name].conflict(self.clock())
+
+    def robot_sign(self, robot: int) -> Sign | None:
+        """Return the last heartbeat of a robot; None without one, or if two processes use its name."""
+        name = f"robot/{robot}"
+        return None if self.is_ambiguous(name) else self.signs.get(name)
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of a command to all robots.
+    """Result of a command to all robots.
 
     Attributes:
-        done: robots that did it.
-        missing: robots that did not say so.
+        done: robots that confirmed the command, by a heartbeat that names its number.
+        missing: robots that did not, each with its last known state in words.
+        failure: why the command as a whole failed; empty if it did not.
     """
 
     done: list[int]
-    missing: list[int]
+    missing: dict[int, str]
+    failure: str = ""
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether all robots confirmed the command."""
+        return not self.missing and not self.failure
+
+
+class Command(Protocol):
+    """A command that is repeated until all robots have confirmed it."""
+
+    def advance(self) -> bool:
+        """Send the command if it is due; return whether nothing is left to do."""
+        ...
+
+    def outcome(self) -> Outcome:
+        """Return the result so far."""
+        ...
+
+
+class StopCommand:
+    """Stops and disarms all robots, and latches the stop in every process of the team.
+
+    The stop counts as confirmed by a robot whose heartbeat names its number or a newer stop, and says that
+    the robot is disarmed. Heartbeats that were sent before the stop cannot do that.
+
+    Args:
+        lab: the set-up.
+        watched: what the operator has heard.
+        why: who asked for it, for people.
+    """
+
+    def __init__(self, lab: Lab, watched: Watch, why: str) -> None:
+        self._lab, self._watched, self._why = lab, watched, why
+        self._began_s = self._sent_s = watched.clock()
+        self._issue()
+
+    def advance(self) -> bool:
+        """Send the stop again if it is due; return whether all robots have confirmed it."""
+        now_s = self._watched.clock()
+        if not self._watched.latch.stopped and now_s - self._began_s <= LEARN_S:
+            # The operator did not know the team's numbers, and its clock is behind.
+            self._issue()
+        elif now_s - self._sent_s >= REPEAT_S:
+            self._sent_s = now_s
+            self._watched.mailbox.send(Stop(self._why))
+        return not self.outcome().missing
+
+    def outcome(self) -> Outcome:
+        """Return which robots have confirmed the stop."""
+        confirmed = {robot: self._has_stopped(robot) for robot in self._lab.ids}
+        overridden = not self._watched.latch.stopped
+        return _outcome(self._watched, confirmed, "a newer arm command overrides the stop" * overridden)
+
+    def _issue(self) -> None:
+        """Give the stop a new number, and send it."""
+        self._watched.latch = self._watched.latch.with_stop(self._watched.clock())
+        self._number = self._watched.latch.stop
+        self._watched.mailbox.send(Stop(self._why))
+
+    def _has_stopped(self, robot: int) -> bool:
+        sign = self._watched.robot_sign(robot)
+        return sign is not None and sign.latch.stop >= self._number and not sign.heartbeat.armed
+
+
+class ArmCommand:
+    """Arms all robots: one number, each robot at most once, given up at the first newer stop.
+
+    Args:
+        lab: the set-up.
+        watched: what the operator has heard.
+    """
+
+    def __init__(self, lab: Lab, watched: Watch) -> None:
+        self._lab, self._watched = lab, watched
+        self._sent_s = -float("inf")
+        self._done: set[int] = set()
+        latch = watched.latch.with_arm()
+        self._number = 0 if latch is None else latch.arm
+        watched.latch = latch or watched.latch
+
+    @property
+    def is_void(self) -> bool:
+        """Whether a stop is at least as new as this command, or no number was left for it."""
+        return self._watched.latch.stop >= self._number
+
+    def advance(self) -> bool:
+        """Send the command if it is due; return whether all robots are armed, or a stop is newer."""
+        self._done |= {robot for robot in self._lab.ids if self._is_armed(robot)}
+        if self.is_void or len(self._done) == len(self._lab.ids):
+            return True
+        if self._watched.clock() - self._sent_s >= REPEAT_S:
+            alive = self._watched.alive()
+            waiting = [f"robot/{robot}" for robot in self._lab.ids if robot not in self._done]
+            sessions = {name: alive[name].session for name in waiting if name in alive}
+            if sessions:
+                self._sent_s = self._watched.clock()
+                self._watched.mailbox.send(Arm(sessions))
+        return False
+
+    def outcome(self) -> Outcome:
+        """Return which robots are armed by this command."""
+        confirmed = {robot: robot in self._done and not self.is_void for robot in self._lab.ids}
+        if not self.is_void:
+            failure = ""
+        elif self._number:
+            failure = "the team was stopped meanwhile"
+        else:
+            failure = "no arm number is left above a forged stop: restart all processes of the team"
+        return _outcome(self._watched, confirmed, failure)
+
+    def _is_armed(self, robot: int) -> bool:
+        sign = self._watched.robot_sign(robot)
+        return sign is not None and sign.latch.arm >= self._number and sign.heartbeat.armed
 
 
 def watch(lab: Lab, radio: Radio, clock: Callable[[], float], name: str = "operator") -> Watch:
-    """Begin to listen to the team."""
-    return Watch(Mailbox(radio, lab.model.team, name, clock, HEARS), clock)
+    """Return a new operator of this name, which listens to the team from now on."""
+
+    def latch() -> StopLatch:
+        return watched.latch
+
+    watched = Watch(Mailbox(radio, lab.model.team, name, clock, HEARS, latch=latch), clock)
+    return watched
 
 
 def arm(lab: Lab, watched: Watch, settle_s: float = SETTLE_S) -> Outcome:
-    """Let the wheels of all robots turn; returns which of them are armed after `settle_s` at most."""
-    return _insist(lab, watched, settle_s, lambda heartbeat: heartbeat.armed, _arm)
+    """Arm all robots, and return which of them confirmed it within `settle_s`."""
+    began_s = watched.clock()
+    # An arm command overrides only stops that its sender knows, so the numbers have to be learnt first.
+    while watched.clock() - began_s < LEARN_S and len(watched.alive()) < len(lab.ids):
+        watched.listen(0.05)
+    return _insist(ArmCommand(lab, watched), watched, settle_s)
 
 
 def stop(lab: Lab, watched: Watch, why: str, settle_s: float = SETTLE_S) -> Outcome:
-    """Stop and disarm all robots; returns which of them are, and the command goes out at once."""
-    watched.mailbox.send(Stop(why))
-    return _insist(
-        lab, watched, settle_s, lambda heartbeat: not heartbeat.armed, lambda w: w.mailbox.send(Stop(why))
-    )
+    """Stop and disarm all robots at once, and return which of them confirmed it within `settle_s`."""
+    return _insist(StopCommand(lab, watched, why), watched, settle_s)
 
 
-def _arm(watched: Watch) -> None:
-    sessions = {name: heartbeat.session for name, heartbeat in watched.alive().items() if heartbeat.session}
-    if sessions:
-        watched.mailbox.send(Arm(sessions))
-
-
-def _insist(
-    lab: Lab,
-    watched: Watch,
-    settle_s: float,
-    is_done: Callable[[Heartbeat], bool],
-    ask: Callable[[Watch], object],
-) -> Outcome:
-    """Ask again and again until all robots have done it, by signs of life that came after the first ask."""
-    began_s, asked_s = watched.clock(), float("-inf")
-    end_s = time.monotonic() + settle_s
-    done: list[int] = []
-    while time.monotonic() < end_s and len(done) < len(lab.ids):
-        if time.monotonic() - asked_s >= REPEAT_S:
-            asked_s = time.monotonic()
-            ask(watched)
+def _insist(command: Command, watched: Watch, settle_s: float) -> Outcome:
+    """Repeat a command until nothing is left to do, up to `settle_s`."""
+    end_s = watched.clock() + settle_s
+    while not command.advance() and watched.clock() < end_s:
         watched.listen(0.05)
-        done = [
-            robot
-            for robot in lab.ids
-            if (found := watched.heartbeats.get(f"robot/{robot}"))
-            and found[1] > began_s
-            and is_done(found[0])
-        ]
-    return Outcome(done, [robot for robot in lab.ids if robot not in done])
+    return command.outcome()
+
+
+def _outcome(watched: Watch, confirmed: dict[int, bool], failure: str) -> Outcome:
+    """Return the result of a command, with the last known state of the robots that did not confirm it."""
+    missing = {robot: _last_state(watched, robot) for robot, has in confirmed.items() if not has}
+    return Outcome([robot for robot, has in confirmed.items() if has], missing, failure)
+
+
+def _last_state(watched: Watch, robot: int) -> str:
+    """Return the last known state of a robot and its age in words."""
+    name = f"robot/{robot}"
+    if watched.is_ambiguous(name):
+        return f"two processes are named {name}"
+    sign = watched.signs.get(name)
+    if sign is None:
+        return "never heard"
+    armed = "armed" if sign.heartbeat.armed else "disarmed"
+    age_s = max(0.0, watched.clock() - sign.received_s)
+    return f"{armed}, {sign.heartbeat.state or 'no state'}, heard {age_s:.1f} s ago"

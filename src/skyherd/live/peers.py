@@ -1,7 +1,8 @@
-"""What one process knows of the others' clocks, by the stamps on their messages."""
+"""What one process knows of the others: the offsets of their clocks, and names that two of them use."""
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
 from skyherd.live.wire import Envelope, Heartbeat
@@ -11,24 +12,62 @@ from skyherd.messages.clock_offset import ClockOffset, OffsetEstimate
 M = TypeVar("M", MotionGoals, Proximity)
 
 FORGET_S = 60.0
-"""A process that was silent for so long is forgotten, s. Chosen: a restart takes seconds, and a day of
-restarts under new names fills no memory."""
+"""Silence after which a process is forgotten, s. Chosen: a restart takes seconds, and a day of restarts under
+new names fills no memory."""
 
 MAX_PEERS = 2000
-"""Processes that are remembered at most. Chosen: twice the robots of the largest team that is simulated."""
+"""Largest number of processes that are remembered. Chosen: twice the robots of the largest simulated team."""
+
+CONFLICT_S = 3.0
+"""Time for which a name counts as used twice after the last sign of it, s. Chosen: a dozen heartbeats."""
+
+MAX_FORMER = 8
+"""Former instances of a name that are remembered. Chosen: more than restarts within `FORGET_S`."""
 
 
 @dataclass(frozen=True)
 class ClockLimits:
-    """When another clock is not to be trusted.
+    """Limits beyond which another clock is not trusted.
 
     Attributes:
-        offset_s: greatest offset; a clock that is farther off was set wrongly, and what it says is not used.
-        uncertainty_s: greatest uncertainty of the offset at which stamps still mean something.
+        offset_s: largest offset; a clock that is farther off was set wrongly, and its times are not used.
+        uncertainty_s: largest uncertainty of the offset at which times are used.
     """
 
     offset_s: float = 1.0
     uncertainty_s: float = 0.1
+
+
+@dataclass
+class Instances:
+    """The instances that sent messages under one name.
+
+    A restart changes the instance once. Two processes that use one name take turns, so that a former instance
+    is heard again.
+
+    Attributes:
+        current: the instance of the last message.
+        former: earlier instances, the last one at the end.
+        conflict_s: when a former instance was last heard again; -inf if never.
+    """
+
+    current: str
+    former: list[str] = field(default_factory=list)
+    conflict_s: float = -math.inf
+
+    def hear(self, instance: str, now_s: float) -> None:
+        """Take in the instance of a message that arrives now."""
+        if instance == self.current:
+            return
+        if instance in self.former:
+            self.conflict_s = now_s
+            self.former.remove(instance)
+        self.former = [*self.former, self.current][-MAX_FORMER:]
+        self.current = instance
+
+    def conflict(self, now_s: float) -> bool:
+        """Return whether two processes use the name now."""
+        return now_s - self.conflict_s <= CONFLICT_S
 
 
 class PeerClocks:
@@ -36,43 +75,49 @@ class PeerClocks:
 
     Attributes:
         name: of this process.
-        limits: when a clock is not to be trusted.
+        limits: when a clock is not trusted.
     """
 
     def __init__(self, name: str, limits: ClockLimits) -> None:
         self.name, self.limits = name, limits
         self._offsets: dict[str, ClockOffset] = {}
         self._last: dict[str, tuple[float, float]] = {}
+        self._instances: dict[str, Instances] = {}
 
     def hear(self, envelope: Envelope, now_s: float) -> None:
-        """Take in the stamps of a message that arrived now."""
-        if envelope.sender not in self._offsets and len(self._offsets) >= MAX_PEERS:
+        """Take in the stamps of a message that arrives now."""
+        sender = envelope.sender
+        if sender not in self._offsets and len(self._offsets) >= MAX_PEERS:
             return
-        offset = self._offsets.setdefault(envelope.sender, ClockOffset())
+        self._instances.setdefault(sender, Instances(envelope.instance)).hear(envelope.instance, now_s)
+        offset = self._offsets.setdefault(sender, ClockOffset())
         offset.hear(envelope.sent_s, now_s)
-        self._last[envelope.sender] = envelope.sent_s, now_s
+        self._last[sender] = envelope.sent_s, now_s
         if isinstance(envelope.message, Heartbeat) and self.name in envelope.message.heard:
             our_sent_s, their_received_s = envelope.message.heard[self.name]
-            if our_sent_s <= now_s:  # else it is of a run of ours with another clock
+            # A stamp after now is of an earlier run of this process, with another clock.
+            if our_sent_s <= now_s:
                 offset.confirm(our_sent_s, their_received_s, now_s)
 
     def heard(self, now_s: float) -> Mapping[str, tuple[float, float]]:
-        """By process, the stamps of its last message; those that fell silent are forgotten."""
+        """Return the stamps of the last message of each process, and forget silent processes."""
         for name in [name for name, (_, at_s) in self._last.items() if at_s < now_s - FORGET_S]:
-            del self._last[name], self._offsets[name]
+            del self._last[name], self._offsets[name], self._instances[name]
         return dict(self._last)
 
     def estimate(self, name: str, now_s: float) -> OffsetEstimate:
-        """What is known of one process's clock."""
+        """Return the estimated offset of one process's clock."""
         offset = self._offsets.get(name)
         return OffsetEstimate(0.0, float("inf")) if offset is None else offset.estimate(now_s)
 
     def resets(self) -> int:
-        """How often a clock was set, in all."""
+        """Return how often a clock was set, over all processes."""
         return sum(offset.resets for offset in self._offsets.values())
 
     def distrust(self, name: str, now_s: float) -> str | None:
-        """Why the stamps of a process are not used now; None where they are."""
+        """Return why the times of a process are not used now, or None if they are."""
+        if name in self._instances and self._instances[name].conflict(now_s):
+            return f"two processes are named {name}"
         known = self.estimate(name, now_s)
         if not known.is_known:
             return f"clock of {name} not compared yet"
@@ -82,6 +127,13 @@ class PeerClocks:
             return f"clock of {name} is known to {known.uncertainty_s:.2g} s only"
         return None
 
+    def was_sent_after(self, envelope: Envelope, since_s: float, now_s: float) -> bool:
+        """Return whether a message that arrives now was sent after a time by our clock."""
+        if self.distrust(envelope.sender, now_s):
+            return False
+        known = self.estimate(envelope.sender, now_s)
+        return envelope.sent_s - known.offset_s - known.uncertainty_s > since_s
+
     def in_our_time(self, message: M, name: str, now_s: float) -> M:
-        """The same message, with the time of its image by our clock."""
+        """Return the same message with the time of its image by this process's clock."""
         return replace(message, time_s=message.time_s - self.estimate(name, now_s).offset_s)

@@ -1,15 +1,18 @@
-"""One robot's own computer without sockets: messages and clock readings in, a speed for its wheels out.
+"""The computer of one robot without sockets: messages and clock readings in, wheel speeds out.
 
-The law is the simulator's (`GoalFollowers`, a team of one). Around it lies what keeps people and robots safe.
-Wheels turn only while every one of these holds, and each that does not is a reason in words:
+The control law is the simulator's (`GoalFollowers`, a team of one). The safety rules surround it. Wheels turn
+only while all of these conditions hold, and the first that fails is the reason that the robot reports:
 
-- the robot is armed, by a command that names the session that it is in now;
-- its own clock runs forwards, and no faster than decisions are made;
-- a goal from an image that is no older than `goal_timeout_s` is there, by clocks that were compared;
-- some unit has seen its marker within `unseen_s`, and none has seen it at two places since.
+- no stop is in force, and an arm command armed the robot for its current session (`skyherd.live.stop_latch`);
+- no other process uses the robot's name;
+- the robot's clock runs forwards, without a gap between two decisions;
+- a goal is fresh: its image is at most `goal_timeout_s` old, by clocks that were compared (the watchdog
+  against stale goals);
+- a unit saw the robot's marker within `unseen_s`, and none saw it at two places since;
+- a unit's message was sent after the robot's process started or woke up. It carries the stop number.
 
-What comes out is within the limits of speed and turn rate, whatever came in, and grows by no more than the
-limits of acceleration allow. To a stop there is no limit: zero is zero at once, and brakes are the drive's.
+The speeds are within the limits, whatever came in, and grow by no more than the limits of acceleration allow.
+A stop is not limited: zero is zero at once, and brakes are the drive's.
 """
 
 import math
@@ -28,7 +31,8 @@ from skyherd.control import (
 )
 from skyherd.live.drivers.limits import Limiter, SpeedLimits
 from skyherd.live.drivers.link import STILL, Motion
-from skyherd.live.peers import ClockLimits, PeerClocks
+from skyherd.live.peers import CONFLICT_S, ClockLimits, PeerClocks
+from skyherd.live.stop_latch import ArmState, StopLatch
 from skyherd.live.wire import Arm, Envelope, Heartbeat, Sighting, Stop
 from skyherd.messages import MotionGoals, Proximity, VelocityCommand
 from skyherd.messages.checks import check_numbers
@@ -37,12 +41,15 @@ FUTURE_S = 0.05
 """An image may seem to be taken this much after now, beyond the uncertainty of the clocks, s. Chosen: less
 than the time between two images; more than what the estimate of an offset moves between two messages."""
 
-LONGEST_GAP_S = 1.0
-"""A robot whose decisions are farther apart than this has slept, or its clock was set, s. Chosen: ten times
-the time between decisions, and longer than what a busy machine makes a process wait."""
+MAX_GAP_S = 1.0
+"""Longest time between two decisions of a process that did not sleep and whose clock was not set, s. Chosen:
+ten times the usual time, and longer than a busy machine lets a process wait."""
 
 DRIVING = "driving"
-"""The reason that is given where nothing stops the robot."""
+"""The reason that is reported while nothing stops the robot."""
+
+UNSEEN = "no unit sees its marker"
+"""The reason that is reported while the robot is outside all images."""
 
 
 @dataclass(frozen=True)
@@ -85,12 +92,11 @@ class Order:
 class RobotCore:
     """One robot, from the messages that it hears to the speeds of its wheels.
 
-    Everything that it does follows from the calls, so that a recording of them gives the same again.
+    Its decisions follow from the calls alone, so that a recording of the calls gives the same decisions.
 
     Attributes:
         robot_id: the marker.
-        armed: whether its wheels may turn.
-        clocks: what it knows of the others' clocks.
+        clocks: what it knows of the other processes' clocks.
 
     Args:
         robot_id: as the attribute.
@@ -120,69 +126,89 @@ class RobotCore:
         avoidance: AvoidanceRule | None = None,
     ) -> None:
         self.robot_id, self.name, self.limits = robot_id, f"robot/{robot_id}", limits
-        self.armed = False
         self.clocks = PeerClocks(self.name, clock_limits)
         self._units = sorted(unit_ids)
         self._law, self._wheels, self._side_m, self._delay_s = law, wheels, side_m, delay_s
         self._avoidance, self._other_ids = avoidance, sorted(other_ids or [])
+        self._arm_state = ArmState()
         self._started_s: float | None = None
-        self._stops = 0
         self._decided_s: float | None = None
+        self._woke_s, self._heard_since_woken = math.inf, False
+        self._namesake_s = -math.inf
         self._seen_s, self._doubled_s = -math.inf, -math.inf
         self._limiter = Limiter(limits.speeds)
         self._refused = ""
         self._forget()
 
     @property
-    def session(self) -> str:
-        """What an arm command has to name: when the robot started, and how often it was stopped since."""
-        return "" if self._started_s is None else f"{self._started_s:.6f}/{self._stops}"
+    def armed(self) -> bool:
+        """Whether an arm command is in force."""
+        return self._arm_state.armed
 
-    def stop(self) -> None:
-        """Disarm; arm commands under way mean nothing from now on."""
-        self.armed = False
-        self._stops += 1
+    @property
+    def latch(self) -> StopLatch:
+        """The stop and arm numbers that the robot knows."""
+        return self._arm_state.latch
+
+    @property
+    def session(self) -> str:
+        """The session that an arm command has to name: start time, and number of times disarmed since."""
+        return "" if self._started_s is None else f"{self._started_s:.6f}/{self._arm_state.disarmed_count}"
 
     def receive(self, envelope: Envelope, now_s: float) -> None:
-        """Take in a message that arrives now; nothing that it may hold raises."""
+        """Take in a message that arrives now. No content raises an error."""
         message = envelope.message
+        self._arm_state = self._arm_state.merge(envelope.latch)
         if isinstance(message, Stop):
-            self.stop()
+            # Also a stop with an old number disarms: its sender may not know the newest number yet.
+            self._arm_state = self._arm_state.disarm()
             return
         if not math.isfinite(now_s):
             return
+        if envelope.sender == self.name:
+            self._namesake_s = now_s
+            self._arm_state = self._arm_state.disarm() if self.armed else self._arm_state
+            return
         self.clocks.hear(envelope, now_s)
         if isinstance(message, Arm):
-            if self.session and message.sessions.get(self.name) == self.session:
-                self.armed = True
-        elif isinstance(message, MotionGoals | Proximity | Sighting):
-            self._hear_unit(message, envelope.sender, now_s)
+            if self.session and message.sessions.get(self.name) == self.session and self.is_ready(now_s):
+                self._arm_state = self._arm_state.arm(envelope.latch.arm)
+        elif isinstance(message, MotionGoals | Proximity | Sighting | Heartbeat):
+            self._heard_since_woken |= self.clocks.was_sent_after(envelope, self._woke_s, now_s)
+            if not isinstance(message, Heartbeat):
+                self._hear_unit(message, envelope.sender, now_s)
+
+    def is_ready(self, now_s: float) -> bool:
+        """Return whether the robot accepts an arm command now."""
+        return self._conflict(now_s) is None and self._is_seen(now_s)
 
     def heartbeat(self, now_s: float, state: str) -> Heartbeat:
-        """A sign of life of this robot."""
-        return Heartbeat(self.clocks.heard(now_s), state, self.session, self.armed)
+        """Return a sign of life of this robot."""
+        heard, ready = self.clocks.heard(now_s), self.is_ready(now_s)
+        return Heartbeat(heard, state, self.session, self.armed, ready)
 
     def image_age_s(self, now_s: float) -> float | None:
-        """How old the newest image is that a goal came from; None if there was none."""
+        """Return the age of the newest image that a goal came from, s, or None without a goal."""
         newest_s = float(self._team.inboxes.imaged_s.max())
         return now_s - newest_s if math.isfinite(newest_s) else None
 
     def decide(self, now_s: float) -> Order:
-        """What the wheels are to do from now on; called several times a second, come what may."""
+        """Return the next wheel command. Called periodically, also without new messages."""
         if not math.isfinite(now_s):
-            return self._halt("its own clock shows no time")
+            return self._stopped("its own clock shows no time")
         if self._started_s is None:
-            self._started_s = now_s
+            self._started_s = self._woke_s = now_s
         before_s, self._decided_s = self._decided_s, now_s
-        if before_s is not None and not 0 <= now_s - before_s <= LONGEST_GAP_S:
+        if before_s is not None and not 0 <= now_s - before_s <= MAX_GAP_S:
             was_doubled = before_s - self._doubled_s <= self.limits.unseen_s
             self._forget()
             self._doubled_s = now_s if was_doubled else self._doubled_s
-            return self._halt(f"its own clock moved by {now_s - before_s:+.3g} s between two decisions")
+            self._woke_s, self._heard_since_woken = now_s, False
+            return self._stopped(f"its own clock moved by {now_s - before_s:+.3g} s between two decisions")
         orders = self._team.decide(now_s, [])
         v_mps, omega_radps = float(orders.command.v_mps[0]), float(orders.command.omega_radps[0])
-        if reason := self._obstacle(now_s):
-            return self._halt(reason, v_mps, omega_radps, now_s)
+        if reason := self._stop_reason(now_s):
+            return self._stopped(reason, v_mps, omega_radps, now_s)
         told = self._limiter.limit(Motion(v_mps, omega_radps), 0.0 if before_s is None else now_s - before_s)
         self._record(told, now_s)
         return Order(
@@ -193,20 +219,33 @@ class RobotCore:
             wanted_omega_radps=omega_radps,
         )
 
-    def _obstacle(self, now_s: float) -> str | None:
-        """What holds the wheels still now; None if nothing does."""
-        limits = self.limits
-        if now_s - self._doubled_s <= limits.unseen_s:
-            return "its marker is seen at two places"
+    def _stop_reason(self, now_s: float) -> str | None:
+        """Return the reason why the robot must stand still, or None."""
+        if self.latch.stopped:
+            return "stopped"
+        if conflict := self._conflict(now_s):
+            return conflict
         if not self._team.inboxes.fresh(now_s).any():
-            if now_s - self._seen_s > limits.unseen_s:
-                return self._refused or "no unit sees its marker"
-            return self._refused or "no fresh goal"
-        if now_s - self._seen_s > limits.unseen_s:
-            return "no unit sees its marker"
+            return self._refused or ("no fresh goal" if self._is_seen(now_s) else UNSEEN)
+        if not self._is_seen(now_s):
+            return UNSEEN
+        if not self._heard_since_woken:
+            return "no message of a unit since the process started or woke up"
         return None if self.armed else "disarmed"
 
-    def _halt(
+    def _conflict(self, now_s: float) -> str | None:
+        """Return why it is unknown which robot the units see, or None."""
+        if now_s - self._namesake_s <= CONFLICT_S:
+            return f"another process is named {self.name}"
+        if now_s - self._doubled_s <= self.limits.unseen_s:
+            return "its marker is seen at two places"
+        return None
+
+    def _is_seen(self, now_s: float) -> bool:
+        """Return whether a unit saw the robot's marker recently."""
+        return now_s - self._seen_s <= self.limits.unseen_s
+
+    def _stopped(
         self, reason: str, v_mps: float = 0.0, omega_radps: float = 0.0, now_s: float | None = None
     ) -> Order:
         self._limiter.last = STILL
@@ -232,10 +271,10 @@ class RobotCore:
         known = self.clocks.estimate(sender, now_s)
         age_s = now_s - (message.time_s - known.offset_s)
         if age_s < -known.uncertainty_s - FUTURE_S:
-            self._refused = f"{sender} tells of an image {-age_s:.2g} s from now"
+            self._refused = f"image of {sender} is {-age_s:.2g} s in the future"
             return
         if age_s > self.limits.goal_timeout_s:
-            self._refused = f"{sender} tells of an image {age_s:.2g} s ago"
+            self._refused = f"stale image of {sender}: {age_s:.2g} s old"
             return
         self._refused = ""
         if isinstance(message, Sighting):

@@ -13,7 +13,7 @@ from skyherd.live.wire import Wheels
 from skyherd.messages import MotionGoals, VelocityCommand
 
 HEARS = ("goals/**", "proximity/**", "sighting/**", "heartbeat/unit/*", "arm/**", "stop/**")
-"""Topics that a robot listens to, after the team's name."""
+"""Topics that a robot listens to, after the team's name, beside the heartbeats in its own name."""
 
 MIN_SHARE = 0.2
 """Share of a period that a robot lets pass between two decisions at least. Chosen: goals of several units
@@ -73,7 +73,7 @@ def run_robot(context: ProcessContext, robot_id: int, *, dry_run: bool = False) 
     """
     lab, clock = context.lab, context.clock
     core = lab.make_robot(robot_id)
-    mailbox = context.mailbox(core.name, HEARS)
+    mailbox = context.mailbox(core.name, (*HEARS, f"heartbeat/{core.name}"), lambda: core.latch)
     with ExitStack() as stack:
         process_log = stack.enter_context(context.process_log(core.name))
         driver = stack.enter_context(_driver(context, mailbox, robot_id, dry_run=dry_run))

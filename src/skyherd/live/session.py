@@ -1,4 +1,4 @@
-"""`skyherd live run`: every process of a lab on this machine, one log, and a dashboard with a stop."""
+"""`skyherd live run`: all processes of a lab on this machine, one log, and a dashboard with a stop."""
 
 import math
 import os
@@ -20,15 +20,22 @@ from skyherd.live import operator
 from skyherd.live.cameras import check_camera
 from skyherd.live.lab import Lab, check_drivers
 from skyherd.live.live_clock import LiveClock
+from skyherd.live.name_locks import hold_name
+from skyherd.live.operator import ArmCommand, Command, StopCommand, Watch
+from skyherd.live.process_context import HEARTBEAT_S
 from skyherd.live.supervisor import WRONG, Supervisor
+from skyherd.live.wire import Heartbeat
 from skyherd.live.zenoh_radio import ZenohRadio
 from skyherd.text import printable
 
 REFRESH_HZ = 4.0
-"""How often the dashboard is drawn anew, 1/s."""
+"""Rate at which the dashboard is drawn, 1/s."""
 
 MAX_KEYS = 1024
 """Keys that are read at a time. Chosen: more than anybody presses within a drawing of the dashboard."""
+
+SESSION = "session"
+"""Name of the process that runs a lab."""
 
 LINES = 12
 """Lines of the log that the dashboard shows."""
@@ -46,79 +53,145 @@ def run_session(
     settings: Sequence[str],
     insecure: bool,
     say: Callable[[str], None],
+    ended: Callable[[], bool] = lambda: False,
 ) -> int:
-    """Run a lab until Ctrl-C, the end of its videos, or `duration_s`, and while units and robots are left.
+    """Run a lab until it is asked to end, and while units and robots are left.
 
     Args:
         lab: the set-up.
-        lab_file: where it was read from, for the processes.
-        folder: where everything is recorded; made, and must not be there.
-        cameras: addresses in place of the lab's.
-        dry_run: nothing is sent to robots.
-        armed: arm as soon as all robots are there.
-        duration_s: end after so long.
-        settings: what was put over the lab, for the processes.
+        lab_file: the file that it was read from, for the processes.
+        folder: where everything is recorded; it is made, and must not exist.
+        cameras: addresses that replace those of the lab.
+        dry_run: send nothing to robots.
+        armed: arm the robots once all of them are ready.
+        duration_s: end after this time.
+        settings: settings that were put over the lab, for the processes.
         insecure: allow a radio beyond this machine without TLS.
         say: prints a line.
+        ended: asked several times a second; True ends the run. It is the only way to interrupt a run, so that
+            the processes are ended in order however often a signal comes.
 
     Returns:
-        The exit code: that of processes which were given what is wrong, if there were any, and else 0.
+        The exit code: 2 if a process refused its input, 1 if a process is left, else 0.
 
     Raises:
-        InputError: a camera is not there or a driver cannot be, the folder is there, an address in place of
-            a camera's is empty, there are more or fewer of them than cameras, or the duration is none.
+        InputError: a camera or a driver cannot be used, the folder exists, an address in `cameras` is empty,
+            their number differs from that of the lab's cameras, the duration is not positive, or another
+            process on this machine runs the team.
     """
     _check_options(lab, cameras, duration_s)
     _check_addresses(lab, lab_file, cameras, dry_run=dry_run)
-    radio = ZenohRadio(lab.model.radio, lab.folder, insecure=insecure)
-    try:
-        folder = _make_folder(folder, lab)
-    except InputError:
-        radio.close()
-        raise
-    console = Console()
-    lines: deque[str] = deque(maxlen=LINES)
-    shows = console.is_terminal
-    supervisor = Supervisor(folder / "live.log", lines.append if shows else say)
-    watched = operator.watch(lab, radio, LiveClock(), "supervisor")
-    options = _process_options(folder, settings, insecure=insecure, dry_run=dry_run)
-    end_s = float("inf") if duration_s is None else time.monotonic() + duration_s
-    waiting_to_arm = armed
-    try:
-        _start_all(supervisor, lab, lab_file, cameras, options)
-        with _keys() as key, _display(console if shows else None) as draw:
-            while time.monotonic() < end_s and not _gone(supervisor):
-                supervisor.tend()
-                watched.listen(1 / REFRESH_HZ)
-                waiting_to_arm = _obey(key(), lab, watched, supervisor, waiting_to_arm=waiting_to_arm)
-                draw(_page(lab, watched, supervisor, lines))
-    except KeyboardInterrupt:
-        supervisor.say("live", "interrupted")
-    finally:
-        operator.stop(lab, watched, "the end", 0.3)
-        last_words = _last_words(supervisor)
-        for line in last_words:
-            supervisor.say("live", line)
-        supervisor.end()
-        radio.close()
+    with hold_name(lab, "live run"):
+        radio = ZenohRadio(lab.model.radio, lab.folder, insecure=insecure)
+        try:
+            folder = _make_folder(folder, lab)
+        except InputError:
+            radio.close()
+            raise
+        console = Console()
+        lines: deque[str] = deque(maxlen=LINES)
+        shows = console.is_terminal
+        supervisor = Supervisor(folder / "live.log", lines.append if shows else say)
+        watched = operator.watch(lab, radio, LiveClock(), SESSION)
+        session = Session(lab, watched, supervisor.say, arms=armed)
+        options = _process_options(folder, settings, insecure=insecure, dry_run=dry_run)
+        end_s = float("inf") if duration_s is None else time.monotonic() + duration_s
+        try:
+            _start_all(supervisor, lab, lab_file, cameras, options)
+            with _keys() as key, _display(console if shows else None) as draw:
+                while not ended() and time.monotonic() < end_s and not _gone(supervisor):
+                    supervisor.tend()
+                    session.step(key(), 1 / REFRESH_HZ)
+                    draw(_page(lab, watched, supervisor, lines))
+            if ended():
+                supervisor.say("live", "asked to end")
+        finally:
+            operator.stop(lab, watched, "the end", 0.3)
+            last_words = _last_words(supervisor)
+            for line in last_words:
+                supervisor.say("live", line)
+            left = supervisor.end()
+            radio.close()
+    last_words += [f"still running: {', '.join(left)}"] if left else []
     for line in last_words if shows else []:
         say(line)
     say(f"recorded in {folder}; `skyherd report {folder}` makes a page of it")
-    return WRONG if supervisor.refused else 0
+    return WRONG if supervisor.refused else int(bool(left))
 
 
-def _obey(
-    pressed: str, lab: Lab, watched: operator.Watch, supervisor: Supervisor, *, waiting_to_arm: bool
-) -> bool:
-    """Stop or arm as a key says, or as all robots are there; whether to go on waiting to arm."""
-    if pressed == " ":
-        _report(supervisor, "stopped", operator.stop(lab, watched, "space bar", 1.0))
-        return False
-    if pressed == "a" or (waiting_to_arm and _all_there(lab, watched)):
-        outcome = operator.arm(lab, watched, 2.0)
-        _report(supervisor, "armed", outcome)
-        return waiting_to_arm and bool(outcome.missing)
-    return waiting_to_arm
+class Session:
+    """The operator within a run: it obeys keys, arms the robots once, and keeps the team's stop number.
+
+    Args:
+        lab: the set-up.
+        watched: what it has heard.
+        tell: called with a name and a line for people.
+        arms: arm the robots once all of them are ready. A stop from anywhere cancels that.
+
+    Attributes:
+        arms: whether it still waits for all robots to be ready.
+    """
+
+    def __init__(
+        self, lab: Lab, watched: Watch, tell: Callable[[str, str], None], *, arms: bool = False
+    ) -> None:
+        self.arms = arms
+        self._lab, self._watched, self._tell = lab, watched, tell
+        self._running: tuple[str, Command, float] | None = None
+        self._beaten_s = -math.inf
+        self._met_other = False
+        self._known_stop = watched.latch.stop
+
+    def step(self, pressed: str, timeout_s: float) -> None:
+        """Take in messages for a while, obey a key, and go on with what is under way."""
+        watched = self._watched
+        if pressed == " ":
+            self._begin("stopped", StopCommand(self._lab, watched, "space bar"), operator.SETTLE_S)
+        watched.listen(timeout_s)
+        if watched.latch.stop > self._known_stop:
+            self._known_stop = watched.latch.stop
+            if self.arms:
+                self.arms = False
+                self._tell("live", "the team was stopped: robots are not armed until the key a is pressed")
+        if pressed == "a":
+            self._begin("armed", ArmCommand(self._lab, watched), operator.SETTLE_S)
+        elif self.arms and self._all_ready():
+            self.arms = False
+            self._begin("armed", ArmCommand(self._lab, watched), math.inf)
+        self._advance()
+        if SESSION in watched.signs and not self._met_other:
+            self._met_other = True
+            self._tell("live", "another `live run` of this team is alive on another machine: end one of them")
+        if watched.clock() - self._beaten_s >= HEARTBEAT_S:
+            # Its heartbeat carries the stop number to processes that restart.
+            self._beaten_s = watched.clock()
+            watched.mailbox.send(Heartbeat({}, "runs the lab"))
+
+    def _begin(self, word: str, command: Command, settle_s: float) -> None:
+        """Begin a command, which replaces one that is under way."""
+        self._running = word, command, self._watched.clock() + settle_s
+
+    def _advance(self) -> None:
+        """Go on with the command that is under way, and report it when it is done."""
+        if self._running is None:
+            return
+        word, command, end_s = self._running
+        if command.advance() or self._watched.clock() >= end_s:
+            self._running = None
+            for line in outcome_lines(word, command.outcome()):
+                self._tell("live", line)
+
+    def _all_ready(self) -> bool:
+        """Return whether every robot is alive and accepts an arm command."""
+        alive = self._watched.alive()
+        return all((sign := alive.get(f"robot/{robot}")) and sign.ready for robot in self._lab.ids)
+
+
+def outcome_lines(word: str, outcome: operator.Outcome) -> list[str]:
+    """Return the result of a command in lines: the robots that did it, and the state of the others."""
+    lines = [f"{word}: {', '.join(map(str, outcome.done)) or 'none'}"]
+    lines += [f"NOT {word}: {outcome.failure}"] if outcome.failure else []
+    return lines + [f"NOT {word}: robot {robot}: {state}" for robot, state in outcome.missing.items()]
 
 
 def _process_options(folder: Path, settings: Sequence[str], *, insecure: bool, dry_run: bool) -> list[str]:
@@ -195,16 +268,6 @@ def _start_all(
         supervisor.add(f"robot/{robot}", ["robot", lab_file, str(robot), *options])
 
 
-def _all_there(lab: Lab, watched: operator.Watch) -> bool:
-    alive = watched.alive()
-    return all(f"robot/{robot}" in alive for robot in lab.ids)
-
-
-def _report(supervisor: Supervisor, word: str, outcome: operator.Outcome) -> None:
-    rest = f"; no answer from {outcome.missing}" if outcome.missing else ""
-    supervisor.say("live", f"{word}: {outcome.done or 'none'}{rest}")
-
-
 def _page(lab: Lab, watched: operator.Watch, supervisor: Supervisor, lines: Sequence[str]) -> Group:
     """The dashboard."""
     alive = watched.alive()
@@ -215,6 +278,7 @@ def _page(lab: Lab, watched: operator.Watch, supervisor: Supervisor, lines: Sequ
     for child in supervisor.children:
         heartbeat = alive.get(child.name)
         says = "no sign of life" if heartbeat is None else printable(heartbeat.state)
+        says = f"two processes are named {child.name}" if watched.is_ambiguous(child.name) else says
         mark = "" if heartbeat is None or not heartbeat.session else "ARMED" if heartbeat.armed else "no"
         table.add_row(child.name, str(child.restarts + 1), mark, Text(says))
     head = (

@@ -1,10 +1,11 @@
-"""All processes of a lab on one machine: started, started again when they crash, and ended together."""
+"""All processes of a lab on one machine: started, restarted when they crash, and ended together."""
 
 import subprocess
 import sys
 import threading
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO
@@ -22,11 +23,16 @@ END_S = 10.0
 """How long processes have to end when they are asked to, before they are killed, s. Chosen: wheels are told
 to stand still at once; the rest is a recording's last chunk."""
 
+KILL_S = 5.0
+"""Longest wait for a process that was killed, s. Chosen: the system ends it at once unless it waits for a
+device."""
+
 WRONG = 2
 """Exit code of a process that was given what is wrong."""
 
-DONE = frozenset({0, WRONG})
-"""Exit codes after which a process is not started again: it is done, or what it was given is wrong."""
+DONE = frozenset({0, WRONG, 129, 130, 143})
+"""Exit codes after which a process is not restarted: it is done, its input is wrong, or a signal (SIGHUP,
+SIGINT, SIGTERM) asked it to end."""
 
 
 @dataclass
@@ -108,8 +114,8 @@ class Supervisor:
         """Names of the processes that ended because what they were given is wrong."""
         return [child.name for child in self.children if child.code == WRONG]
 
-    def end(self) -> None:
-        """Ask all processes to end, and kill those that do not."""
+    def end(self) -> list[str]:
+        """Ask all processes to end, kill those that do not, and return the names of those still running."""
         for child in self.children:
             if child.process is not None:
                 child.process.terminate()
@@ -121,13 +127,17 @@ class Supervisor:
                 child.process.wait(max(0.05, limit_s - time.monotonic()))
             except subprocess.TimeoutExpired:
                 child.process.kill()
-                child.process.wait()
+                with suppress(subprocess.TimeoutExpired):
+                    child.process.wait(KILL_S)
                 self.say(child.name, "did not end, and was killed")
             if child.process.stdin is not None:
                 child.process.stdin.close()
-            child.code, child.process = child.process.returncode, None
+            child.code = child.process.returncode
+            if child.code is not None:
+                child.process = None
         with self._lock:
             self._log.close()
+        return [child.name for child in self.children if child.process is not None]
 
     def say(self, name: str, line: str) -> None:
         """Write a line of a process, or on it, into the log."""
@@ -136,7 +146,7 @@ class Supervisor:
             if not self._log.closed:
                 self._log.write(text + "\n")
                 self._log.flush()
-        self._tell(text)
+            self._tell(text)  # within the lock, so that lines of several processes are not glued together
 
     def _start(self, child: Child) -> None:
         child.code, child.started_s = None, time.monotonic()

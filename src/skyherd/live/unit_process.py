@@ -20,7 +20,7 @@ from skyherd.live.unit_core import UnitCore, UnitNews
 from skyherd.messages import Detections, FlightCommand
 from skyherd.vision import DeferringDetector, Detector, create_detector, warm_up
 
-HEARS = ("report/**", "heartbeat/**", "stop/**")
+HEARS = ("report/**", "heartbeat/**", "arm/**", "stop/**")
 """Topics that a unit listens to, after the team's name."""
 
 NEWEST_S = 0.02
@@ -40,7 +40,7 @@ def run_unit(
     """
     lab = context.lab
     camera, core = lab.camera(unit), lab.make_unit(unit)
-    mailbox = context.mailbox(core.name, HEARS)
+    mailbox = context.mailbox(core.name, HEARS, lambda: core.latch)
     dictionary = lab.model.markers.dictionary
     detector = create_detector(camera.detector, dictionary=dictionary, deferring=True)
     warm_up(camera.detector, dictionary)
@@ -156,13 +156,14 @@ class UnitAtWork:
 
     def report(self, trouble: str | None) -> None:
         """Tell people what is wrong, keep pictures that are done, and give a sign of life when it is time."""
-        problem = "; ".join(filter(None, (trouble or self.core.trouble, self.process_log.trouble)))
-        self.status.say(f"{self.core.name}: {problem}" if problem else "")
         now_s = self.context.clock()
+        troubles = (trouble or self.core.trouble, self.core.withheld(now_s), self.process_log.trouble)
+        problem = "; ".join(filter(None, troubles))
+        self.status.say(f"{self.core.name}: {problem}" if problem else "")
         for topic, record in self.frame_log.done():
             self.process_log.keep(topic, now_s, record)
         if self._heartbeat_timer.due(now_s):
-            self.mailbox.send(self.core.heartbeat(now_s, problem or self._state))
+            self.mailbox.send(self.core.heartbeat(now_s, "; ".join(filter(None, (problem, self._state)))))
             counts = {"refused": self.mailbox.refusals.counts, "dropped": self.mailbox.dropped}
             self.process_log.put("/heartbeat", now_s, counts)
 

@@ -1,9 +1,10 @@
-"""What goes over the radio: the recorded messages, each in an envelope, and the door for what arrives.
+"""The wire format: messages in envelopes, and the validation of incoming bytes.
 
-An envelope is a JSON object with seven keys: the version of the format, the team, the sender's name, the
-stamp of sending by the sender's clock, the kind of the message, and the message itself as it is recorded.
-Whatever arrives is bytes from somewhere: only what is of our team, of our version, of a known kind, of its
-shape and from who may send it becomes a message. All else is refused with a reason, never an exception.
+An envelope is a JSON object with ten keys: the version of the format, the team, the sender's name and
+instance, the time of sending by the sender's clock, the sender's stop and arm numbers
+(`skyherd.live.stop_latch`), the kind of the message, and the message itself as it is recorded.
+Incoming bytes become a message only if team, version, kind, shape and sender fit. Everything else is refused
+with a reason, never with an exception.
 
     unit/J   goals, proximity, report, sighting, heartbeat, and flight where the world is simulated
     robot/I  heartbeat, and wheels where the world is simulated
@@ -19,6 +20,7 @@ import orjson
 
 from skyherd.errors import MessageError
 from skyherd.geometry import IntArray
+from skyherd.live.stop_latch import MAX_NUMBER, NO_COMMAND, StopLatch
 from skyherd.messages import FlightCommand, MotionGoals, Proximity, UnitReport
 from skyherd.messages.checks import check_time
 from skyherd.messages.frozen_arrays import freeze_ids
@@ -27,12 +29,15 @@ from skyherd.messages.tree_status import TreeStatus
 from skyherd.recording.json_codec import from_plain, to_json
 from skyherd.text import printable, shorten
 
-VERSION = 2
+VERSION = 3
 """Version of the format. It rises whenever a message changes in a way that an older process would misread."""
 
 MAX_BYTES = 1 << 20
 """Size of the largest message that is looked at. Chosen: goals of a thousand robots with three neighbours
 each take a quarter of it."""
+
+MAX_NAME = 40
+"""Length of the longest name of a process. Chosen: a few times the longest that is used."""
 
 LATEST_S = 1e10
 """Largest stamp that is taken for a time, s. Chosen: three centuries after 1970; sums of such stay exact to a
@@ -74,20 +79,21 @@ class Heartbeat:
         state: what the process says of itself, for people.
         session: of a robot, what an arm command has to name; changes with each stop. Empty for others.
         armed: of a robot, whether its wheels may turn.
+        ready: of a robot, whether it would accept an arm command now.
     """
 
     heard: Mapping[str, tuple[float, float]]
     state: str = ""
     session: str = ""
     armed: bool = False
+    ready: bool = False
 
 
 @dataclass(frozen=True)
 class Arm:
-    """Lets wheels turn, of the robots that are named with the session that they are in.
+    """Arms the robots that are named with their current session. Its number is the envelope's arm number.
 
-    A command that was under way while a robot stopped, or started anew, names an old session, and does
-    nothing.
+    A command that was under way while a robot stopped or restarted names an old session, and does nothing.
 
     Attributes:
         sessions: by process name of a robot, its session.
@@ -98,7 +104,7 @@ class Arm:
 
 @dataclass(frozen=True)
 class Stop:
-    """Stops all robots, which are disarmed then.
+    """Stops and disarms all robots. Its number is the envelope's stop number.
 
     Attributes:
         why: who asked for it, for people.
@@ -148,17 +154,21 @@ KIND_OF = {kind: name for name, kind in KINDS.items()}
 
 @dataclass(frozen=True)
 class Envelope:
-    """A message with what is said of it on the wire.
+    """A message with its sender, its time and the sender's latch.
 
     Attributes:
         sender: name of the process that sent it, such as `unit/0`.
         sent_s: when it was sent, by the sender's clock.
         message: the message.
+        instance: random id of the sending process, which differs between two processes of one name.
+        latch: stop and arm numbers that the sender knows.
     """
 
     sender: str
     sent_s: float
     message: Message
+    instance: str = ""
+    latch: StopLatch = NO_COMMAND
 
     @property
     def kind(self) -> str:
@@ -190,18 +200,44 @@ class Refusals:
         return why if self.counts[why] == 1 else None
 
 
+def envelope_record(envelope: Envelope) -> dict[str, Any]:
+    """Return an envelope as the object that is sent and recorded."""
+    return {
+        "sender": envelope.sender,
+        "instance": envelope.instance,
+        "sent_s": envelope.sent_s,
+        "stop": envelope.latch.stop,
+        "arm": envelope.latch.arm,
+        "kind": envelope.kind,
+        "body": envelope.message,
+    }
+
+
+def envelope_of(record: Mapping[str, Any]) -> Envelope:
+    """Return the envelope of an object of `envelope_record`, its message as a plain object.
+
+    Raises:
+        MessageError, ValueError, TypeError, KeyError, AttributeError, IndexError, OverflowError: it is none.
+    """
+    latch = StopLatch(command_number(record["stop"]), command_number(record["arm"]))
+    message = plain_message(record["kind"], record["body"])
+    return Envelope(str(record["sender"]), float(record["sent_s"]), message, str(record["instance"]), latch)
+
+
+def command_number(value: Any) -> int:
+    """Return a stop or arm number.
+
+    Raises:
+        ValueError: it is no integer between 0 and `MAX_NUMBER`.
+    """
+    if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value <= MAX_NUMBER:
+        raise ValueError("no number of a command")
+    return value
+
+
 def encode(envelope: Envelope, team: str) -> bytes:
-    """The bytes of an envelope."""
-    return to_json(
-        {
-            "version": VERSION,
-            "team": team,
-            "sender": envelope.sender,
-            "sent_s": envelope.sent_s,
-            "kind": envelope.kind,
-            "body": envelope.message,
-        }
-    )
+    """Return the bytes of an envelope."""
+    return to_json({"version": VERSION, "team": team} | envelope_record(envelope))
 
 
 def decode(data: bytes, team: str) -> Envelope:
@@ -223,21 +259,24 @@ def decode(data: bytes, team: str) -> Envelope:
     if record.get("version") != VERSION or isinstance(record["version"], bool):
         raise Refused(f"of format {_shown(str(record.get('version')))}, here it is {VERSION}")
     sender, sent_s, kind = record.get("sender"), record.get("sent_s"), record.get("kind")
-    if not isinstance(sender, str) or not 0 < len(sender) <= 40:
+    if not isinstance(sender, str) or not 0 < len(sender) <= MAX_NAME:
         raise Refused("from nobody in particular")
     if not is_stamp(sent_s):
         raise Refused("without a time of sending")
+    instance = record.get("instance")
+    if not isinstance(instance, str) or len(instance) > MAX_NAME:
+        raise Refused(f"without an instance from {_shown(sender)}")
     if not isinstance(kind, str) or kind not in KINDS:
         raise Refused(f"of an unknown kind from {_shown(sender)}")
     try:
-        message = plain_message(kind, record.get("body"))
+        envelope = envelope_of(record)
     except (ValueError, TypeError, KeyError, AttributeError, IndexError, OverflowError, RuntimeWarning):
         raise Refused(f"{kind} of a wrong shape from {_shown(sender)}") from None
-    unit, robot = getattr(message, "unit_id", None), getattr(message, "robot_id", None)
+    unit, robot = getattr(envelope.message, "unit_id", None), getattr(envelope.message, "robot_id", None)
     expected = f"unit/{unit}" if unit is not None else None if robot is None else f"robot/{robot}"
     if expected is not None and sender != expected:
         raise Refused(f"{kind} in another's name from {_shown(sender)}")
-    return Envelope(sender, float(sent_s), message)
+    return envelope
 
 
 def is_stamp(value: Any) -> TypeGuard[float]:

@@ -63,6 +63,18 @@ class Lab:
             raise InputError("unit", f"no unit {unit} in this lab", f"0 to {len(self.model.cameras) - 1}")
         return self.model.cameras[unit]
 
+    def check_process(self, name: str) -> None:
+        """Check the name of a process, such as `robot/3`.
+
+        Raises:
+            InputError: the lab has no such unit or robot.
+        """
+        kind, _, number = name.partition("/")
+        if kind == "unit":
+            self.camera(int(number))
+        else:
+            self.robot(int(number))
+
     def make_controller(self, unit: int) -> AerialController:
         """The controller of one unit: the simulator's, with what the file says."""
         model = self.model

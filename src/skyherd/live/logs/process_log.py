@@ -28,6 +28,7 @@ from skyherd.live.lab import Lab
 from skyherd.live.logs import frame_log
 from skyherd.live.logs.view import View
 from skyherd.live.mailbox import Arrival
+from skyherd.live.wire import VERSION, envelope_record
 from skyherd.messages import Detections
 from skyherd.recording.mcap_log import CHUNK_BYTES, McapLog, Schema
 from skyherd.version import __version__
@@ -83,6 +84,7 @@ class ProcessLog:
             "name": name,
             "lab": lab.model.model_dump(mode="json"),
             "version": __version__,
+            "format": VERSION,
             "topics": list(topics),
         }
         for _ in range(2):
@@ -92,14 +94,7 @@ class ProcessLog:
 
     def heard(self, arrival: Arrival) -> None:
         """Keep a message that arrived."""
-        envelope = arrival.envelope
-        record = {
-            "sender": envelope.sender,
-            "sent_s": envelope.sent_s,
-            "kind": envelope.kind,
-            "received_s": arrival.received_s,
-            "body": envelope.message,
-        }
+        record = envelope_record(arrival.envelope) | {"received_s": arrival.received_s}
         self.keep("/heard", arrival.received_s, record)
 
     def saw(self, detections: Detections, now_s: float) -> None:

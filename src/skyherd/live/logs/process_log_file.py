@@ -8,8 +8,10 @@ import orjson
 
 from skyherd.errors import InputError
 from skyherd.files.reading import open_regular
+from skyherd.live.wire import VERSION
 from skyherd.recording.footer import HEAD_CHANNEL, MALFORMED
 from skyherd.recording.survey import describe_flaws, read_chunk, survey
+from skyherd.text import printable, shorten
 
 ALLOWED = "a file of `skyherd live run`"
 """What is to be given where something else was, as complaints say it."""
@@ -81,6 +83,20 @@ class ProcessLogFile:
                 pass
         why = f" ({describe_flaws(self.flaws)})" if self.flaws else ""
         raise InputError(str(self.path), f"nothing of a live process can be read in it{why}", ALLOWED)
+
+
+def check_format(about: dict[str, Any], path: Path) -> None:
+    """Refuse the log of a process whose rules of decision were those of another format.
+
+    Raises:
+        InputError: the record `/about` has another format, or none.
+    """
+    if (found := about.get("format", 2)) != VERSION:
+        raise InputError(
+            str(path),
+            f"recorded in format {shorten(printable(str(found)), 30)}",
+            f"format {VERSION}; replay older recordings with the version of skyherd that made them",
+        )
 
 
 def read_process_log(path: Path) -> Iterator[tuple[str, Any]]:

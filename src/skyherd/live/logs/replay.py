@@ -6,10 +6,10 @@ from typing import Any
 
 from skyherd.errors import InputError
 from skyherd.live.lab import make_lab
-from skyherd.live.logs.process_log_file import read_process_log
+from skyherd.live.logs.process_log_file import check_format, read_process_log
 from skyherd.live.robot_core import RobotCore
 from skyherd.live.unit_core import UnitCore
-from skyherd.live.wire import Envelope, plain_message
+from skyherd.live.wire import envelope_of
 from skyherd.messages import Detections
 from skyherd.recording.json_codec import from_plain, to_json
 
@@ -45,15 +45,13 @@ def replay(path: Path) -> Replayed:
     for topic, record in read_process_log(path):
         if topic == "/about":
             if core is None:
+                check_format(record, path)
                 name = record["name"]
                 core = _core(name, make_lab(record["lab"], where=str(path)))
         elif core is None:
             break
         elif topic == "/heard":
-            envelope = Envelope(
-                record["sender"], record["sent_s"], plain_message(record["kind"], record["body"])
-            )
-            core.receive(envelope, record["received_s"])
+            core.receive(envelope_of(record), record["received_s"])
         elif topic == "/heartbeat":
             core.heartbeat(record["now_s"], "")
         elif topic == "/detections" and isinstance(core, UnitCore):

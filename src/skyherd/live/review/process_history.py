@@ -10,9 +10,9 @@ import numpy as np
 from skyherd.errors import InputError
 from skyherd.geometry import Array, IntArray
 from skyherd.live.lab import Lab, make_lab
-from skyherd.live.logs.process_log_file import MALFORMED_RECORDS, ProcessLogFile
+from skyherd.live.logs.process_log_file import MALFORMED_RECORDS, ProcessLogFile, check_format
 from skyherd.live.peers import PeerClocks
-from skyherd.live.wire import Envelope, is_stamp, plain_message
+from skyherd.live.wire import envelope_of, is_stamp
 from skyherd.messages import Detections, MotionGoals
 from skyherd.messages.clock_offset import OffsetEstimate
 from skyherd.recording.json_codec import from_plain
@@ -172,8 +172,8 @@ class ProcessHistory:
 
     def _take_heard(self, record: dict[str, Any]) -> None:
         received_s, sent_s = self._now_s(record, "received_s"), _stamp(record["sent_s"])
-        message = plain_message(record["kind"], record["body"])
-        envelope = Envelope(str(record["sender"]), sent_s, message)
+        envelope = envelope_of(record)
+        message = envelope.message
         self._peers.hear(envelope, received_s)
         if isinstance(message, MotionGoals) and self.number in message.ids and not self.is_unit:
             known = self._peers.estimate(envelope.sender, received_s)
@@ -262,7 +262,8 @@ def read_history(path: Path) -> ProcessHistory:
 
 
 def _begin(path: Path, about: dict[str, Any]) -> ProcessHistory:
-    """The log of a process, from what it says of itself first."""
+    """Return the empty history of a process, from the first record of its log."""
+    check_format(about, path)
     lab, name = make_lab(about["lab"], where=str(path)), str(about["name"])
     kind, _, number = name.partition("/")
     known = {"unit": range(len(lab.model.cameras)), "robot": lab.ids}

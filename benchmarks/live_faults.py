@@ -7,9 +7,15 @@ in memory: the code between camera, radio and driver is the very one that runs i
 hit exactly where and when they are meant to, ten different times of ten different starts. The world is the
 scenario `triangle` on exact points: one unit, six robots, ten images a second.
 
-Columns: `longest blind s` is the longest time that any wheel turned after the newest image that its robot had
-a goal from; the limit is `goal_timeout_s` and one period. `moved off` counts runs in which it was exceeded,
-`formed` those whose shape error was below 2 % at the end, `told` the lines that a person would have read.
+Columns:
+
+- `longest blind s`: longest time that a wheel turned after the newest image that its robot had a goal from.
+  The limit is `goal_timeout_s` and one period.
+- `after a stop s`: longest time from a stop, or from the first heartbeats of a second team, to the last turn
+  of a wheel, until an arm command. It has the same limit. `-` without a stop.
+- `after waking`: runs in which a wheel of a robot that was frozen during the stop turned after it woke up.
+- `moved off`: runs in which a limit was exceeded or such a wheel turned.
+- `formed`: runs whose shape error was below 2 % at the end.
 """
 
 import argparse
@@ -27,6 +33,7 @@ from skyherd.live import operator, robot_process, unit_process
 from skyherd.live.lab import Lab, load_lab
 from skyherd.live.mailbox import Air, Mailbox, MemoryRadio
 from skyherd.live.robot_core import RobotCore
+from skyherd.live.session import Session
 from skyherd.live.unit_core import UnitCore
 from skyherd.live.wire import MAX_BYTES, VERSION
 from skyherd.messages import VelocityCommand
@@ -57,6 +64,7 @@ class Process:
         mailbox: its messages.
         offset_s: what its clock shows more than the world's.
         dead_until_s: it is killed until then.
+        frozen_until_s: it is suspended until then; messages wait for it.
         told: reasons that it gave, in order, each once in a row.
     """
 
@@ -66,6 +74,7 @@ class Process:
     radio: MemoryRadio
     offset_s: float = 0.0
     dead_until_s: float = -1.0
+    frozen_until_s: float = -1.0
     told: list[str] = field(default_factory=list)
 
     def say(self, line: str) -> None:
@@ -84,10 +93,14 @@ class Team:
         lab: the set-up.
         blind_s: by robot, the longest time that its wheels turned after its newest image.
         errors: shape error at each step.
+        stopped_s: when the team was stopped; None if it was not, or was armed since.
+        turned_s: longest time from a stop to the last turn of a wheel.
+        woke: robots that were frozen when the stop came, with the times at which they woke up.
+        turned_after_waking: whether a wheel of one of these turned after it woke up.
         see: filters the time at which an image seems to be taken; None loses the image.
     """
 
-    def __init__(self, lab: Lab, settings: list[str], seed: int) -> None:
+    def __init__(self, lab: Lab, settings: list[str], seed: int, air: Air | None = None) -> None:
         self.lab = lab
         self.mission = load_mission(
             "triangle", ["perception=ideal", "units.*.tilt_deg=[3.0,2.0]", *settings], seed=seed
@@ -98,7 +111,7 @@ class Team:
         self.world.headings_rad += rng.uniform(-1, 1, self.mission.ids.size)
         self.perception = ProjectedPerception(scenario.marker.side_m, scenario.marker.dictionary)
         self.observer = TruthObserver(self.mission.template, self.mission.ids)
-        self.air = Air(now_s=1000.0)
+        self.air = air or Air(now_s=1000.0)
         self.now_s, self.start_s, self._step = 1000.0, 1000.0, 0
         self.offsets: dict[str, float] = {}
         self.processes: dict[str, Process] = {}
@@ -108,6 +121,12 @@ class Team:
             self.start(f"robot/{robot}")
         self.operator = operator.watch(lab, self.air.radio("operator"), lambda: self.now_s)
         self._arming: tuple[operator.ArmCommand, float] | None = None
+        self._stopping: operator.StopCommand | None = None
+        self.session: Session | None = None
+        self.stopped_s: float | None = None
+        self.turned_s: float | None = None
+        self.woke: dict[int, float] = {}
+        self.turned_after_waking = False
         self.wheels = {robot: (0.0, 0.0, -np.inf) for robot in lab.ids}
         self.imaged_s = dict.fromkeys(lab.ids, -np.inf)
         self.blind_s = dict.fromkeys(lab.ids, 0.0)
@@ -139,6 +158,25 @@ class Team:
         """End a process at once; it is started again after a while."""
         self.start(name).dead_until_s = self.now_s + for_s
 
+    def freeze(self, name: str, for_s: float) -> None:
+        """Suspend a process. The messages that are sent to it meanwhile arrive when it wakes up."""
+        self.processes[name].frozen_until_s = self.now_s + for_s
+
+    def stop(self) -> None:
+        """Stop the team, as `skyherd live stop` does."""
+        self._stopping = operator.StopCommand(self.lab, self.operator, "test")
+        self._arming = None
+        self.stopped_s, self.turned_s = self.now_s, 0.0
+        for robot in self.lab.ids:
+            if self.processes[f"robot/{robot}"].frozen_until_s > self.now_s:
+                self.woke[robot] = self.processes[f"robot/{robot}"].frozen_until_s
+
+    def use_session(self, *, arms: bool) -> None:
+        """Let the operator of `skyherd live run` take part, in place of `armed_s`."""
+        self.armed_s = None
+        watched = operator.watch(self.lab, self.air.radio("session"), lambda: self.now_s, "session")
+        self.session = Session(self.lab, watched, lambda name, line: None, arms=arms)
+
     @property
     def time_s(self) -> float:
         """Time since the start."""
@@ -154,8 +192,12 @@ class Team:
             if self.now_s < process.dead_until_s:
                 list(process.mailbox.fetch())
                 continue
+            if self.now_s < process.frozen_until_s:
+                continue
             for arrival in process.mailbox.fetch():
-                process.core.receive(arrival.envelope, arrival.received_s)
+                # A suspended process stamps what waited for it when it wakes up.
+                received_s = max(arrival.received_s, process.frozen_until_s + process.offset_s)
+                process.core.receive(arrival.envelope, received_s)
             if isinstance(process.core, UnitCore):
                 self._look(process, clock_s)
             else:
@@ -169,11 +211,14 @@ class Team:
     def _command(self) -> None:
         """The operator arms all robots, once, as `skyherd live arm` does: it repeats the command for 3 s."""
         self.operator.listen(0.0)
+        if self.session is not None:
+            self.session.step("", 0.0)
+        if self._stopping is not None and self._stopping.advance():
+            self._stopping = None
         if self.armed_s is not None and self.time_s >= self.armed_s:
-            self._arming, self.armed_s = (
-                (operator.ArmCommand(self.lab, self.operator), self.time_s + 3.0),
-                None,
-            )
+            self._arming = operator.ArmCommand(self.lab, self.operator), self.time_s + 3.0
+            self.armed_s = self.stopped_s = None
+            self.woke = {}
         if self._arming is not None and self.time_s < self._arming[1]:
             self._arming[0].advance()
 
@@ -210,6 +255,9 @@ class Team:
             if any(told[-1]):
                 blind_s = self.now_s - self.imaged_s[robot]
                 self.blind_s[robot] = max(self.blind_s[robot], blind_s)
+                if self.stopped_s is not None:
+                    self.turned_s = max(self.turned_s or 0.0, self.now_s - self.stopped_s)
+                self.turned_after_waking |= self.now_s >= self.woke.get(robot, np.inf)
         command = VelocityCommand(np.array(self.lab.ids), *np.array(told).T)
         metrics = self.observer.observe(self.world.positions_m, {}, (), self.mission.template)
         self.errors.append(metrics.shape.error)
@@ -289,6 +337,52 @@ def two_teams(team: Team, rng: np.random.Generator, at_s: float) -> None:
         team.other.publish("skyherd/others/goals/unit/0", data.replace(ours, b'"team":"others"'))  # type: ignore[attr-defined]
 
 
+def missed_stop(team: Team, rng: np.random.Generator, at_s: float) -> None:
+    """A robot is frozen while the team is stopped, and wakes up one to four seconds later.
+
+    Every other time the messages that were sent to it meanwhile are lost.
+    """
+    if abs(team.time_s - at_s) < PERIOD_S / 2:
+        name, for_s = f"robot/{rng.integers(6)}", round(float(rng.uniform(1.0, 4.0)), 1)
+        team.freeze(name, for_s)
+        if rng.random() < 0.5:
+            team.air.drop = lambda topic, receiver: receiver == name and team.time_s < at_s + for_s
+    if abs(team.time_s - at_s - 0.5) < PERIOD_S / 2:
+        team.stop()
+
+
+def stop_lost(team: Team, rng: np.random.Generator, at_s: float) -> None:
+    """A robot hears nothing for three seconds, in which the team is stopped."""
+    if abs(team.time_s - at_s) < PERIOD_S / 2:
+        deaf = f"robot/{rng.integers(6)}"
+        team.air.drop = lambda topic, receiver: receiver == deaf and team.time_s < at_s + 3.0
+        team.stop()
+
+
+def pending_arm(team: Team, rng: np.random.Generator, at_s: float) -> None:
+    """A robot is frozen while `live run --arm` starts; the team is stopped before it wakes up."""
+    if team.time_s < PERIOD_S / 2:
+        team.use_session(arms=True)
+        team.freeze(f"robot/{rng.integers(6)}", at_s + round(float(rng.uniform(1.0, 4.0)), 1))
+    if abs(team.time_s - at_s) < PERIOD_S / 2:
+        team.stop()
+
+
+def second_team(team: Team, rng: np.random.Generator, at_s: float) -> None:
+    """A second, disarmed team of the same name starts: both stand still and say so."""
+    if abs(team.time_s - at_s) < PERIOD_S / 2:
+        other = Team(team.lab, [], int(rng.integers(100)) + 100, team.air)
+        other.armed_s = None
+        team.second = other  # type: ignore[attr-defined]
+        # The robots drive until they hear the first heartbeats of the others.
+        team.stopped_s, team.turned_s = team.now_s + HEARTBEAT_STEPS * PERIOD_S, 0.0
+    if (second := getattr(team, "second", None)) is not None:
+        second.now_s = team.now_s
+        second.step()
+        if any(v_mps or omega_radps for v_mps, omega_radps, _ in second.wheels.values()):
+            team.turned_after_waking = True
+
+
 def garbage(team: Team, rng: np.random.Generator, at_s: float) -> None:
     """Bytes of all kinds, up to twice the largest size, to every topic."""
     radio = getattr(team, "noise", None) or team.air.radio("noise")
@@ -339,6 +433,10 @@ FAULTS: dict[str, Fault] = {
     "clock set by 20 s": clock_set,
     "partition 10 s": partition,
     "two teams": two_teams,
+    "missed stop": missed_stop,
+    "stop lost": stop_lost,
+    "pending arm": pending_arm,
+    "second team of one name": second_team,
     "garbage": garbage,
 }
 
@@ -352,20 +450,36 @@ def run(fault: str, seed: int, duration_s: float = DURATION_S) -> dict[str, Any]
     for _ in range(round(duration_s / PERIOD_S)):
         FAULTS[fault](team, rng, at_s)
         team.step()
-    limit_s = lab.model.limits.goal_timeout_s + PERIOD_S
+    limit_s = lab.model.limits.goal_timeout_s + PERIOD_S + 1e-9
+    blind_s, turned_s = max(team.blind_s.values()), team.turned_s
     told: list[str] = []
     for process in team.processes.values():
         told += [f"{process.name.split('/')[0]}: {line}" for line in process.told]
     return {
         "fault": fault,
         "seed": seed,
-        "blind_s": max(team.blind_s.values()),
-        "exceeded": max(team.blind_s.values()) > limit_s + 1e-9,
+        "blind_s": blind_s,
+        "turned_s": turned_s,
+        "woke": team.turned_after_waking,
+        "exceeded": blind_s > limit_s or (turned_s or 0.0) > limit_s or team.turned_after_waking,
         "error": team.errors[-1],
         "formed": team.errors[-1] < FORMED,
         "refused": sum(sum(p.mailbox.refusals.counts.values()) for p in team.processes.values()),
         "told": sorted(set(told)),
     }
+
+
+def longest_after_stop(rows: list[dict[str, Any]]) -> str:
+    """Return the longest time that a wheel turned after a stop, or a dash where there was none."""
+    times_s = [row["turned_s"] for row in rows if row["turned_s"] is not None]
+    return f"{max(times_s):.2f}" if times_s else "-"
+
+
+STOP_COLUMNS: dict[str, Callable[[list[dict[str, Any]]], Any]] = {
+    "after a stop, s": longest_after_stop,
+    "after waking": lambda here: sum(row["woke"] for row in here),
+}
+"""What a table says of stops."""
 
 
 def table(rows: list[dict[str, Any]]) -> str:
@@ -374,6 +488,7 @@ def table(rows: list[dict[str, Any]]) -> str:
         rows,
         {
             "longest blind, s": lambda here: f"{max(row['blind_s'] for row in here):.2f}",
+            **STOP_COLUMNS,
             "moved off": lambda here: sum(row["exceeded"] for row in here),
             "formed": lambda here: sum(row["formed"] for row in here),
             "messages refused": lambda here: sum(row["refused"] for row in here),

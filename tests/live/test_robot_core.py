@@ -181,7 +181,7 @@ def test_goals_without_sightings_do_not_move_it() -> None:
 def test_stop_disarms_and_voids_an_arm_under_way() -> None:
     scene = Scene()
     scene.drive()
-    late = Envelope("operator", scene.now_s, Arm({"robot/3": scene.core.session}), latch=StopLatch(0, 9))
+    late = Envelope("operator", scene.now_s, Arm({"robot/3": scene.core.session}), latch=StopLatch(0, 0))
     scene.stop()
     scene.see()
     assert scene.step().reason == "stopped"

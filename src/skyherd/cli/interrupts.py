@@ -26,7 +26,7 @@ class EndRequest:
     """Whether a signal asked the process to end.
 
     Attributes:
-        name: of the last signal, such as SIGTERM; empty if there was none.
+        name: of the first signal, such as SIGTERM; empty if there was none.
     """
 
     def __init__(self) -> None:
@@ -35,7 +35,7 @@ class EndRequest:
 
     def ask(self, name: str = "") -> None:
         """Ask for the end, by a signal of this name or for another reason."""
-        self.name = name or self.name
+        self.name = self.name or name
         self._asked.set()
 
     def is_asked(self) -> bool:

@@ -68,7 +68,7 @@ class Mailbox:
         clock: gives the time, s.
         kinds: topics to listen to, after the team's name: `goals/**`.
         tell: called with a line, the first time that something is refused for a reason.
-        latch: returns the stop and arm numbers that the process knows, for every message that it sends.
+        latch: returns the commands that the process knows of, for every message that it sends.
     """
 
     def __init__(

@@ -64,7 +64,7 @@ def _hold(team: str, endpoint: str, name: str, wait_s: float) -> Iterator[None]:
     except Timeout:
         raise InputError(
             f"{name} of team {team}",
-            f"is run by another process on this machine{_described(owner)}",
+            f"already runs on this machine{_described(owner)}",
             "end that one first, or give this lab another team and radio",
         ) from None
     except OSError as error:

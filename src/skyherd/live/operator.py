@@ -7,7 +7,7 @@ from typing import Protocol
 from skyherd.live.lab import Lab
 from skyherd.live.mailbox import Arrival, Mailbox, Radio
 from skyherd.live.peers import Instances
-from skyherd.live.stop_latch import NO_COMMAND, StopLatch
+from skyherd.live.stop_latch import MAX_STOP, NO_COMMAND, StopLatch
 from skyherd.live.wire import Arm, Heartbeat, Stop
 
 REPEAT_S = 0.2
@@ -32,7 +32,7 @@ class Sign:
 
     Attributes:
         heartbeat: the message.
-        latch: the stop and arm numbers that it carried.
+        latch: the commands that the process knew of.
         received_s: when it arrived, by the operator's clock.
     """
 
@@ -48,7 +48,7 @@ class Watch:
     Attributes:
         mailbox: its messages, which carry its latch.
         clock: its own.
-        latch: the stop and arm numbers that it knows.
+        latch: the commands that it knows of.
         signs: the last heartbeat of each process, by name.
     """
 
@@ -66,7 +66,7 @@ class Watch:
     def hear(self, arrival: Arrival) -> None:
         """Take in one message."""
         envelope = arrival.envelope
-        self.latch = self.latch.merged(envelope.latch)
+        self.latch = self.latch.merge(envelope.latch)
         if isinstance(envelope.message, Heartbeat):
             self.signs[envelope.sender] = Sign(envelope.message, envelope.latch, arrival.received_s)
             instances = self._instances.setdefault(envelope.sender, Instances(envelope.instance))
@@ -167,7 +167,7 @@ class StopCommand:
 
 
 class ArmCommand:
-    """Arms all robots: one number, each robot at most once, given up at the first newer stop.
+    """Arms all robots, each at most once, and is given up at the first newer stop.
 
     Args:
         lab: the set-up.
@@ -178,14 +178,13 @@ class ArmCommand:
         self._lab, self._watched = lab, watched
         self._sent_s = -float("inf")
         self._done: set[int] = set()
-        latch = watched.latch.with_arm()
-        self._number = 0 if latch is None else latch.arm
-        watched.latch = latch or watched.latch
+        watched.latch = watched.latch.with_arm()
+        self._cleared = watched.latch.cleared
 
     @property
     def is_void(self) -> bool:
-        """Whether a stop is at least as new as this command, or no number was left for it."""
-        return self._watched.latch.stop >= self._number
+        """Whether a stop is in force that this command does not clear."""
+        return self._watched.latch.stop > self._cleared
 
     def advance(self) -> bool:
         """Send the command if it is due; return whether all robots are armed, or a stop is newer."""
@@ -204,17 +203,14 @@ class ArmCommand:
     def outcome(self) -> Outcome:
         """Return which robots are armed by this command."""
         confirmed = {robot: robot in self._done and not self.is_void for robot in self._lab.ids}
-        if not self.is_void:
-            failure = ""
-        elif self._number:
-            failure = "the team was stopped meanwhile"
-        else:
-            failure = "no arm number is left above a forged stop: restart all processes of the team"
+        failure = "a stop is newer than this command" * self.is_void
+        if self._watched.latch.stop == MAX_STOP:
+            failure = "the stop has the largest number there is, so it was forged: restart the whole team"
         return _outcome(self._watched, confirmed, failure)
 
     def _is_armed(self, robot: int) -> bool:
         sign = self._watched.robot_sign(robot)
-        return sign is not None and sign.latch.arm >= self._number and sign.heartbeat.armed
+        return sign is not None and sign.latch.cleared >= self._cleared and sign.heartbeat.armed
 
 
 def watch(lab: Lab, radio: Radio, clock: Callable[[], float], name: str = "operator") -> Watch:

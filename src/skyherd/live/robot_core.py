@@ -147,7 +147,7 @@ class RobotCore:
 
     @property
     def latch(self) -> StopLatch:
-        """The stop and arm numbers that the robot knows."""
+        """The commands that the robot knows of."""
         return self._arm_state.latch
 
     @property
@@ -167,12 +167,12 @@ class RobotCore:
             return
         if envelope.sender == self.name:
             self._namesake_s = now_s
-            self._arm_state = self._arm_state.disarm() if self.armed else self._arm_state
+            self._arm_state = self._arm_state.disarm()
             return
         self.clocks.hear(envelope, now_s)
         if isinstance(message, Arm):
             if self.session and message.sessions.get(self.name) == self.session and self.is_ready(now_s):
-                self._arm_state = self._arm_state.arm(envelope.latch.arm)
+                self._arm_state = self._arm_state.arm(envelope.latch.cleared)
         elif isinstance(message, MotionGoals | Proximity | Sighting | Heartbeat):
             self._heard_since_woken |= self.clocks.was_sent_after(envelope, self._woke_s, now_s)
             if not isinstance(message, Heartbeat):

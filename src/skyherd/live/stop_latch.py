@@ -1,62 +1,58 @@
-"""The latched stop of a live team: one pair of numbers that every message carries, and that only grows.
+"""The latched stop of a live team: two numbers that every message carries, and that only grow.
 
-A stop and an arm command each have a number. Every process keeps the largest stop number and the largest arm
-number that it knows (`StopLatch`), sends both with every message, and merges both from every message. The
-merge takes the maximum of each, so that lost, late, repeated and reordered messages change nothing but the
-time at which a process learns a number.
+Each stop has a number. Every process keeps the largest stop number that it knows and the largest one that an
+arm command has cleared (`StopLatch`). It sends both with every message, and takes the maximum of each from
+every message. Lost, late, repeated and reordered messages therefore change nothing but the time at which a
+process learns a number.
 
-- The team is *stopped* while the stop number is at least the arm number. At equal numbers the stop wins.
+- The team is *stopped* while the newest stop is not cleared.
 - A stop gets a number above all that its sender knows, and at least the sender's time of day in
   milliseconds: an operator that has just started outranks all earlier commands.
-- An arm command gets the smallest number above all that its sender knows. A stop that the sender does not
-  know is at least as large, so that nobody overrides a stop in ignorance of it.
-- A robot is armed by one arm command (`ArmState`), and only while the number of that command exceeds its
-  stop number. A restarted robot is disarmed, and arm commands for its former session mean nothing.
+- An arm command clears the newest stop that its sender knows, and no other: nobody overrides a stop in
+  ignorance of it.
+- A robot is armed (`ArmState`) until it learns of a stop that its arm command did not clear. A robot that
+  restarts is disarmed, and arm commands for its former session have no effect.
 
-The states, transitions and guarantees are written down in docs/live/safety.md, and
-tests/live/test_stop_model.py checks them over every order of delivery.
+docs/live/safety.md lists states, transitions and guarantees. tests/live/test_stop_model.py checks them over
+every order of delivery.
 """
 
 from dataclasses import dataclass, replace
 
-MAX_NUMBER = 2**53 - 1
-"""Largest number of a command. Derived: every JSON reader keeps integers up to it. Milliseconds since 1970
-reach it in 285,000 years."""
+MAX_STOP = 2**53 - 1
+"""Largest stop number, which no arm command clears. Derived: every JSON reader keeps integers up to it.
+Milliseconds since 1970 reach it in 285,000 years, so that only a forged message does."""
 
 
 @dataclass(frozen=True)
 class StopLatch:
-    """What one process knows of the team's commands.
+    """The commands that one process knows of.
 
     Attributes:
-        stop: largest stop number, 0 if there was none.
-        arm: largest arm number, 0 if there was none.
+        stop: largest stop number; 0 without a stop.
+        cleared: largest stop number that an arm command cleared.
     """
 
     stop: int = 0
-    arm: int = 0
+    cleared: int = 0
 
     @property
     def stopped(self) -> bool:
         """Whether a stop is in force: no unit sends goals, and no robot moves."""
-        return self.stop > 0 and self.stop >= self.arm
+        return self.stop > self.cleared
 
-    def merged(self, other: "StopLatch") -> "StopLatch":
+    def merge(self, other: "StopLatch") -> "StopLatch":
         """Return the maximum of each number of two latches."""
-        return StopLatch(max(self.stop, other.stop), max(self.arm, other.arm))
+        return StopLatch(max(self.stop, other.stop), max(self.cleared, other.cleared))
 
     def with_stop(self, time_s: float) -> "StopLatch":
-        """Return the latch after a new stop, issued at a time of day in seconds since 1970.
+        """Return the latch after a new stop, issued at a time of day in seconds since 1970."""
+        number = max(self.stop + 1, self.cleared + 1, int(1000 * time_s))
+        return replace(self, stop=min(number, MAX_STOP))
 
-        At `MAX_NUMBER`, which only a forged message reaches, the stop still holds: it equals the arm number.
-        """
-        number = max(self.stop + 1, self.arm + 1, int(1000 * time_s))
-        return replace(self, stop=min(number, MAX_NUMBER))
-
-    def with_arm(self) -> "StopLatch | None":
-        """Return the latch after a new arm command, or None if no number is left for one."""
-        number = max(self.stop, self.arm) + 1
-        return None if number > MAX_NUMBER else replace(self, arm=number)
+    def with_arm(self) -> "StopLatch":
+        """Return the latch after a new arm command. `MAX_STOP` stays in force."""
+        return replace(self, cleared=max(self.cleared, min(self.stop, MAX_STOP - 1)))
 
 
 NO_COMMAND = StopLatch()
@@ -65,32 +61,33 @@ NO_COMMAND = StopLatch()
 
 @dataclass(frozen=True)
 class ArmState:
-    """Whether one robot is armed, and by which command.
+    """The state of one robot with respect to commands.
 
     Attributes:
-        latch: what the robot knows of the team's commands.
-        armed_by: number of the arm command in force; 0 while disarmed.
+        latch: the commands that the robot knows of.
+        armed_at: stop number that the arm command in force cleared; None while disarmed.
         disarmed_count: how often the robot was disarmed, which is part of its session.
     """
 
     latch: StopLatch = NO_COMMAND
-    armed_by: int = 0
+    armed_at: int | None = None
     disarmed_count: int = 0
 
     @property
     def armed(self) -> bool:
-        """Whether wheels may turn as far as commands are concerned."""
-        return self.armed_by > 0
+        """Whether an arm command is in force."""
+        return self.armed_at is not None
 
     def merge(self, latch: StopLatch) -> "ArmState":
         """Return the state after a message with this latch: a newer stop disarms."""
-        state = replace(self, latch=self.latch.merged(latch))
-        return state.disarm() if 0 < state.armed_by <= state.latch.stop else state
+        state = replace(self, latch=self.latch.merge(latch))
+        is_outdated = state.armed_at is not None and state.latch.stop > state.armed_at
+        return state.disarm() if is_outdated else state
 
     def disarm(self) -> "ArmState":
-        """Return the disarmed state of a new session."""
-        return replace(self, armed_by=0, disarmed_count=self.disarmed_count + 1)
+        """Return the disarmed state. A robot that was armed begins a new session."""
+        return replace(self, armed_at=None, disarmed_count=self.disarmed_count + 1) if self.armed else self
 
-    def arm(self, number: int) -> "ArmState":
-        """Return the state after an arm command for this session; unchanged if a stop is as new."""
-        return replace(self, armed_by=number) if number > self.latch.stop else self
+    def arm(self, cleared: int) -> "ArmState":
+        """Return the state after an arm command for this session; unchanged if a stop is newer."""
+        return replace(self, armed_at=cleared) if cleared >= self.latch.stop else self

@@ -41,7 +41,7 @@ class UnitCore:
     Attributes:
         unit_id: its number.
         clocks: what it knows of the other processes' clocks.
-        latch: the stop and arm numbers that it knows.
+        latch: the commands that it knows of.
         trouble: why the last image was not decided on, or a report not used; empty if nothing is wrong.
 
     Args:
@@ -73,7 +73,7 @@ class UnitCore:
 
     def receive(self, envelope: Envelope, now_s: float) -> None:
         """Take in a message that arrives now."""
-        self.latch = self.latch.merged(envelope.latch)
+        self.latch = self.latch.merge(envelope.latch)
         if envelope.sender == self.name:
             self._namesake_s = now_s
             return

@@ -1,7 +1,7 @@
 """The wire format: messages in envelopes, and the validation of incoming bytes.
 
 An envelope is a JSON object with ten keys: the version of the format, the team, the sender's name and
-instance, the time of sending by the sender's clock, the sender's stop and arm numbers
+instance, the time of sending by the sender's clock, the two numbers of its latch
 (`skyherd.live.stop_latch`), the kind of the message, and the message itself as it is recorded.
 Incoming bytes become a message only if team, version, kind, shape and sender fit. Everything else is refused
 with a reason, never with an exception.
@@ -20,7 +20,7 @@ import orjson
 
 from skyherd.errors import MessageError
 from skyherd.geometry import IntArray
-from skyherd.live.stop_latch import MAX_NUMBER, NO_COMMAND, StopLatch
+from skyherd.live.stop_latch import MAX_STOP, NO_COMMAND, StopLatch
 from skyherd.messages import FlightCommand, MotionGoals, Proximity, UnitReport
 from skyherd.messages.checks import check_time
 from skyherd.messages.frozen_arrays import freeze_ids
@@ -91,7 +91,7 @@ class Heartbeat:
 
 @dataclass(frozen=True)
 class Arm:
-    """Arms the robots that are named with their current session. Its number is the envelope's arm number.
+    """Arms the robots that are named with their current session, and clears the stop that the envelope names.
 
     A command that was under way while a robot stopped or restarted names an old session, and does nothing.
 
@@ -161,7 +161,7 @@ class Envelope:
         sent_s: when it was sent, by the sender's clock.
         message: the message.
         instance: random id of the sending process, which differs between two processes of one name.
-        latch: stop and arm numbers that the sender knows.
+        latch: the commands that the sender knows of.
     """
 
     sender: str
@@ -207,7 +207,7 @@ def envelope_record(envelope: Envelope) -> dict[str, Any]:
         "instance": envelope.instance,
         "sent_s": envelope.sent_s,
         "stop": envelope.latch.stop,
-        "arm": envelope.latch.arm,
+        "cleared": envelope.latch.cleared,
         "kind": envelope.kind,
         "body": envelope.message,
     }
@@ -219,20 +219,11 @@ def envelope_of(record: Mapping[str, Any]) -> Envelope:
     Raises:
         MessageError, ValueError, TypeError, KeyError, AttributeError, IndexError, OverflowError: it is none.
     """
-    latch = StopLatch(command_number(record["stop"]), command_number(record["arm"]))
+    latch = StopLatch(_stop_number(record["stop"]), _stop_number(record["cleared"]))
+    if latch.cleared == MAX_STOP:
+        raise ValueError("no stop number is left")
     message = plain_message(record["kind"], record["body"])
     return Envelope(str(record["sender"]), float(record["sent_s"]), message, str(record["instance"]), latch)
-
-
-def command_number(value: Any) -> int:
-    """Return a stop or arm number.
-
-    Raises:
-        ValueError: it is no integer between 0 and `MAX_NUMBER`.
-    """
-    if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value <= MAX_NUMBER:
-        raise ValueError("no number of a command")
-    return value
 
 
 def encode(envelope: Envelope, team: str) -> bytes:
@@ -319,6 +310,12 @@ def plain_message(name: str, body: Any) -> Message:
 def _name(value: Any) -> str:
     if not isinstance(value, str) or len(value) > 100:
         raise TypeError("no name")
+    return value
+
+
+def _stop_number(value: Any) -> int:
+    if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value <= MAX_STOP:
+        raise ValueError("no stop number")
     return value
 
 

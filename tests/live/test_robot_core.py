@@ -10,9 +10,9 @@ from hypothesis import given, settings
 
 from skyherd.control import MarkerGains, Wheels
 from skyherd.live.drivers import SpeedLimits
-from skyherd.live.peers import ClockLimits
+from skyherd.live.peers import CONFLICT_S, ClockLimits
 from skyherd.live.robot_core import DRIVING, RobotCore, RobotLimits
-from skyherd.live.stop_latch import StopLatch
+from skyherd.live.stop_latch import NO_COMMAND, StopLatch
 from skyherd.live.wire import Arm, Envelope, Heartbeat, Sighting, Stop
 from skyherd.messages import MotionGoals
 
@@ -211,6 +211,194 @@ def test_goals_for_other_robots_and_from_strangers_do_nothing() -> None:
         scene.core.receive(stranger, scene.now_s)
         order = scene.step()
     assert order.v_mps == 0
+
+
+def hear(scene: Scene, latch: StopLatch, message=None) -> None:
+    """Let the robot hear a message of the unit that carries a latch."""
+    message = message or Heartbeat({})
+    sent_s = scene.now_s + scene.offset_s
+    scene.core.receive(Envelope("unit/0", sent_s, message, latch=latch), scene.now_s)
+
+
+@pytest.mark.parametrize("message", [Heartbeat({}), Arm({}), Sighting(0, 1e3, [ROBOT], [])])
+def test_any_message_with_a_newer_stop_disarms(message) -> None:
+    scene = Scene()
+    scene.drive()
+    hear(scene, StopLatch(stop=1), message)
+    scene.see()
+    assert scene.step().reason == "stopped" and not scene.core.armed
+
+
+def test_a_newer_stop_counts_while_the_clock_shows_no_time() -> None:
+    scene = Scene()
+    scene.drive()
+    scene.core.receive(Envelope("unit/0", 0.0, Heartbeat({}), latch=StopLatch(stop=1)), math.nan)
+    assert not scene.core.armed and scene.core.latch.stopped
+
+
+def test_messages_are_ignored_while_the_clock_shows_no_time() -> None:
+    scene = Scene()
+    scene.wake()
+    for _ in range(3):
+        taken_s = scene.now_s
+        scene.core.receive(Envelope("unit/0", taken_s, Sighting(0, taken_s, [ROBOT], [])), math.inf)
+        scene.core.receive(Envelope("unit/0", taken_s, goals(taken_s)), math.nan)
+        assert scene.step().reason == "no unit sees its marker"
+    assert not scene.core.is_ready(scene.now_s)
+    scene.see()
+    scene.arm()
+    assert scene.step().reason == DRIVING, "clocks are known as before"
+
+
+def test_a_stop_with_an_old_number_disarms_but_does_not_latch() -> None:
+    scene = Scene()
+    hear(scene, StopLatch(stop=8, cleared=8))
+    scene.drive()
+    scene.core.receive(Envelope("operator", scene.now_s, Stop("late"), latch=StopLatch(stop=5)), scene.now_s)
+    scene.see()
+    assert scene.step().reason == "disarmed"
+    scene.arm()
+    scene.see()
+    assert scene.step().reason == DRIVING
+
+
+def test_an_arm_command_below_a_known_stop_does_nothing() -> None:
+    scene = Scene()
+    scene.wake()
+    scene.see()
+    ignorant = Envelope("operator", scene.now_s, Arm({"robot/3": scene.core.session}), latch=NO_COMMAND)
+    hear(scene, StopLatch(stop=4))
+    scene.core.receive(ignorant, scene.now_s)
+    assert not scene.core.armed
+    scene.arm()
+    assert scene.core.armed
+
+
+def test_arming_needs_a_recent_sighting() -> None:
+    scene = Scene()
+    scene.wake()
+    scene.arm()
+    assert not scene.core.armed and not scene.core.heartbeat(scene.now_s, "").ready
+    scene.see()
+    assert scene.core.heartbeat(scene.now_s, "").ready
+    scene.now_s += LIMITS.unseen_s + 0.01
+    scene.arm()
+    assert not scene.core.armed
+    scene.see(repeated=[ROBOT])
+    scene.see()
+    scene.arm()
+    assert not scene.core.armed, "seen at two places"
+
+
+def test_a_namesake_disarms_and_is_reported() -> None:
+    scene = Scene()
+    scene.drive()
+    scene.core.receive(Envelope("robot/3", scene.now_s, Heartbeat({}), "another"), scene.now_s)
+    met_s = scene.now_s
+    while scene.now_s < met_s + CONFLICT_S - STEP_S:
+        scene.see()
+        scene.arm()
+        order = scene.step()
+        assert order.v_mps == 0 and order.reason == "another process is named robot/3"
+        assert not scene.core.armed
+    scene.step()
+    scene.see()
+    scene.arm()
+    assert scene.step().reason == DRIVING
+
+
+def test_goals_of_two_processes_of_one_name_are_refused() -> None:
+    scene = Scene()
+    scene.drive()
+    for turn in range(40):
+        taken_s = scene.now_s
+        for message in (Sighting(0, taken_s, [ROBOT], []), goals(taken_s)):
+            scene.core.receive(Envelope("unit/0", taken_s, message, "ab"[turn % 2]), taken_s)
+        order = scene.step()
+    assert order.v_mps == 0 and order.reason == "two processes are named unit/0"
+
+
+def test_a_restarted_unit_is_followed() -> None:
+    scene = Scene()
+    scene.drive()
+    for instance in ("b", "b", "c", "c"):
+        taken_s = scene.now_s
+        for message in (Sighting(0, taken_s, [ROBOT], []), goals(taken_s)):
+            scene.core.receive(Envelope("unit/0", taken_s, message, instance), taken_s)
+        assert scene.step().reason == DRIVING
+
+
+def test_a_goal_ages_from_the_capture_of_its_image() -> None:
+    scene = Scene()
+    scene.drive()
+    scene.now_s += 0.3
+    scene.core.decide(scene.now_s)
+    scene.see(age_s=0.4)
+    captured_s = scene.now_s - 0.4
+    while scene.now_s < captured_s + LIMITS.goal_timeout_s + 0.2:
+        scene.unit_says(Sighting(0, scene.now_s, [ROBOT], []))
+        order = scene.step()
+        age_s = scene.now_s - captured_s
+        if abs(age_s - LIMITS.goal_timeout_s) > 1e-6:
+            assert (order.reason == DRIVING) == (age_s < LIMITS.goal_timeout_s), age_s
+    assert order.reason == "no fresh goal"
+
+
+def test_speed_grows_from_zero_after_a_stop() -> None:
+    scene = Scene()
+    assert scene.drive(20).v_mps == LIMITS.speeds.speed_mps
+    scene.stop()
+    scene.see()
+    assert scene.step().v_mps == 0
+    scene.arm()
+    scene.see()
+    assert 0 < scene.step().v_mps <= LIMITS.speeds.acceleration_mps2 * STEP_S + 1e-12
+
+
+def test_two_places_are_remembered_over_a_gap_of_the_clock() -> None:
+    scene = Scene()
+    scene.drive()
+    scene.see(repeated=[ROBOT])
+    scene.now_s += 0.1
+    scene.core.decide(scene.now_s)
+    woke_s = scene.now_s = scene.now_s + 5.0
+    scene.core.decide(scene.now_s)
+    while scene.now_s < woke_s + LIMITS.unseen_s - STEP_S:
+        scene.see()
+        order = scene.step()
+        assert order.reason == "its marker is seen at two places"
+    scene.see()
+    scene.step()
+    scene.see()
+    assert scene.step().reason == DRIVING
+
+
+def test_a_sighting_from_the_future_counts_from_now() -> None:
+    scene = Scene()
+    scene.drive()
+    scene.see(age_s=-0.04)
+    seen_s = scene.now_s
+    while scene.now_s < seen_s + LIMITS.unseen_s:
+        order = scene.step()
+    scene.now_s = seen_s + LIMITS.unseen_s + 0.02
+    assert not scene.core.is_ready(scene.now_s)
+    assert order.v_mps == 0
+
+
+def test_after_a_sleep_it_waits_for_a_message_sent_since() -> None:
+    """A goal that was sent before the process woke up moves nothing, whatever the age of its image."""
+    scene = Scene()
+    scene.drive()
+    asleep = scene.now_s + 2.0
+    scene.now_s = asleep
+    sent_before = Envelope("unit/0", asleep - 0.01, goals(asleep - 0.01))
+    seen_before = Envelope("unit/0", asleep - 0.01, Sighting(0, asleep - 0.01, [ROBOT], []))
+    assert "its own clock moved" in scene.core.decide(scene.now_s).reason
+    for envelope in (seen_before, sent_before):
+        scene.core.receive(envelope, scene.now_s)
+    assert scene.step().reason == "no message of a unit since the process started or woke up"
+    scene.see()
+    assert scene.step().reason == DRIVING
 
 
 actions = st.one_of(

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from skyherd.live.lab import load_lab
-from skyherd.live.wire import Envelope, Heartbeat
+from skyherd.live.peers import CONFLICT_S
+from skyherd.live.stop_latch import NO_COMMAND, StopLatch
+from skyherd.live.wire import KIND_OF, Envelope, Heartbeat
 
 LAB = load_lab("star")
 FRAME_S, DELAY_S = 0.2, 0.05
@@ -89,3 +91,73 @@ def test_a_report_of_a_time_to_come_leads_nobody(make_detections) -> None:
     own_s = 102.2
     news = team.cores[0].see(replace(team.image, time_s=own_s), own_s)
     assert news.decision.report.time_s == own_s
+
+
+def sent_kinds(news) -> list[str]:
+    return [KIND_OF[type(message)] for message in news.messages]
+
+
+class OneUnit:
+    """A unit of the lab that sees its robots, and hears heartbeats of one of them."""
+
+    def __init__(self, make_detections) -> None:
+        self.core, ids = LAB.make_unit(0), LAB.template.ids
+        self.image = make_detections(ids, LAB.template.points_of(ids) * 20 + 400 + 400j)
+        self.now_s = 100.0
+
+    def see(self):
+        self.now_s += FRAME_S
+        return self.core.see(replace(self.image, time_s=self.now_s), self.now_s)
+
+    def hear(self, sent_s: float | None = None, latch=NO_COMMAND, sender="robot/0") -> None:
+        self.now_s += 0.01
+        sent_s = self.now_s if sent_s is None else sent_s
+        heartbeat = Heartbeat({"unit/0": (sent_s, sent_s)})
+        self.core.receive(Envelope(sender, sent_s, heartbeat, "x", latch), self.now_s)
+
+
+def test_a_unit_sends_goals_once_it_heard_a_heartbeat(make_detections) -> None:
+    unit = OneUnit(make_detections)
+    assert "goals" not in sent_kinds(unit.see())
+    assert "no heartbeat since" in unit.core.withheld(unit.now_s)
+    unit.hear()
+    assert sent_kinds(unit.see())[:2] == ["sighting", "goals"]
+    assert unit.core.withheld(unit.now_s) == ""
+
+
+def test_a_stopped_unit_sends_sightings_and_reports_alone(make_detections) -> None:
+    unit = OneUnit(make_detections)
+    unit.see()
+    unit.hear()
+    unit.hear(latch=StopLatch(stop=3))
+    assert sent_kinds(unit.see()) == ["sighting", "report"]
+    assert unit.core.withheld(unit.now_s) == "stopped"
+    unit.hear(latch=StopLatch(stop=3, cleared=2))
+    assert sent_kinds(unit.see()) == ["sighting", "report"]
+    unit.hear(latch=StopLatch(stop=3, cleared=3))
+    assert "goals" in sent_kinds(unit.see())
+
+
+def test_a_unit_that_slept_waits_for_a_heartbeat_sent_since(make_detections) -> None:
+    unit = OneUnit(make_detections)
+    unit.see()
+    unit.hear()
+    assert "goals" in sent_kinds(unit.see())
+    before_s, unit.now_s = unit.now_s, unit.now_s + 5.0
+    unit.hear(sent_s=before_s + 4.9)
+    assert "goals" not in sent_kinds(unit.see())
+    unit.hear()
+    assert "goals" in sent_kinds(unit.see())
+
+
+def test_a_unit_with_a_namesake_sends_no_goals(make_detections) -> None:
+    unit = OneUnit(make_detections)
+    unit.see()
+    unit.hear()
+    unit.hear(sender="unit/0")
+    assert "goals" not in sent_kinds(unit.see())
+    assert unit.core.withheld(unit.now_s) == "another process is named unit/0"
+    for _ in range(round(CONFLICT_S / FRAME_S)):
+        unit.hear()
+        news = unit.see()
+    assert "goals" in sent_kinds(news)

@@ -24,7 +24,6 @@ SHOWN = ("photometric", "tracking", "opencv", "apriltag3", "locus-tag")
 FACTOR_COLUMNS = (
     ("photometric", (0, 1, 2)),
     ("opencv", (0, 2)),
-    ("apriltag3", (0, 2)),
 )
 """Detectors of the table of factors, each with its columns: 0 position, 1 heading, 2 recall."""
 

@@ -49,7 +49,7 @@ def main(detectors: tuple[str, ...]) -> None:
     header, body = ["camera"], [[label] for label in named]
     for number, name in enumerate(detectors):
         for title, values in columns(rows[number :: len(detectors)]).items():
-            header.append(f"{name}: {title}")
+            header.append(title if len(detectors) == 1 else f"{name}: {title}")
             for line, value in zip(body, values, strict=True):
                 line.append(value)
     for line in header, ["---"] * len(header), *body:

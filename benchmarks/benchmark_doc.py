@@ -21,6 +21,9 @@ FIGURES = {"accuracy.png": "benchmark_accuracy.png", "times.png": "benchmark_tim
 SHOWN = ("photometric", "tracking", "opencv", "apriltag3", "locus-tag")
 """Detectors on the page. Chosen: OpenCV's other refinements are in `bench.md`."""
 
+SIDES = ("10 px", "16 px", "20 px", "30 px", "60 px", "100 px")
+"""Marker sides that have a column. Chosen: the figure shows all sides."""
+
 FACTOR_COLUMNS = (
     ("photometric", (0, 1, 2)),
     ("opencv", (0, 2)),
@@ -48,6 +51,13 @@ def split_factor(cell: str) -> tuple[str, str, str]:
 def shown_rows(table: Table) -> list[tuple[str, ...]]:
     """Return the rows of the detectors on the page."""
     return [row for row in table.rows if row[0] in SHOWN]
+
+
+def narrowed(table: Table) -> Table:
+    """Return a table by marker side with the columns of `SIDES` only."""
+    kept = [0, *(number for number, title in enumerate(table.header) if title in SIDES)]
+    rows = tuple(tuple(row[number] for number in kept) for row in table.rows)
+    return Table(table.title, table.note, tuple(table.header[number] for number in kept), rows)
 
 
 def accuracy_tables(table: Table) -> Iterator[Table]:
@@ -111,13 +121,13 @@ def page_tables(tables: Sequence[Table]) -> list[Table]:
     for table in tables:
         title = table.title
         if title.startswith("Error over") and title.endswith(NOISE):
-            chosen += accuracy_tables(table)
+            chosen += accuracy_tables(narrowed(table))
         elif title == f"Recall, {NOISE}":
-            chosen.append(recall_table(table))
+            chosen.append(recall_table(narrowed(table)))
         elif title == "One factor at a time":
             chosen.append(factor_table(table))
         elif title.startswith("NEES"):
-            chosen.append(nees_table(table))
+            chosen.append(nees_table(narrowed(table)))
         elif title == "False positives":
             chosen.append(Table(title, table.note, table.header, tuple(shown_rows(table))))
         elif title == f"Time per frame, {NOISE}":

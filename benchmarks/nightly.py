@@ -179,11 +179,11 @@ def as_page(outcomes: list[Outcome], date: datetime.date, page_before: str = "")
     lines = [
         "# The last nights",
         "",
-        "What `.ci/nightly` ran, each step on its last night, with seeds that follow from the date; again:",
-        '`python benchmarks/nightly.py --only "STEP" --day NIGHT`. All missions should form their shape, and',
-        "stay inside P where the radio holds all units together and nobody is killed.",
+        "Latest result of each step of `.ci/nightly`. Seeds follow from the date. To repeat a step:",
+        '`python benchmarks/nightly.py --only "STEP" --day NIGHT`. Expected: all missions form their shape,',
+        "and stay in P without a radio partition or a killed unit.",
         "",
-        "| step | night | as it should be | minutes | what came of it |",
+        "| step | night | as expected | minutes | result |",
         "|---|---|---|---|---|",
         *(rows[name] for name in {**MISSIONS, **TESTS} if name in rows),
     ]
@@ -212,7 +212,7 @@ def main() -> None:
         if options.table:
             write_text(options.table, as_page(outcomes, options.day, page_before))
     wrong = [outcome.name for outcome in outcomes if not outcome.is_right]
-    print(f"not as it should be: {', '.join(wrong)}" if wrong else "all as it should be")
+    print(f"not as expected: {', '.join(wrong)}" if wrong else "all as expected")
     sys.exit(bool(wrong))
 
 

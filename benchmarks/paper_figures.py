@@ -44,6 +44,10 @@ HEIGHTS_M = (12.4, 15.8, 15.3)
 """Heights of the cameras of Fig. 5 at the start, by unit: the order in which one threshold gives that V."""
 
 
+BETWEEN = " / "
+"""Separator of the values of the two runs of Fig. 5."""
+
+
 class Row(NamedTuple):
     """A number of a panel: what is published, what came out here, and why they differ if they do."""
 
@@ -115,27 +119,27 @@ def figure4_rows(history: History) -> list[Row]:
     turned_deg = float(np.degrees(history.yaws_rad[-1, 0]))
     scales, rotations_deg = history.scales[:, 0], np.degrees(history.rotations_rad[:, 0])
     heights_m = history.heights_m[:, 0]
-    free = "by the half angle of Fig. 5, 39 degrees; the margin kept around the robots is not published"
+    free = "half angle of Fig. 5, 39 degrees; the margin is not published"
     return [
-        Row("paths: ends of the six robots", "six points", f"within {ends_m.max():.3f} m of them"),
+        Row("paths: ends of the six robots", "six points", f"within {ends_m.max():.3f} m"),
         Row("paths: start of the camera", "(0, 0)", "(0, 0)", "set"),
         Row(
-            "paths: way of the camera",
+            "paths: camera",
             "the perimeter, more than one lap",
             f"{laps:.1f} laps",
-            "its speed is set",
+            "speed is an input",
         ),
         Row(
             "linear velocity",
             f"below {told['speed_below_mps']} m/s",
-            f"{np.abs(history.v_mps).max():.3f} m/s at most",
-            "the gain is set by this",
+            f"at most {np.abs(history.v_mps).max():.3f} m/s",
+            "defines the gain",
         ),
         Row("angular velocity", "no number", f"{np.abs(history.omega_radps).max():.3f} rad/s at most"),
         Row(
             "image traces",
-            "a good visibility of all robots",
-            f"all six in every image, at most {farthest:.2f} of half an image off its centre",
+            "good visibility of all robots",
+            f"all six in every image, within {farthest:.2f} of the half view",
         ),
         Row("V at the start", f"{told['V_start_m2']} m²", f"{history.V[0]:.1f} m²"),
         Row(f"V after {told['formed_s']:g} s", "near 0", f"{history.V[formed]:.2f} m²"),
@@ -165,7 +169,7 @@ def figure4_rows(history: History) -> list[Row]:
 def both_ways(form: str, values: Iterable[Any]) -> str:
     """A text for each of the two runs of Fig. 5, or one if it is the same."""
     texts = dict.fromkeys(form.format(value) for value in values)
-    return " / ".join(texts)
+    return BETWEEN.join(texts)
 
 
 def listed(values: Iterable[float], digits: int = 1) -> str:
@@ -189,7 +193,7 @@ def robot_rows(runs: tuple[History, History]) -> list[Row]:
             "linear velocities",
             "no number; they jump",
             both_ways("{:.2f} m/s at most", fastest),
-            "the limit of our wheels; the pace is ours, none is published",
+            "limit of our wheels",
         ),
         Row("angular velocities", "no number; they jump", both_ways("{:.2f} rad/s at most", quickest)),
         Row("scales of the parts", "equal at the end", both_ways("{}", scales)),
@@ -201,7 +205,7 @@ def robot_rows(runs: tuple[History, History]) -> list[Row]:
             both_ways(
                 "{} of 16 robots at the end", [listed(each.controlled[-1].sum(axis=1), 0) for each in runs]
             ),
-            "in the sets S_j^c of the units",
+            "control sets",
         ),
     ]
 
@@ -222,7 +226,7 @@ def topology_rows(runs: tuple[History, History]) -> list[Row]:
             "V at the start",
             f"{PUBLISHED['figure5']['V_start_m2']:g} m²",
             both_ways("{:.1f} m²", [each.V[each.ready_row or 0] for each in runs]),
-            f"by sets of {sets} robots, see below; by the protocol once its tree is complete",
+            f"sets of {sets} robots; protocol: once its tree is complete",
         ),
         Row(
             "V over time",
@@ -243,15 +247,15 @@ def camera_rows(runs: tuple[History, History]) -> list[Row]:
         Row("paths: starts of the cameras", "three points", "the same", "set"),
         Row(
             "camera heights at the start",
-            f"{listed(told['camera_heights_m'])} m, of which camera is not told",
+            f"{listed(told['camera_heights_m'])} m, order not published",
             f"{listed(runs[0].heights_m[0])} m",
-            "set; the order is found by V",
+            "input; order determined by V",
         ),
         Row(
             "camera heights at the end",
             f"near {told['settled_height_m']:g} m",
             both_ways("{} m", [listed(each.heights_m[-1]) for each in runs]),
-            "not matched: which robots each camera keeps, and with what margin, is not published",
+            "not matched: control sets and margin are not published",
         ),
         Row("camera speeds", "0 at the end", both_ways("{:.3f} m/s at the end", speeds)),
         Row("camera rotations", "none", both_ways("{:.0f} degrees", turned_deg)),
@@ -264,10 +268,24 @@ def figure5_rows(radius: History, tree: History) -> list[Row]:
     return [*robot_rows(runs), *topology_rows(runs), *camera_rows(runs)]
 
 
+def is_compared(row: Row) -> bool:
+    """Return whether the panel has a published number that is no input of the run."""
+    return not row.published.startswith("no number") and row.remark != "set"
+
+
 def table(rows: list[Row]) -> str:
-    """Rows as a Markdown table."""
-    lines = [f"| {' | '.join(row)} |" for row in rows]
+    """Return the compared rows as a Markdown table."""
+    lines = [f"| {' | '.join(row)} |" for row in rows if is_compared(row)]
     return "\n".join(["| panel | published | ours | remark |", "|---|---|---|---|", *lines])
+
+
+def table_both_ways(rows: list[Row]) -> str:
+    """Return the compared rows of Fig. 5 as a Markdown table with a column for each of the two runs."""
+    lines = ["| panel | published | safety radius | protocol | remark |", "|---|---|---|---|---|"]
+    for row in filter(is_compared, rows):
+        radius, _, tree = row.ours.partition(BETWEEN)
+        lines.append(f"| {row.panel} | {row.published} | {radius} | {tree or radius} | {row.remark} |")
+    return "\n".join(lines)
 
 
 def page(figure4: History, radius: History, tree: History) -> str:
@@ -281,11 +299,11 @@ def page(figure4: History, radius: History, tree: History) -> str:
 
 ### Fig. 5: three cameras, sixteen robots
 
-By the safety radius (picture) / by the protocol that keeps TC1–TC5 ([picture](topology.md#the-papers-star)).
+The [topology page](topology.md#the-papers-star) has the panels of the protocol.
 
 ![Panels of Fig. 5 by skyherd, with published numbers in red](figure5_panels.png)
 
-{table(figure5_rows(radius, tree))}
+{table_both_ways(figure5_rows(radius, tree))}
 """
 
 

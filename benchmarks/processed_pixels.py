@@ -2,9 +2,9 @@
 
     python benchmarks/processed_pixels.py [DETECTOR,...]
 
-The cells are those of the camera sweeps of `skyherd bench detectors`, with fewer images of each: RMSE of
-position / of heading over the Cramér–Rao bound of the raw pixels, NEES of the position / of the heading, and
-recall. It takes some minutes.
+The cells are those of the camera sweeps of `skyherd bench detectors`, with fewer images of each. Columns of
+a detector: RMSE of position and of heading over the Cramér–Rao bound of the raw pixels, NEES of both if it
+reports covariances, and recall. It takes some minutes.
 """
 
 import sys
@@ -30,21 +30,30 @@ def cells() -> dict[str, Cell]:
     return named
 
 
-def entry(row: Row) -> str:
-    """Return what one detector achieved in one cell."""
-    ratios = f"{row['ratio_px']:.2f} / {row['ratio_deg']:.2f}"
-    nees = "" if row["nees"] is None else f", {row['nees']:.2f} / {row['nees_heading']:.2f}"
-    return f"{ratios}{nees}, {100 * row['recall']:.1f} %"
+def columns(rows: list[Row]) -> dict[str, list[str]]:
+    """Return the columns of one detector: a title and a value for each cell."""
+    measured = {"position": "ratio_px", "heading": "ratio_deg"}
+    if any(row["nees"] is not None for row in rows):
+        measured |= {"NEES, position": "nees", "NEES, heading": "nees_heading"}
+    found = {
+        title: ["–" if row[key] is None else f"{row[key]:.2f}" for row in rows]
+        for title, key in measured.items()
+    }
+    return found | {"recall, %": [f"{100 * row['recall']:.1f}" for row in rows]}
 
 
 def main(detectors: tuple[str, ...]) -> None:
-    """Measure and print a line for each cell."""
+    """Measure all cells and print a row for each."""
     named = cells()
     rows = measure_cells(Plan(detectors, "4X4_50", SEED), list(named.values()))
-    print("| camera | " + " | ".join(detectors) + " |\n" + "| --- " * (1 + len(detectors)) + "|")
-    for number, label in enumerate(named):
-        here = rows[number * len(detectors) : (number + 1) * len(detectors)]
-        print(f"| {label} | " + " | ".join(map(entry, here)) + " |", flush=True)
+    header, body = ["camera"], [[label] for label in named]
+    for number, name in enumerate(detectors):
+        for title, values in columns(rows[number :: len(detectors)]).items():
+            header.append(title if len(detectors) == 1 else f"{name}: {title}")
+            for line, value in zip(body, values, strict=True):
+                line.append(value)
+    for line in header, ["---"] * len(header), *body:
+        print(f"| {' | '.join(line)} |")
 
 
 if __name__ == "__main__":

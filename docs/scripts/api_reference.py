@@ -1,4 +1,4 @@
-"""The pages of the API reference: one for each package, with a section for each of its modules."""
+"""Build the pages of the API reference: one page per package, one section per module."""
 
 import ast
 import tomllib
@@ -8,30 +8,30 @@ ROOT = Path(__file__).parent.parent.parent
 
 
 def packages() -> dict[str, Path]:
-    """Folder of each package that has modules, by the package's full name, as `pyproject.toml` lists them."""
+    """Return the folder of each package with modules, by full name, from `pyproject.toml`."""
     listed = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["package-dir"]
     folders = {name: ROOT / folder for name, folder in listed.items()}
     return {name: folder for name, folder in sorted(folders.items()) if modules(folder) or name == "skyherd"}
 
 
 def modules(folder: Path) -> list[str]:
-    """Names of the modules that lie in a folder, private ones left out."""
+    """Return the names of the public modules in a folder."""
     return sorted(path.stem for path in folder.glob("*.py") if not path.stem.startswith("_"))
 
 
 def api_page(package: str, folder: Path) -> str:
-    """The page of one package: its docstring, the names that it offers, and its modules."""
+    """Return the page of one package: docstring, public names and modules."""
     of_package = f"::: {package}\n    options:\n      members: false\n      show_root_heading: false\n"
     parts = [f"# `{package}`\n", of_package]
     if offered := offered_names(package, folder):
-        parts.append("## Offered by the package itself\n")
+        parts.append("## Public names\n")
         parts.append("\n".join(f"- [`{name}`][{module}.{name}]" for name, module in offered.items()) + "\n")
     parts += [f"::: {package}.{module}\n" for module in modules(folder)]
     return "\n".join(parts)
 
 
 def offered_names(package: str, folder: Path) -> dict[str, str]:
-    """The module that each name of a package's `__all__` comes from, in the order of the alphabet."""
+    """Return the defining module of each name in a package's `__all__`, sorted by name."""
     found: dict[str, str] = {}
     for node in ast.walk(ast.parse((folder / "__init__.py").read_text())):
         if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("skyherd."):
@@ -42,13 +42,13 @@ def offered_names(package: str, folder: Path) -> dict[str, str]:
 
 
 def home(module: str, name: str) -> str:
-    """The module in which a name is defined: that of the import, or that which a package has it from."""
+    """Return the module that defines a name, following re-exports."""
     folder = packages().get(module)
     return module if folder is None else offered_names(module, folder).get(name, module)
 
 
 def overview() -> str:
-    """The first page: the packages with the first sentence of each one's docstring."""
+    """Return the index page: all packages with the first sentence of their docstrings."""
     rows = []
     for package, folder in packages().items():
         text = ast.get_docstring(ast.parse((folder / "__init__.py").read_text())) or ""
@@ -56,9 +56,8 @@ def overview() -> str:
     return "\n".join(
         [
             "# Library reference\n",
-            "One page for each package, made from the docstrings. [Architecture](../../architecture.md) says",
-            "how the packages fit together, and who may import what. What most users need is in",
-            "[`skyherd`](skyherd.md) itself.\n",
+            "One page per package, generated from the docstrings. [`skyherd`](skyherd.md) has the main API.",
+            "[Architecture](../../architecture.md) explains the packages and their imports.\n",
             "| package | |",
             "|---|---|",
             *rows,

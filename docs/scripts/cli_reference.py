@@ -10,18 +10,23 @@ from skyherd.cli import app
 INTRODUCTION = """\
 # Command line
 
-Made from the program when this site is built, so that it says what `skyherd VERB --help` says.
-`skyherd --install-completion` sets up completion of verbs, options and their values for your shell.
+Generated from `skyherd VERB --help`. `skyherd --install-completion` installs shell completion.
 
-Exit codes of all verbs: 0 done; 1 the answer is no (the shape was not reached, a condition is violated, a
-run failed, a file has no marker under `--require`, no robot was tracked, a data set has a problem, a robot
-did not answer, a decision comes out differently); 2 bad input or output, told in one line; 130 after Ctrl-C,
-and 143 after SIGTERM.
+| exit code | meaning |
+|---|---|
+| 0 | success |
+| 1 | negative result |
+| 2 | bad input or output, reported in one line |
+| 130 | Ctrl-C |
+| 143 | SIGTERM |
+
+Negative results are: shape not reached, condition violated, run failed, no marker under `--require`, no robot
+tracked, faulty data set, robot without answer, replay differs.
 """
 
 
 def cli_reference() -> str:
-    """The whole page: a section for each verb with its usage, what it does, its arguments and options."""
+    """Return the page: usage, description, arguments and options of each verb."""
     parts = [INTRODUCTION]
     for name, verb in verbs(typer.main.get_command(app), "skyherd"):
         parts += section(name, verb)
@@ -29,7 +34,7 @@ def cli_reference() -> str:
 
 
 def verbs(command: Any, name: str) -> Iterator[tuple[str, Any]]:
-    """Every command below a group that is no group itself, with its full name, in the order of the help."""
+    """Yield every leaf command of a group with its full name, in the order of the help."""
     for word, below in getattr(command, "commands", {}).items():
         if hasattr(below, "commands"):
             yield from verbs(below, f"{name} {word}")
@@ -38,7 +43,7 @@ def verbs(command: Any, name: str) -> Iterator[tuple[str, Any]]:
 
 
 def section(name: str, verb: Any) -> Iterator[str]:
-    """The section of one verb."""
+    """Yield the lines of the section of one verb."""
     context = typer.Context(verb, info_name=name)
     yield f"## `{name}`\n"
     yield f"{verb.help}\n"
@@ -53,5 +58,5 @@ def section(name: str, verb: Any) -> Iterator[str]:
 
 
 def in_cell(text: str) -> str:
-    """A text as it is written into one cell of a table, in which a bar would end the cell."""
+    """Escape a text for a table cell."""
     return " ".join(text.split()).replace("|", "\\|")

@@ -20,7 +20,7 @@ SCENARIOS = ("star", "star-consumer", "handheld", "handheld-consumer")
 
 
 def picture(name: str) -> np.ndarray:
-    """Part of a unit's first images, enlarged: about the marker that is nearest to the image's middle."""
+    """Return an enlarged crop of a unit's first image around the most central marker."""
     mission = load_mission(name)
     world, renderer = make_world(mission), make_renderer(mission, np.random.default_rng(0))
     camera, pose, markers = world.cameras[UNIT], world.camera_pose(UNIT), world.markers
@@ -35,7 +35,7 @@ def picture(name: str) -> np.ndarray:
 
 
 def main() -> None:
-    """Lay the pictures out and write the figure."""
+    """Arrange the pictures and write the figure."""
     side = CROP_PX * TIMES
     sheet = np.full((2 * (side + TITLE_PX) + GAP_PX, 2 * side + GAP_PX, 3), rgb(PAPER), dtype=np.uint8)
     for number, name in enumerate(SCENARIOS):

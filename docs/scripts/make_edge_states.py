@@ -23,7 +23,7 @@ LINE: dict[str, Any] = {
 
 
 class State(NamedTuple):
-    """A state: its name, what it means, where it is drawn and in which colour."""
+    """State: name, meaning, position and colour."""
 
     name: str
     meaning: str
@@ -33,7 +33,7 @@ class State(NamedTuple):
 
 
 class Arrow(NamedTuple):
-    """A transition: from, to, what causes it, how it bends, and where its words are."""
+    """Transition: source, target, cause, bend and label position."""
 
     start: str
     end: str
@@ -78,7 +78,7 @@ ARROWS = (
 
 
 def draw_state(axes: Axes, state: State) -> FancyBboxPatch:
-    """A rounded box with the state's name and meaning."""
+    """Draw a rounded box with the state's name and meaning."""
     corner = state.x - WIDE / 2, state.y - HIGH / 2
     style = "round,pad=0.08,rounding_size=0.2"
     box = FancyBboxPatch(corner, WIDE, HIGH, style, facecolor=PAPER, edgecolor=state.color, linewidth=2.2)
@@ -90,7 +90,7 @@ def draw_state(axes: Axes, state: State) -> FancyBboxPatch:
 
 
 def draw_arrow(axes: Axes, arrow: Arrow, boxes: dict[str, FancyBboxPatch]) -> None:
-    """An arrow from box to box and its words; from a box to itself, below it."""
+    """Draw a labelled arrow between boxes; a loop is drawn below its box."""
     places = {state.name: (state.x, state.y) for state in STATES}
     start, end = places[arrow.start], places[arrow.end]
     if arrow.start == arrow.end:

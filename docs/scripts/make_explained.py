@@ -36,7 +36,7 @@ def draw_markers(
 
 
 def make_scene() -> np.ndarray:
-    """Grey picture of good markers and of one for each common fault."""
+    """Return a grey picture of good markers and of one marker per common fault."""
     image = Ground(20).draw(np.array([[20.0, 0, 480], [0, -20, 300], [0, 0, 1]]), SIZE_PX)
     image = draw_markers(image, [(7, 120, 110, 20, 64), (12, 350, 90, -60, 40), (21, 560, 130, 130, 52)])
     image = draw_markers(image, [(3, 150, 300, 70, 8.4)])
@@ -55,7 +55,7 @@ def make_scene() -> np.ndarray:
 
 
 def main() -> None:
-    """Draw, detect, explain, save."""
+    """Draw the picture, run the detector, and save the explanation."""
     image = make_scene()
     found = create_detector("photometric", dictionary=DICTIONARY).detect(image)
     rejections = explain(image, DICTIONARY, found)

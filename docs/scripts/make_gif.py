@@ -13,14 +13,14 @@ from skyherd.drawing.palette import TEMPLATE_COLOR, UNIT_COLORS, rgb
 from skyherd.files.video_writer import count_frames, read_frames
 
 STILL = 14
-"""A pixel keeps its old colour while it changes by less than this: noise costs bytes, and shows nothing."""
+"""Change below which a pixel keeps its old colour. Noise costs bytes."""
 
 PALE = 225
-"""Above this in every channel is paper, which has no noise."""
+"""Threshold in every channel above which a pixel is background."""
 
 
 def pick_frames(video: Path, count: int, width_px: int, share: float) -> list[np.ndarray]:
-    """About `count` frames from the first `share` of a video, evenly spaced and scaled to `width_px`."""
+    """Return about `count` evenly spaced frames of the first `share` of a video, scaled to `width_px`."""
     wanted = set(np.linspace(0, share * (count_frames(video) - 1), count).round().astype(int).tolist())
     frames = []
     for k, frame in enumerate(read_frames(video)):
@@ -34,7 +34,7 @@ def pick_frames(video: Path, count: int, width_px: int, share: float) -> list[np
 
 
 def hold_still(frames: list[np.ndarray]) -> list[np.ndarray]:
-    """Frames in which only pixels that change visibly change at all; pale ones always do."""
+    """Return frames in which pixels change only visibly; pale ones always change."""
     held = [frames[0]]
     for frame in frames[1:]:
         change = np.abs(frame.astype(np.int16) - held[-1]).max(axis=2, keepdims=True)
@@ -44,7 +44,7 @@ def hold_still(frames: list[np.ndarray]) -> list[np.ndarray]:
 
 
 def make_palette() -> Image.Image:
-    """Greys, and every colour with a meaning on its way to white: no two units look alike."""
+    """Return a palette: greys, and the shades of every coded colour."""
     strong = np.array([rgb(color) for color in (*UNIT_COLORS[:7], TEMPLATE_COLOR)])
     mixed = [strong + (255 - strong) * share for share in (0.0, 0.25, 0.5, 0.75)]
     greys = np.linspace(20, 255, 32)[:, None] * np.ones(3)
@@ -55,7 +55,7 @@ def make_palette() -> Image.Image:
 
 
 def save_gif(frames: list[np.ndarray], path: Path, frame_ms: int, last_ms: int) -> None:
-    """Write frames as a GIF that loops for ever and rests on its last frame."""
+    """Write frames as a looping GIF that pauses on its last frame."""
     palette = make_palette()
     pictures = [Image.fromarray(f).quantize(palette=palette, dither=Image.Dither.NONE) for f in frames]
     durations = [frame_ms] * (len(pictures) - 1) + [last_ms]

@@ -1,4 +1,4 @@
-"""Make rectification.png: one cheap camera's image, the same rectified, and what is left of the shape error.
+"""Make rectification.png: one camera's image, the same rectified, and the remaining shape error.
 
 python docs/scripts/make_rectification_figure.py            # writes docs/rectification.png
 """
@@ -37,7 +37,7 @@ GRID_M = np.arange(-6.0, 6.1, 1.5)
 
 
 def fly(*, rectify: bool) -> tuple[Mission, list[Step]]:
-    """The star of sixteen under one bad camera that hovers."""
+    """Return the mission: a star of sixteen under one hovering uncalibrated camera."""
     tree: dict[str, Any] = parse_toml(scenario_text("star"), "star", "")
     tree |= {"duration_s": 12.0, "units": [UNIT], "seed": 4}
     tree["robots"] = {"scatter": {"scale_m": 0.72, "jitter_m": 0.6, "spacing_m": 1.1}}
@@ -49,7 +49,7 @@ def fly(*, rectify: bool) -> tuple[Mission, list[Step]]:
 
 
 def rectified_image(image: Array, ground_map: GroundMap) -> Array:
-    """The image as an ideal camera would have taken it: each pixel looked up through the inverse map."""
+    """Return the image of an ideal camera, sampled through the inverse map."""
     height, width = image.shape
     v, u = np.mgrid[:height, :width].astype(float)
     pixels = np.stack([u, v], axis=-1).reshape(-1, 2)
@@ -60,7 +60,7 @@ def rectified_image(image: Array, ground_map: GroundMap) -> Array:
 
 
 def show(axes: Axes, image: Array, points_px: Array, fitted_px: Array, title: str) -> None:
-    """An image with circles where the template would have the robots, in a similarity's sense."""
+    """Return an image with circles at the template's points under the best similarity."""
     axes.imshow(image, cmap="gray", vmin=0, vmax=255)
     axes.plot(*fitted_px.T, "o", ms=12, mfc="none", mec=TEMPLATE_COLOR, mew=1.6)
     axes.set_title(title, fontsize=10, color=INK)
@@ -69,7 +69,7 @@ def show(axes: Axes, image: Array, points_px: Array, fitted_px: Array, title: st
 
 
 def fitted(mission: Mission, points_px: Array) -> Array:
-    """The template's points (N, 2) brought to image points by the best similarity."""
+    """Return the template's points (N, 2) mapped to the image by the best similarity."""
     template = mission.template.points_of(mission.ids)
     seen = points_px @ np.array([1, 1j])
     centred = template - template.mean()
@@ -78,7 +78,7 @@ def fitted(mission: Mission, points_px: Array) -> Array:
 
 
 def main() -> None:
-    """Fly, draw, save."""
+    """Run the flight, draw the figure and save it."""
     runs = {rectify: fly(rectify=rectify) for rectify in (False, True)}
     mission, steps = runs[True]
     frame = steps[-1].frames[0]

@@ -35,7 +35,7 @@ MOTION = Motion((2.5, 0.8, 0.0), 0.5)
 
 
 def team() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Ids, positions and headings of twenty robots on a jittered grid."""
+    """Return ids, positions and headings of twenty robots on a jittered grid."""
     rng = np.random.default_rng(5)
     grid = np.stack(np.meshgrid(np.arange(5) - 2.0, np.arange(4) - 1.5), axis=-1).reshape(-1, 2)
     return np.arange(20), 2.2 * grid + rng.uniform(-0.4, 0.4, grid.shape), rng.uniform(-np.pi, np.pi, 20)
@@ -52,7 +52,7 @@ def draw(
     lens_blur: LensBlur | None = None,
     covered: bool = False,
 ) -> np.ndarray:
-    """The scene with some part of it changed."""
+    """Return the scene with some settings changed."""
     renderer = Renderer(
         "4X4_50",
         1.0,
@@ -68,7 +68,7 @@ def draw(
 
 
 def sensor(noise: float = 0.0, jpeg_quality: int | None = None, shot: float = 0.0, **light: float) -> Sensor:
-    """A sensor with some of its parts on."""
+    """Return a sensor with some stages enabled."""
     return Sensor(
         noise,
         np.random.default_rng(1),
@@ -79,13 +79,13 @@ def sensor(noise: float = 0.0, jpeg_quality: int | None = None, shot: float = 0.
 
 
 def processed(noise: float = 0.0, **steps: object) -> np.ndarray:
-    """The scene through some steps of processing."""
+    """Return the scene through some processing stages."""
     camera = Sensor(noise, np.random.default_rng(1), processing=Processing(**steps))
     return draw(sensor=camera)
 
 
 def panels() -> dict[str, np.ndarray]:
-    """Pictures by title."""
+    """Return pictures by title."""
     tilt = CameraPose((0.0, 3.2), HEIGHT_M, 0.1, (np.radians(20.0), 0.0))
     return {
         "as it is": draw(),
@@ -114,7 +114,7 @@ def panels() -> dict[str, np.ndarray]:
 
 
 def main() -> None:
-    """Lay the panels out and write the figure."""
+    """Arrange the panels and write the figure."""
     pictures = panels()
     width, height = SIZE_PX
     rows = -(-len(pictures) // COLUMNS)

@@ -1,4 +1,4 @@
-"""Print the two tables of docs/methods.md, and the seeds of the starts in which skyherd failed.
+"""Print the tables of docs/methods.md, and the seeds of the starts in which skyherd failed.
 
 python docs/scripts/methods_tables.py DIR            # DIR is that of `skyherd study methods --out DIR`
 """
@@ -22,28 +22,49 @@ SIDE_M, BODY_M, MARGIN_M = 0.4, 0.4, 0.08
 """Side of a marker, radius of a robot's body and margin of the avoidance, m, in every task of the study."""
 
 MOVED_M = 0.005
-"""A robot that stayed within this of where it began did not move. Chosen: a hundredth of its body."""
+"""Displacement below which a robot counts as standing, m. Chosen: a hundredth of its body."""
 
 
-def formed(method: Method, runs: Outcomes) -> str:
-    """How many starts formed the shape, and the median time of these from the start, as `49, 40.2`.
+def formed(runs: Outcomes) -> str:
+    """Return the number of starts that formed the shape."""
+    return f"{int(runs.converged.sum())}"
 
-    An affine law's has in brackets how many formed an affine image, and the time is that of the image.
-    """
-    own, image = int(runs.converged.sum()), int(runs.affine.sum())
+
+def image_formed(runs: Outcomes) -> str:
+    """Return the number of starts that formed an affine image of the shape."""
+    return f"{int(runs.affine.sum())}"
+
+
+def formed_rows(methods: list[Method], tasks: list[str]) -> list[list[str]]:
+    """Return rows of counts; affine laws have a second row for affine images."""
+    rows = []
+    for one in methods:
+        rows.append([one.name, *(formed(one.outcomes[task]) for task in tasks)])
+        if one.name in AFFINE:
+            rows.append([f"{one.name}: affine image", *(image_formed(one.outcomes[task]) for task in tasks)])
+    return rows
+
+
+def time(method: Method, runs: Outcomes) -> str:
+    """Return the median time from the start, s, of the starts that formed what the method promises."""
     promised = method.name in AFFINE
-    time_s = median(runs.begun_s + (runs.affine_times_s if promised else runs.times_s))
-    count = f"{own} ({image})" if promised else f"{own}"
-    return f"{count}, {time_s:.3g}" if (image if promised else own) else count
+    if not (runs.affine if promised else runs.converged).any():
+        return "–"
+    return f"{median(runs.begun_s + (runs.affine_times_s if promised else runs.times_s)):.3g}"
 
 
-def way(runs: Outcomes) -> str:
-    """The median way over the shortest, and in how many starts bodies collided, as `2.7 (0)`."""
-    return f"{median(runs.detours):.2g} ({int(runs.collided.sum())})"
+def path_ratio(runs: Outcomes) -> str:
+    """Return the median path over the shortest."""
+    return f"{median(runs.detours):.2g}"
+
+
+def collided(runs: Outcomes) -> str:
+    """Return the number of starts with collisions."""
+    return f"{int(runs.collided.sum())}"
 
 
 def numbers(method: Method) -> str:
-    """The least and the largest of the tasks' median numbers a robot and second, as `336 to 624`."""
+    """Return the range of the tasks' median numbers per robot and second, as `336 to 624`."""
     each = [median(runs.numbers_ps) for runs in method.outcomes.values()]
     return f"{min(each):.0f} to {max(each):.0f}"
 
@@ -56,7 +77,7 @@ def print_table(head: list[str], rows: list[list[str]]) -> None:
 
 
 def start_gap_m(row: dict[str, Any]) -> float:
-    """The least gap between two bodies at the start of a run, obstacles' too."""
+    """Return the smallest gap between two bodies at the start of a run, obstacles included, m."""
     places_m = np.array(row["history.waypoints_m"][0])
     obstacles = row["obstacles"] or []
     others_m = np.array([*places_m, *(one["position_m"] for one in obstacles)])
@@ -67,14 +88,14 @@ def start_gap_m(row: dict[str, Any]) -> float:
 
 
 def still(row: dict[str, Any]) -> list[int]:
-    """Robots that did not move."""
+    """Return the robots that did not move."""
     ways_m = np.array(row["history.waypoints_m"])
     farthest_m = np.linalg.norm(ways_m - ways_m[0], axis=-1).max(axis=0)
     return [int(robot) for robot in np.flatnonzero(farthest_m < MOVED_M)]
 
 
 def print_failures(rows: list[dict[str, Any]]) -> None:
-    """Print what became of the runs in which something failed, and how many began inside the margin."""
+    """Print the failed runs, and the runs that formed by whether they began inside the margin."""
     for row in rows:
         if row["collisions"] or not row["converged"]:
             print(
@@ -89,14 +110,14 @@ def print_failures(rows: list[dict[str, Any]]) -> None:
 
 
 def main(folder: Path) -> None:
-    """Print everything that docs/methods.md quotes and that the study's own tables do not have."""
+    """Print the figures of docs/methods.md that the tables of the study do not have."""
     study, table = load_study("methods"), read_table(folder)
     methods, tasks = make_methods(study, table), [task.name for task in study.spec.tasks]
-    print_table(tasks, [[one.name, *(formed(one, one.outcomes[task]) for task in tasks)] for one in methods])
-    print_table(
-        [*tasks, "numbers"],
-        [[one.name, *(way(one.outcomes[task]) for task in tasks), numbers(one)] for one in methods],
-    )
+    print_table(tasks, formed_rows(methods, tasks))
+    print_table(tasks, [[one.name, *(time(one, one.outcomes[task]) for task in tasks)] for one in methods])
+    for value in path_ratio, collided:
+        print_table(tasks, [[one.name, *(value(one.outcomes[task]) for task in tasks)] for one in methods])
+    print_table(["numbers"], [[one.name, numbers(one)] for one in methods])
     print_failures([row for row in table.to_pylist() if row["sweep"] == OURS])
 
 

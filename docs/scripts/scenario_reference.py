@@ -1,4 +1,4 @@
-"""The reference of scenario files as Markdown, from the JSON schema that `skyherd scenario schema` prints."""
+"""Build the reference of scenario files as Markdown from the JSON schema."""
 
 import json
 from collections.abc import Iterator
@@ -11,11 +11,12 @@ Schema = dict[str, Any]
 INTRODUCTION = """\
 # Scenario files
 
-Every key of a scenario file, made from the JSON schema (`skyherd scenario schema`) when this site is built.
+Generated from the JSON schema (`skyherd scenario schema`).
 
 A file is TOML: a key `k` in the section `control` is written `k = 0.2` under `[control]`, or on the command
-line as `--set control.k=0.2`. `skyherd scenario check FILE` names file, key and value, and what is allowed.
-The end of a name is its unit: `_s` seconds, `_m` metres, `_px` pixels, `_deg` degrees, `_sides` marker sides.
+line as `--set control.k=0.2`. `skyherd scenario check FILE` checks a file.
+The suffix of a name is its unit: `_s` seconds, `_m` metres, `_px` pixels, `_deg` degrees, `_sides` marker
+sides.
 """
 
 LIMITS = (
@@ -25,11 +26,11 @@ LIMITS = (
     ("exclusiveMaximum", "below {:g}"),
 )
 NO_LIMIT = 1e6
-"""Limits of this size only refuse what cannot be meant, and are left out."""
+"""Size from which limits are omitted. Chosen: they only reject absurd values."""
 
 
 def scenario_reference() -> str:
-    """The whole page: the top level, then a section for each table that a file can have."""
+    """Return the page: the top level, then a section per table."""
     schema = Scenario.model_json_schema()
     named = {name: paths for name, paths in sections(schema)}
     parts = [INTRODUCTION, "## Top level\n", table(schema)]
@@ -41,7 +42,7 @@ def scenario_reference() -> str:
 
 
 def sections(schema: Schema) -> Iterator[tuple[str, list[str]]]:
-    """Each model that can be reached, with the paths of the tables in a file that it describes."""
+    """Return each reachable model with the paths of its tables."""
     paths: dict[str, list[str]] = {}
     waiting = [("", schema)]
     while waiting:
@@ -57,7 +58,7 @@ def sections(schema: Schema) -> Iterator[tuple[str, list[str]]]:
 
 
 def references(value: Schema) -> Iterator[tuple[str, bool]]:
-    """Models that a value can be, and whether it is a list of them."""
+    """Yield the possible models of a value, and whether it is a list of them."""
     if "$ref" in value:
         yield value["$ref"].rsplit("/", 1)[-1], False
     for option in value.get("anyOf", []):
@@ -67,9 +68,9 @@ def references(value: Schema) -> Iterator[tuple[str, bool]]:
 
 
 def table(model: Schema) -> str:
-    """The keys of one model: what each takes, what it is if left out, and what it means."""
+    """Return the table of a model's keys: type, default and meaning."""
     required = model.get("required", [])
-    rows = ["| key | takes | if left out | meaning |", "|---|---|---|---|"]
+    rows = ["| key | type | default | meaning |", "|---|---|---|---|"]
     for key, value in model["properties"].items():
         left_out = "required" if key in required else default(value.get("default"))
         meaning = value.get("description", "").replace("|", "\\|")
@@ -78,14 +79,14 @@ def table(model: Schema) -> str:
 
 
 def default(given: Any) -> str:
-    """What a key is if it is left out, as TOML; nothing for tables, whose own keys have defaults."""
+    """Return the default of a key as TOML; empty for tables, whose keys have defaults."""
     listed = given if isinstance(given, list) else [given]
     tables = any(isinstance(one, dict) for one in listed)
     return "" if given is None or given == [] or tables else f"`{json.dumps(given)}`"
 
 
 def taken(value: Schema) -> str:
-    """What a key takes, in words."""
+    """Return the type and range of a key in words."""
     if "$ref" in value:
         name = value["$ref"].rsplit("/", 1)[-1]
         return f"[a table](#{name.lower()})"

@@ -8,11 +8,18 @@ run lasts half a minute to a minute of real time; the fault hits a few seconds a
 drive. `benchmarks/live_faults.py` has the faults that need a radio or a clock that can be bent: those run in
 memory.
 
-Columns: `longest blind s` is the longest time that any wheel turned after the newest image that its robot had
-a goal from, by the world's own record of the wheels and the robots' recordings; it may reach
-`goal_timeout_s`, a period, and half a second of the wheels' keep-alive where a process was killed. `formed`:
-runs whose shape error was below 2 % at the end. `lost s`: the longest stretch at the end of a killed
-process's recording that is missing. `left`: processes that were still there after the end.
+Columns:
+
+- `longest blind s`: longest time that a wheel turned after the newest image that its robot had a goal from,
+  by the world's record of the wheels and the robots' logs. The limit is `goal_timeout_s`, a period, and half
+  a second of the wheels' keep-alive where a process was killed.
+- `after a stop s`: longest time that a wheel turned after `skyherd live stop` had begun to send its stop, or
+  after the signal that ends the run. The same limit.
+- `after waking`: runs in which a wheel of a robot that was suspended during the stop turned after it woke up.
+- `formed`: runs whose shape error was below 2 % at the end.
+- `lost s`: the longest stretch at the end of a killed process's log that is missing.
+- `left`: processes that were still there after the end.
+- `code`: exit codes of `skyherd live run` that differ from the documented one.
 """
 
 import os
@@ -32,9 +39,10 @@ from typing import Any
 
 import numpy as np
 import orjson
-from live_faults import fault_table, measure
+from live_faults import STOP_COLUMNS, fault_table, measure
 from mcap.reader import make_reader
 
+from skyherd.errors import InputError
 from skyherd.files.atomic import write_text
 from skyherd.live.lab import LabRadio, lab_text, load_lab
 from skyherd.live.logs.process_log_file import read_process_log
@@ -113,6 +121,9 @@ class Team:
         relay: of the camera's stream.
         radio: where the team's radio listens.
         killed: by name of a process's recording, when it was killed, s since 1970.
+        stopped_s: when the team was stopped, s since 1970; None if it was not.
+        woke: by robot, when it woke up, s since 1970, if it was suspended during the stop.
+        facts: what else a fault found, as entries of its row.
     """
 
     folder: Path
@@ -122,6 +133,17 @@ class Team:
     relay: Relay
     radio: str
     killed: dict[str, float] = field(default_factory=dict)
+    stopped_s: float | None = None
+    woke: dict[int, float] = field(default_factory=dict)
+    facts: dict[str, Any] = field(default_factory=dict)
+
+    def stop(self) -> str:
+        """Run `skyherd live stop`, and return what it prints."""
+        command = [*SKYHERD, "live", "stop", str(self.lab_file)]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        # It sends its stop before it waits for answers: at the first robot that says so, or earlier.
+        self.stopped_s = _first_stop_s(self.folder / "run") or time.time()
+        return done.stdout
 
     @property
     def log(self) -> str:
@@ -216,6 +238,59 @@ def garbage(team: Team, rng: np.random.Generator) -> None:
     radio.close()
 
 
+def missed_stop(team: Team, rng: np.random.Generator) -> None:
+    """A robot is suspended, the team is stopped, and the robot wakes up."""
+    robot = int(rng.integers(6))
+    process = team.processes()[f"robot/{robot}"]
+    os.kill(process, signal.SIGSTOP)
+    time.sleep(rng.uniform(0.5, 2.0))
+    team.facts["said"] = team.stop()
+    team.woke[robot] = time.time()
+    os.kill(process, signal.SIGCONT)
+
+
+def pending_arm(team: Team, rng: np.random.Generator) -> None:
+    """The team was started with a suspended robot and `--arm`; it is stopped, and the robot wakes up."""
+    robot = team.facts["suspended"]
+    team.facts["said"] = team.stop()
+    team.woke[robot] = time.time()
+    os.kill(team.processes()[f"robot/{robot}"], signal.SIGCONT)
+
+
+def second_team(team: Team, rng: np.random.Generator) -> None:
+    """A second world and a second `live run` of the lab are started: both are refused."""
+    port = str(_free_port())
+    lab = str(team.lab_file)
+    commands = {
+        "world": ["world", "triangle", "--lab", lab, "--port", port],
+        "live run": ["live", "run", lab, "--out", str(team.folder / "second")],
+        "robot": ["robot", lab, "3", "--out", str(team.folder / "second")],
+    }
+    for name, command in commands.items():
+        done = subprocess.run([*SKYHERD, *command], capture_output=True, text=True, check=False)
+        refused = done.returncode == 2 and "already runs on this machine" in done.stderr
+        team.facts[f"second {name} refused"] = refused
+    team.facts["others"] = sum(not refused for refused in list(team.facts.values()))
+
+
+def second_interrupt(pause_s: float) -> Fault:
+    """Make a fault of two Ctrl-C."""
+
+    def fault(team: Team, rng: np.random.Generator) -> None:
+        team.stopped_s = time.time()
+        team.session.send_signal(signal.SIGINT)
+        time.sleep(pause_s)
+        team.session.send_signal(signal.SIGINT)
+        with suppress(subprocess.TimeoutExpired):
+            team.session.wait(30)
+        team.facts["ended_s"] = time.time() - team.stopped_s
+        team.facts["left"] = sorted(team.processes())
+        team.facts["wrong_code"] = team.session.poll() != 130
+
+    fault.__doc__ = f"Ctrl-C, and once more after {pause_s:g} s."
+    return fault
+
+
 FAULTS: dict[str, Fault] = {
     "none": nothing,
     "unit killed": unit_killed,
@@ -227,6 +302,10 @@ FAULTS: dict[str, Fault] = {
     "supervisor killed": supervisor_killed,
     "garbage": garbage,
     "disk full": nothing,
+    "missed stop": missed_stop,
+    "pending arm": pending_arm,
+    "second team": second_team,
+    **{f"second Ctrl-C after {pause_s:g} s": second_interrupt(pause_s) for pause_s in (0.05, 0.2, 0.6, 1.5)},
 }
 
 
@@ -235,20 +314,21 @@ def run(fault: str, seed: int, folder: Path) -> dict[str, Any]:
     rng = np.random.default_rng([seed, 21])
     team = _start(folder, seed, full=fault == "disk full")
     try:
-        end_s = time.monotonic() + DRIVE_S
-        while team.log.count("driving") < 6 and time.monotonic() < end_s:
-            time.sleep(0.1)
-        drives = team.log.count("driving") >= 6
+        if fault == "pending arm":
+            drives = _suspend_one(team, int(rng.integers(6)))
+        else:
+            drives = _wait_until(lambda: team.log.count("driving") >= 6)
         time.sleep(FAULT_S + rng.uniform(0, 1))
         FAULTS[fault](team, rng)
-        time.sleep(AFTER_S)
+        if team.session.poll() is None:
+            time.sleep(AFTER_S)
         if fault == "robot killed":
             subprocess.run([*SKYHERD, "live", "arm", str(team.lab_file)], capture_output=True, check=False)
             time.sleep(AFTER_S / 2)
         team.session.terminate()
         with suppress(subprocess.TimeoutExpired):
             team.session.wait(30)
-        left = sorted(team.processes())
+        left = sorted({*team.processes(), *team.facts.pop("left", [])})
     finally:
         for process in (team.session, team.world):
             process.terminate()
@@ -258,7 +338,39 @@ def run(fault: str, seed: int, folder: Path) -> dict[str, Any]:
         for process_id in team.processes().values():
             os.kill(process_id, signal.SIGKILL)
         team.relay.close()
-    return {"fault": fault, "seed": seed, "drives": drives, "left": left, **_judge(team)}
+    facts = {"wrong_code": False, "others": 0, **team.facts}
+    return {"fault": fault, "seed": seed, "drives": drives, "left": left, **facts, **_judge(team)}
+
+
+def _wait_until(holds: Callable[[], bool]) -> bool:
+    """Wait until something holds, for `DRIVE_S` at most; return whether it does."""
+    end_s = time.monotonic() + DRIVE_S
+    while not holds() and time.monotonic() < end_s:
+        time.sleep(0.1)
+    return holds()
+
+
+def _suspend_one(team: Team, robot: int) -> bool:
+    """Suspend a robot at its start, and wait until all others are there; return whether they are."""
+    name = f"robot/{robot}"
+    _wait_until(lambda: name in team.processes())
+    os.kill(team.processes()[name], signal.SIGSTOP)
+    team.facts["suspended"] = robot
+    others = [f"robot/{other}" for other in range(6) if other != robot]
+    return _wait_until(lambda: all(other in team.log for other in others))
+
+
+def _first_stop_s(folder: Path) -> float | None:
+    """Return when the first robot heard a stop, by the robots' logs, s since 1970; None if none did."""
+    heard_s = []
+    for path in folder.glob("robot_*.mcap"):
+        with suppress(InputError):
+            heard_s += [
+                record["received_s"]
+                for topic, record in read_process_log(path)
+                if topic == "/heard" and record["stop"] > 0
+            ]
+    return min(heard_s, default=None)
 
 
 def _start(folder: Path, seed: int, *, full: bool) -> Team:
@@ -306,7 +418,12 @@ def _judge(team: Team) -> dict[str, Any]:
     with (team.folder / "world.mcap").open("rb") as stream:
         messages = make_reader(stream).iter_messages(topics=["/truth"])
         truth = [orjson.loads(message.data) for _, _, message in messages]
-    blind_s, lost_s = 0.0, 0.0
+    blind_s, lost_s, turned_s, after_waking = 0.0, 0.0, None if team.stopped_s is None else 0.0, False
+    for step in truth if team.stopped_s is not None else []:
+        for robot, (v_mps, omega_radps) in enumerate(zip(step["v_mps"], step["omega_radps"], strict=True)):
+            if (v_mps or omega_radps) and step["now_s"] > team.stopped_s:
+                turned_s = max(turned_s, step["now_s"] - team.stopped_s)
+                after_waking |= step["now_s"] >= team.woke.get(robot, np.inf)
     robots = range(len(truth[0]["v_mps"]))
     for robot in robots:
         imaged = []
@@ -335,7 +452,9 @@ def _judge(team: Team) -> dict[str, Any]:
     told = {" ".join(line.split()[2:]) for line in team.log.splitlines()}
     return {
         "blind_s": float(blind_s),
-        "exceeded": bool(blind_s > limit_s),
+        "turned_s": turned_s,
+        "woke": bool(after_waking),
+        "exceeded": bool(blind_s > limit_s or (turned_s or 0.0) > limit_s or after_waking),
         "error": truth[-1]["shape_error"],
         "formed": truth[-1]["shape_error"] < FORMED,
         "different": different,
@@ -352,11 +471,13 @@ def table(rows: list[dict[str, Any]]) -> str:
         rows,
         {
             "longest blind, s": lambda here: f"{max(row['blind_s'] for row in here):.2f}",
+            **STOP_COLUMNS,
             "moved off": lambda here: sum(row["exceeded"] for row in here),
             "formed": lambda here: sum(row["formed"] for row in here),
             "lost, s": lambda here: f"{max(row['lost_s'] for row in here):.2f}",
             "replayed otherwise": lambda here: sum(row["different"] for row in here),
-            "left": lambda here: sum(len(row["left"]) for row in here),
+            "left": lambda here: sum(len(row["left"]) + row["others"] for row in here),
+            "code": lambda here: sum(row["wrong_code"] for row in here),
         },
     )
 

@@ -3,6 +3,8 @@
 import os
 import pty
 import sys
+import threading
+import time
 import tty
 
 import pytest
@@ -166,3 +168,41 @@ def test_the_space_bar_counts_wherever_it_is_among_keys(keyboard):
             os.write(keyboard, typed)
             assert key() == meant, typed
             assert key() == "", "all that was typed was read"
+
+
+def test_lines_of_several_processes_are_not_glued(tmp_path) -> None:
+    """Each is told by a thread of its own, in two writes, as to a terminal."""
+    written = []
+
+    def tell(line: str) -> None:
+        written.append(line)
+        time.sleep(0.001)
+        written.append("\n")
+
+    supervisor = Supervisor(tmp_path / "live.log", tell)
+    threads = [
+        threading.Thread(target=lambda name=name: [supervisor.say(name, str(n)) for n in range(20)])
+        for name in ("robot/1", "robot/2", "unit/0")
+    ]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    supervisor.end()
+    assert written[1::2] == ["\n"] * 60 and "\n" not in written[::2]
+
+
+def test_an_end_names_the_processes_that_survive_it(tmp_path, monkeypatch) -> None:
+    """A process that waits for a device cannot be killed: here killing does nothing."""
+    supervisor = Supervisor(tmp_path / "live.log")
+    monkeypatch.setattr("skyherd.live.supervisor.END_S", 0.1)
+    monkeypatch.setattr("skyherd.live.supervisor.KILL_S", 0.1)
+    child = Child("robot/1", [sys.executable, "-c", "import sys; sys.stdin.read()"])
+    supervisor.take(child)
+    process = child.process
+    monkeypatch.setattr(process, "terminate", lambda: None)
+    kill = process.kill
+    monkeypatch.setattr(process, "kill", lambda: None)
+    assert supervisor.end() == ["robot/1"]
+    kill()
+    process.wait()

@@ -28,7 +28,9 @@ class DryRun:
         line = f"robot {self._robot}: {motion.forward_mps:+.3f} m/s, {motion.turn_radps:+.3f} rad/s"
         if motion.flies:
             line += f", left {motion.left_mps:+.3f} m/s, up {motion.up_mps:+.3f} m/s"
-        print(line, file=self._stream or sys.stdout, flush=True)
+        stream = self._stream or sys.stdout
+        stream.write(f"{line}\n")  # in one piece, since other threads write lines too
+        stream.flush()
 
     def close(self) -> None:
         """See `Link.close`."""

@@ -106,6 +106,24 @@ def test_the_last_state_of_a_silent_robot_is_reported_with_its_age() -> None:
     assert stop(LAB, never.watched, "test").missing == {0: "never heard"}
 
 
+def test_a_silent_robot_is_reported_by_what_units_heard_of_it() -> None:
+    """The operator has just started; a unit, whose clock is 50 s ahead, heard the robot 2 s before."""
+    team = ScriptedTeam()
+    team.robots[0].frozen = True
+    clock = lambda: team.now_s + 50.0  # noqa: E731
+    unit = Mailbox(team.air.radio("unit/0"), LAB.model.team, "unit/0", clock, ())
+    heard_s = clock() - 2.0
+    pass_time = team.watched.listen
+
+    def with_unit(timeout_s: float) -> None:
+        unit.send(Heartbeat({"robot/0": (1.0, heard_s)}))
+        pass_time(timeout_s)
+
+    team.watched.listen = with_unit
+    outcome = stop(LAB, team.watched, "test")
+    assert outcome.missing == {0: f"silent; unit/0 heard it {2.0 + SETTLE_S:.1f} s ago"}
+
+
 def test_a_robot_of_two_processes_does_not_confirm_a_stop() -> None:
     team = ScriptedTeam()
     twin = ScriptedRobot(team, 4)

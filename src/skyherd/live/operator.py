@@ -33,11 +33,13 @@ class Sign:
     Attributes:
         heartbeat: the message.
         latch: the commands that the process knew of.
+        sent_s: when it was sent, by the process's clock.
         received_s: when it arrived, by the operator's clock.
     """
 
     heartbeat: Heartbeat
     latch: StopLatch
+    sent_s: float
     received_s: float
 
 
@@ -68,7 +70,9 @@ class Watch:
         envelope = arrival.envelope
         self.latch = self.latch.merge(envelope.latch)
         if isinstance(envelope.message, Heartbeat):
-            self.signs[envelope.sender] = Sign(envelope.message, envelope.latch, arrival.received_s)
+            self.signs[envelope.sender] = Sign(
+                envelope.message, envelope.latch, envelope.sent_s, arrival.received_s
+            )
             instances = self._instances.setdefault(envelope.sender, Instances(envelope.instance))
             instances.hear(envelope.instance, arrival.received_s)
 
@@ -82,6 +86,16 @@ class Watch:
     def is_ambiguous(self, name: str) -> bool:
         """Return whether two processes use a name now."""
         return name in self._instances and self._instances[name].conflict(self.clock())
+
+    def silence_s(self, name: str) -> tuple[float, str] | None:
+        """Return how long ago another process last heard a process, s, and its name; None if none did."""
+        now_s = self.clock()
+        ages = [
+            (sign.sent_s - sign.heartbeat.heard[name][1] + now_s - sign.received_s, other)
+            for other, sign in self.signs.items()
+            if name in sign.heartbeat.heard
+        ]
+        return min(ages, default=None)
 
     def robot_sign(self, robot: int) -> Sign | None:
         """Return the last heartbeat of a robot; None without one, or if two processes use its name."""
@@ -258,7 +272,8 @@ def _last_state(watched: Watch, robot: int) -> str:
         return f"two processes are named {name}"
     sign = watched.signs.get(name)
     if sign is None:
-        return "never heard"
+        known = watched.silence_s(name)
+        return "never heard" if known is None else f"silent; {known[1]} heard it {known[0]:.1f} s ago"
     armed = "armed" if sign.heartbeat.armed else "disarmed"
     age_s = max(0.0, watched.clock() - sign.received_s)
     return f"{armed}, {sign.heartbeat.state or 'no state'}, heard {age_s:.1f} s ago"

@@ -146,7 +146,10 @@ class Supervisor:
             if not self._log.closed:
                 self._log.write(text + "\n")
                 self._log.flush()
-            self._tell(text)  # within the lock, so that lines of several processes are not glued together
+            # Within the lock, so that lines of several processes are not glued together. A terminal or pipe
+            # that is gone does not end the run.
+            with suppress(OSError):
+                self._tell(text)
 
     def _start(self, child: Child) -> None:
         child.code, child.started_s = None, time.monotonic()

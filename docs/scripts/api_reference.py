@@ -8,19 +8,19 @@ ROOT = Path(__file__).parent.parent.parent
 
 
 def packages() -> dict[str, Path]:
-    """Folder of each package that has modules, by the package's full name, as `pyproject.toml` lists them."""
+    """Return the folder of each package with modules, by full name, as `pyproject.toml` lists them."""
     listed = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["package-dir"]
     folders = {name: ROOT / folder for name, folder in listed.items()}
     return {name: folder for name, folder in sorted(folders.items()) if modules(folder) or name == "skyherd"}
 
 
 def modules(folder: Path) -> list[str]:
-    """Names of the modules that lie in a folder, private ones left out."""
+    """Return the names of the public modules in a folder."""
     return sorted(path.stem for path in folder.glob("*.py") if not path.stem.startswith("_"))
 
 
 def api_page(package: str, folder: Path) -> str:
-    """The page of one package: its docstring, the names that it offers, and its modules."""
+    """Return the page of one package: its docstring, the names that it offers, and its modules."""
     of_package = f"::: {package}\n    options:\n      members: false\n      show_root_heading: false\n"
     parts = [f"# `{package}`\n", of_package]
     if offered := offered_names(package, folder):
@@ -31,7 +31,7 @@ def api_page(package: str, folder: Path) -> str:
 
 
 def offered_names(package: str, folder: Path) -> dict[str, str]:
-    """The module that each name of a package's `__all__` comes from, in the order of the alphabet."""
+    """Return the module of each name in a package's `__all__`, in alphabetical order."""
     found: dict[str, str] = {}
     for node in ast.walk(ast.parse((folder / "__init__.py").read_text())):
         if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("skyherd."):
@@ -42,23 +42,77 @@ def offered_names(package: str, folder: Path) -> dict[str, str]:
 
 
 def home(module: str, name: str) -> str:
-    """The module in which a name is defined: that of the import, or that which a package has it from."""
+    """Return the module that defines a name: the imported module, or the one that its package imports."""
     folder = packages().get(module)
     return module if folder is None else offered_names(module, folder).get(name, module)
 
 
+PUBLIC = {
+    "Run a scenario": (
+        "load_mission",
+        "scenario_names",
+        "run_steps",
+        "run_mission",
+        "read_recording",
+        "Mission",
+        "Step",
+    ),
+    "Find markers": ("create_detector", "Detections", "read_dataset"),
+    "Control": (
+        "AerialController",
+        "Decision",
+        "Template",
+        "shape_points",
+        "SafetyRadius",
+        "Hover",
+        "Rectifier",
+        "GoalInboxes",
+        "MarkerGains",
+        "robot_commands",
+    ),
+    "Messages": ("MotionGoals", "UnitReport", "VelocityCommand"),
+    "Errors": ("InputError", "SkyherdError"),
+}
+"""The names that `import skyherd` offers, by purpose; a test compares them with `skyherd.__all__`."""
+
+
+PUBLIC_OPTIONS = """\
+    options:
+      heading_level: 3
+      show_root_full_path: false
+      show_source: false
+      skip_local_inventory: true
+"""
+"""How the public page shows a name: without its module, and not as the target of links from other pages."""
+
+
+def public_page() -> str:
+    """Return the page of the public API: each name with its signature and docstring, without source."""
+    homes = offered_names("skyherd", ROOT / "src/skyherd")
+    parts = [
+        "# Public API\n",
+        "`import skyherd` offers these names, and loads each at its first use. Most programs need no others.",
+        "[Use it as a library](../how-to/library.md) has examples. The pages of the",
+        "[internal packages](api/index.md) have everything else.\n",
+    ]
+    for title, names in PUBLIC.items():
+        parts.append(f"## {title}\n")
+        parts += [f"::: {homes[name]}.{name}\n{PUBLIC_OPTIONS}" for name in names]
+    return "\n".join(parts)
+
+
 def overview() -> str:
-    """The first page: the packages with the first sentence of each one's docstring."""
+    """Return the first page: each package with the first sentence of its docstring."""
     rows = []
     for package, folder in packages().items():
         text = ast.get_docstring(ast.parse((folder / "__init__.py").read_text())) or ""
         rows.append(f"| [`{package}`]({package}.md) | {' '.join(text.split(chr(10) * 2)[0].split())} |")
     return "\n".join(
         [
-            "# Library reference\n",
+            "# Internal packages\n",
             "One page for each package, made from the docstrings. [Architecture](../../architecture.md) says",
-            "how the packages fit together, and who may import what. What most users need is in",
-            "[`skyherd`](skyherd.md) itself.\n",
+            "how the packages fit together, and which may import which. Most programs need only the",
+            "[public API](../library.md).\n",
             "| package | |",
             "|---|---|",
             *rows,

@@ -1,8 +1,12 @@
 """Make the moving pictures of the home page and of README from runs of built-in scenarios.
 
-python docs/scripts/gallery.py               # all: runs the scenarios in a temporary folder, five minutes
+Usage:
+
+```
+python docs/scripts/gallery.py               # all: runs the scenarios in a temporary folder, six minutes
 python docs/scripts/gallery.py star letters  # these two
 python docs/scripts/gallery.py --runs runs   # from runs/star/video.mp4 and so on, without running again
+```
 """
 
 import argparse
@@ -47,6 +51,7 @@ class Film:
 FILMS = {
     "star": Film(frames=200, share=0.40),
     "letters": Film(frames=280, share=1.0),
+    "tree": Film(frames=240, share=0.60),
     "crowd": Film(frames=200, share=0.45),
     "handheld": Film(frames=200, share=0.50),
 }

@@ -78,7 +78,9 @@ PUBLIC = {
 
 PUBLIC_OPTIONS = """\
     options:
+      filters: ["!^_"]
       heading_level: 3
+      show_if_no_docstring: false
       show_root_full_path: false
       show_source: false
       skip_local_inventory: true

@@ -1,5 +1,6 @@
 """The documentation beside the code: paths, commands, options and scenarios that it shows are there."""
 
+import ast
 import importlib.util
 import re
 import shlex
@@ -163,6 +164,14 @@ def test_public_api_page_has_each_name_of_the_package_once() -> None:
     assert sorted(listed) == sorted(set(skyherd.__all__) - {"__version__"})
     shown = re.findall(r"^::: skyherd\.[\w.]*\b(\w+)$", reference.public_page(), re.M)
     assert shown == listed
+
+
+def test_search_ranks_guides_above_references_and_internals() -> None:
+    text = (DOCS / "scripts/site_hooks.py").read_text().replace("INTERNALS: ", '"Internals": ')
+    boosts = ast.literal_eval(re.search(r"^SEARCH_BOOSTS = ({.*?})$", text, re.M | re.S)[1])
+    tabs = re.findall(r"^  - ([\w ]+):", (ROOT / "mkdocs.yml").read_text().split("\nnav:\n")[1], re.M)
+    assert set(boosts) <= {*tabs, "Internals"}
+    assert min(boosts["How to"], boosts["Guides"], boosts["Live"]) > boosts["Reference"] > boosts["Internals"]
 
 
 class TestReadme:

@@ -1,5 +1,6 @@
 """Parts of one's own, given as `module:factory`: imported from the working directory too."""
 
+import logging
 import os
 import sys
 from collections.abc import Callable
@@ -7,6 +8,8 @@ from importlib import import_module
 from typing import Any, cast
 
 from skyherd.errors import InputError
+
+_log = logging.getLogger(__name__)
 
 
 def import_factory(name: str, where: str, allowed: str) -> Callable[..., Any]:
@@ -37,4 +40,5 @@ def import_factory(name: str, where: str, allowed: str) -> Callable[..., Any]:
     factory = getattr(module, factory_name)
     if not callable(factory):
         raise InputError(where, f"{factory_name!r} is not callable", allowed)
+    _log.info("%s is %s of %s", where, factory_name, getattr(module, "__file__", None) or module_name)
     return cast(Callable[..., Any], factory)

@@ -304,8 +304,11 @@ def _keys() -> Iterator[Callable[[], str]]:
     Of several keys the last one counts, unless the space bar is among them: a stop is never lost. They are
     read past Python's buffer, in which `select` would not see those that came together with another.
     """
-    if not sys.stdin.isatty() or sys.platform == "win32":
+    if not sys.stdin.isatty():
         yield lambda: ""
+        return
+    if sys.platform == "win32":
+        yield _windows_key
         return
     import termios
     import tty
@@ -322,3 +325,15 @@ def _keys() -> Iterator[Callable[[], str]]:
         yield pressed
     finally:
         termios.tcsetattr(sys.stdin, termios.TCSADRAIN, before)
+
+
+def _windows_key() -> str:
+    """Return the last key that was pressed at a Windows console since the last call, or the space bar."""
+    if sys.platform != "win32":
+        return ""
+    import msvcrt
+
+    keys = ""
+    while msvcrt.kbhit() and len(keys) < MAX_KEYS:
+        keys += msvcrt.getwch()
+    return " " if " " in keys else keys[-1:]

@@ -1,5 +1,6 @@
 """The thread that reads a camera and keeps its newest picture only."""
 
+import logging
 import threading
 import time
 from collections.abc import Callable
@@ -10,6 +11,8 @@ from skyherd.errors import InputError
 from skyherd.live.cameras.frame import Clock, Frame, Picture, Source, StampedBy
 from skyherd.live.cameras.sight import Sight
 from skyherd.live.cameras.stamps import StreamStamps
+
+_log = logging.getLogger(__name__)
 
 OPEN_S = 10.0
 """A camera that has not opened after so long is given up at the start, s. *Chosen*: a stream's first key
@@ -171,6 +174,7 @@ class CameraReader:
                 break
             if self.received > received:
                 wait_s = FIRST_WAIT_S
+            _log.info("%s: %s; opened again in %g s", self.name, why, wait_s)
             if self._pause(wait_s):
                 break
             wait_s = min(2 * wait_s, MAX_WAIT_S)

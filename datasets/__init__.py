@@ -14,7 +14,7 @@ for: they need matplotlib and process pools, which a run does without.
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from skyherd.datasets.configuration.body_models import SizeModel
+from skyherd.datasets.configuration.body_models import AvoidanceModel, SizeModel
 from skyherd.datasets.configuration.camera_models import CameraModel
 from skyherd.datasets.configuration.cameras import CAMERAS
 from skyherd.datasets.configuration.fields import Model, Point
@@ -35,7 +35,14 @@ from skyherd.datasets.configuration.models import (
     Scenario,
     SelectionModel,
 )
-from skyherd.datasets.configuration.robot_models import DriveModel, RobotsModel, ScatterModel
+from skyherd.datasets.configuration.obstacles import check_obstacle_ids
+from skyherd.datasets.configuration.robot_models import (
+    DriveModel,
+    ObstacleMarkerModel,
+    RobotsModel,
+    ScatterModel,
+    WheelsModel,
+)
 from skyherd.datasets.configuration.toml_files import (
     built_in_names,
     built_in_text,
@@ -94,6 +101,7 @@ __all__ = [
     "SHAPES",
     "SHAPE_SPACING",
     "AutopilotModel",
+    "AvoidanceModel",
     "CameraModel",
     "Crowd",
     "Dataset",
@@ -104,6 +112,7 @@ __all__ = [
     "Mission",
     "Model",
     "NetworkModel",
+    "ObstacleMarkerModel",
     "Point",
     "RobotsModel",
     "ScatterModel",
@@ -114,9 +123,11 @@ __all__ = [
     "SpecFile",
     "UnitModel",
     "Verdict",
+    "WheelsModel",
     "built_in_names",
     "built_in_text",
     "check_dataset",
+    "check_obstacle_ids",
     "crowded_mission",
     "draw_integer",
     "draw_number",

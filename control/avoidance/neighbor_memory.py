@@ -4,6 +4,7 @@ from collections import deque
 
 import numpy as np
 
+from skyherd.control.robots.dead_reckoning import DeadReckoning
 from skyherd.geometry import Array, BoolArray, IntArray, wrap_angle
 from skyherd.messages import BORDER_IDS, TIME_TOLERANCE_S, Proximity, find_rows
 
@@ -14,7 +15,8 @@ class NeighborMemory:
     Among the bodies are the four sides of an image, of the newest one whose message has the robot.
 
     A robot has no compass, but it knows the turn rates that it was commanded. Directions are kept in the
-    frame that the robot had at the start of the run, so that they stay valid while it turns.
+    frame that the robot had at the start of the run, so that they stay valid while it turns. Robots that
+    decide at equal time steps call `record_rotation` at each. Others pass `motion`, which has the times.
 
     Attributes:
         ids: (N,) the robots, ascending.
@@ -27,10 +29,24 @@ class NeighborMemory:
         imaged_s: (N, M) time of the image; -inf where nothing is known, or the two are far apart.
         horizon_sides: (N,) bodies that were not reported were farther away than this.
         seen_s: (N,) time of the newest image with the robot whose message it received; -inf if none.
+
+    Args:
+        ids: as the attribute.
+        other_ids: (M - 4,) robots and obstacles, ascending.
+        lifetime_s: as the attribute.
+        motion: the robots' headings, from the commands that their wheels received; None if
+            `record_rotation` is called at equal time steps instead.
     """
 
-    def __init__(self, ids: IntArray, other_ids: IntArray, lifetime_s: float) -> None:
+    def __init__(
+        self,
+        ids: IntArray,
+        other_ids: IntArray,
+        lifetime_s: float,
+        motion: DeadReckoning | None = None,
+    ) -> None:
         self.ids, self.lifetime_s = ids, lifetime_s
+        self._motion = motion
         self.other_ids: IntArray = np.concatenate([BORDER_IDS, other_ids])
         shape = ids.size, self.other_ids.size
         self.distances_sides: Array = np.zeros(shape)
@@ -86,12 +102,25 @@ class NeighborMemory:
         row, column = np.nonzero(self.imaged_s >= oldest_s)
         return row.astype(np.int64), column.astype(np.int64)
 
-    def bearings_rad(self, pair: tuple[IntArray, IntArray]) -> Array:
-        """Bearings (P,) of the other bodies in the robots' present frames, positive to the left."""
-        return wrap_angle(self.directions_rad[pair] - self._rotation_rad[pair[0]])
+    def bearings_rad(self, pair: tuple[IntArray, IntArray], time_s: Array | float) -> Array:
+        """Return the bearings (P,) of the other bodies in the robots' frames at `time_s`, left positive.
+
+        Args:
+            pair: rows (P,) and columns (P,).
+            time_s: now, or the robots' times (N,). Without `motion` it is the time of the last step.
+        """
+        turned_rad = self._rotation_rad[pair[0]]
+        if self._motion is not None:
+            turned_rad = self._rotation_at(np.broadcast_to(time_s, self.ids.shape)[pair[0]], pair[0])
+        return wrap_angle(self.directions_rad[pair] - turned_rad)
 
     def record_rotation(self, omega_radps: Array, time_s: float, step_s: float) -> None:
-        """Remember the turn rates (N,), rad/s, that are commanded from `time_s` on for `step_s`."""
+        """Remember the turn rates (N,), rad/s, that are commanded from `time_s` on for `step_s`.
+
+        With `motion` it does nothing.
+        """
+        if self._motion is not None:
+            return
         self._rotations.append((time_s, self._rotation_rad))
         while self._rotations[0][0] < time_s - self.lifetime_s:
             self._rotations.popleft()
@@ -99,6 +128,8 @@ class NeighborMemory:
 
     def _rotation_at(self, times_s: Array, robots: IntArray) -> Array:
         """Angles (P,), rad, by which robots (P,) had turned since the start, at times (P,) in the past."""
+        if self._motion is not None:
+            return self._motion.headings_rad(times_s, robots)
         knots_s = [at for at, _ in self._rotations]
         rotations = np.array([*(turned for _, turned in self._rotations), self._rotation_rad])
         return np.asarray(rotations[np.searchsorted(knots_s, times_s - TIME_TOLERANCE_S), robots])

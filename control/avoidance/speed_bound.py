@@ -47,6 +47,9 @@ class AvoidanceRule:
         creep_mps: speed by which they may be faster in addition.
         turn_error_radps: greatest error of its turn rate.
         clock_margin_s: how much older a message may be than the robot's clock tells.
+        line_s: time beyond its age for which the line between two bodies may turn. 0 if all robots decide at
+            the same instants.
+        bearing_error_rad: greatest error of a bearing when its message arrives.
         lifetime_s: age at which messages are forgotten.
         detour: name of the rule by which it finds detours, or `none`.
     """
@@ -61,6 +64,8 @@ class AvoidanceRule:
     creep_mps: float = 0.0
     turn_error_radps: float = 0.0
     clock_margin_s: float = 0.0
+    line_s: float = 0.0
+    bearing_error_rad: float = 0.0
     lifetime_s: float = 2.0
     detour: Detour = "around"
 
@@ -76,6 +81,8 @@ class AvoidanceRule:
                 "creep_mps",
                 "turn_error_radps",
                 "clock_margin_s",
+                "line_s",
+                "bearing_error_rad",
             ),
         )
 
@@ -128,8 +135,9 @@ def closing_bounds(memory: NeighborMemory, rule: AvoidanceRule, time_s: Array | 
 
     Two robots that received messages on the same image use the same line between them. One that
     missed an image uses an older line, which may have turned since by the angle that `2 v_max age` subtends
-    at their distance; that angle is part of `slack_rad`. A body that no message named was beyond the horizon
-    when the robot was last seen.
+    at their distance; that angle is part of `slack_rad`. Where robots decide at different instants, the line
+    turns for `line_s` longer, until the command's last effect. A body that no message named was beyond the
+    horizon when the robot was last seen.
     """
     pair = memory.fresh(time_s)
     time_s = np.broadcast_to(time_s, memory.ids.shape)
@@ -137,15 +145,16 @@ def closing_bounds(memory: NeighborMemory, rule: AvoidanceRule, time_s: Array | 
     distances_m = memory.distances_sides[pair] * rule.side_m
     gaps_m = distances_m - memory.reaches_sides[pair] * rule.side_m  # below 0 the limit is 0
     is_newest = age_s < rule.superseded_age_s - TIME_TOLERANCE_S
-    strayed_m = np.where(is_newest, 0.0, 2 * rule.wheels.max_speed_mps * age_s)
+    strayed_m = np.where(is_newest, 0.0, 2 * rule.wheels.max_speed_mps * (age_s + rule.line_s))
     turned = np.arcsin(np.minimum(strayed_m / np.maximum(distances_m, MIN_DISTANCE_M), 1.0))
     unseen_s = np.maximum(time_s - memory.seen_s, 0.0) + rule.clock_margin_s
     return Bounds(
         rows=pair[0],
-        bearings_rad=memory.bearings_rad(pair),
+        bearings_rad=memory.bearings_rad(pair, time_s),
         speeds_mps=rule.limit_mps(memory.shares[pair] * gaps_m, age_s),
         slack_rad=np.where(strayed_m < distances_m, turned, np.pi)
-        + rule.turn_error_radps * (age_s + rule.held_s),
+        + rule.turn_error_radps * (age_s + rule.held_s)
+        + rule.bearing_error_rad,
         unseen_mps=rule.limit_mps(memory.horizon_sides * rule.side_m / 2, unseen_s),
     )
 

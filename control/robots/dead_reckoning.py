@@ -13,7 +13,7 @@ from copy import copy
 import numpy as np
 
 from skyherd.control.robots.goal_fusion import GoalInboxes
-from skyherd.geometry import Array, ComplexArray
+from skyherd.geometry import Array, ComplexArray, IntArray
 from skyherd.messages import TIME_TOLERANCE_S, VelocityCommand
 from skyherd.messages.checks import check_numbers
 
@@ -30,6 +30,7 @@ class DeadReckoning:
         axis_offset_m: distance by which a marker's centre lies ahead of the wheel axis.
         delay_s: time from a command to its effect, as the robots know it of their drives.
         memory_s: age up to which poses are remembered; goals of older images are taken as of that age.
+        hold_s: time for which wheels obey a command that no other one follows; then they stand still.
 
     Args:
         count: N.
@@ -37,16 +38,24 @@ class DeadReckoning:
         axis_offset_m: as the attribute.
         delay_s: as the attribute.
         memory_s: as the attribute.
+        hold_s: as the attribute.
 
     Raises:
         InputError: a number is not finite or of the wrong sign.
     """
 
     def __init__(
-        self, count: int, side_m: float, *, axis_offset_m: float = 0.0, delay_s: float = 0.0, memory_s: float
+        self,
+        count: int,
+        side_m: float,
+        *,
+        axis_offset_m: float = 0.0,
+        delay_s: float = 0.0,
+        memory_s: float,
+        hold_s: float = np.inf,
     ) -> None:
         self.side_m, self.axis_offset_m = side_m, axis_offset_m
-        self.delay_s, self.memory_s = delay_s, memory_s
+        self.delay_s, self.memory_s, self.hold_s = delay_s, memory_s, hold_s
         check_numbers(
             self,
             positive=("side_m", "memory_s"),
@@ -86,6 +95,23 @@ class DeadReckoning:
         )
         return current
 
+    def headings_rad(self, times_s: Array, robots: IntArray) -> Array:
+        """Return the headings (P,), rad, of robots (P,), by row, at times (P,).
+
+        After the last command it is taken to last on. Times before the first command that is remembered
+        count as its time.
+        """
+        starts_s = np.array([knot[0] for knot in self._knots])
+        when_s = np.maximum(times_s, starts_s[min(1, len(starts_s) - 1)])
+        knots = np.searchsorted(starts_s, when_s + TIME_TOLERANCE_S, side="right") - 1
+        headings_rad = np.zeros(times_s.shape)
+        for knot in np.unique(knots).tolist():
+            here = knots == knot
+            start_s, _, then_rad, _, omega_radps = self._knots[knot]
+            ran_s = 0.0 if start_s == -np.inf else np.clip(when_s[here] - start_s, 0.0, self.hold_s)
+            headings_rad[here] = then_rad[robots[here]] + omega_radps[robots[here]] * ran_s
+        return headings_rad
+
     def _motion_since(self, times_s: Array, now_s: float) -> tuple[ComplexArray, Array]:
         """Motion (U, N) of the markers, m, in the frames of `times_s` (U, N), and turns (U, N), rad."""
         last = len(self._knots) - 1
@@ -111,7 +137,7 @@ class DeadReckoning:
         start_s, places_m, headings_rad, v_mps, omega_radps = self._knots[row]
         if start_s == -np.inf:
             return places_m, headings_rad
-        ran_s = np.maximum(times_s - start_s, 0.0)
+        ran_s = np.clip(times_s - start_s, 0.0, self.hold_s)
         half_rad = omega_radps * ran_s / 2
         chord_m = v_mps * ran_s * np.sinc(half_rad / np.pi)
         return places_m + chord_m * np.exp(1j * (headings_rad + half_rad)), headings_rad + 2 * half_rad

@@ -33,14 +33,11 @@ class ScatterModel(Model):
     )
 
 
-class DriveModel(Model):
-    """What the robots' wheels make of a command; each part is off at 0, limits if left out."""
+class WheelsModel(Model):
+    """The errors of the robots' wheels, and how fast they brake; each part is off at 0."""
 
     max_accel_mps2: Positive | None = Field(
         None, description="m/s²; limit on the change of the speed v; none if left out"
-    )
-    max_turn_accel_radps2: Positive | None = Field(
-        None, description="rad/s²; limit on the change of the turn rate omega; none if left out"
     )
     wheel_step_mps: NotNegative = Field(
         0.0, description="m/s; wheel speeds are multiples of this; 0: any speed"
@@ -55,17 +52,25 @@ class DriveModel(Model):
     slip: Fraction = Field(
         0.0, description="standard deviation of the share of v and omega that the ground adds or takes"
     )
+
+    @property
+    def has_wheels(self) -> bool:
+        """Whether any part acts on single wheels: steps, dead zone or gains."""
+        return bool(self.wheel_step_mps or self.dead_zone_mps or self.gain_error)
+
+
+class DriveModel(WheelsModel):
+    """What the robots' wheels make of a command; each part is off at 0, limits if left out."""
+
+    max_turn_accel_radps2: Positive | None = Field(
+        None, description="rad/s²; limit on the change of the turn rate omega; none if left out"
+    )
     delay_s: Annotated[FiniteFloat, Field(ge=0, le=60)] = Field(
         0.0, description="s; time from a command to its effect, rounded up to whole time steps"
     )
     axis_offset_m: Offset = Field(
         0.0, description="m; how far ahead of the wheel axis the body's middle and the marker lie"
     )
-
-    @property
-    def has_wheels(self) -> bool:
-        """Whether any part acts on single wheels: steps, dead zone or gains."""
-        return bool(self.wheel_step_mps or self.dead_zone_mps or self.gain_error)
 
 
 class RobotsModel(Model):
@@ -115,10 +120,15 @@ class MarkerModel(Model):
     )
 
 
-class ObstacleModel(Model):
-    """Something round that stands still, with a marker like a robot's at its middle."""
+class ObstacleMarkerModel(Model):
+    """A round obstacle, with a marker like a robot's at its middle."""
 
     id: MarkerId = Field(description="its marker, which no robot has")
+    radius_sides: Positive = Field(1.0, description="marker sides; radius of its body")
+
+
+class ObstacleModel(ObstacleMarkerModel):
+    """Something round that stands still, with a marker like a robot's at its middle."""
+
     position_m: Point = Field(description="m; its place (x, y) on the ground")
     heading_deg: Angle = Field(0.0, description="deg; heading of its marker, counter-clockwise from +x")
-    radius_sides: Positive = Field(1.0, description="marker sides; radius of its body")

@@ -7,8 +7,12 @@ import numpy as np
 import pytest
 from command_line import call
 
+from skyherd.control import BodyRule
+from skyherd.datasets import load_mission
 from skyherd.errors import InputError
+from skyherd.live.drivers.driver import HOLD_S
 from skyherd.live.lab import LabRadio, lab_names, lab_text, load_lab, make_lab
+from skyherd.sim.robot_teams import make_avoidance
 
 
 @pytest.fixture
@@ -183,3 +187,69 @@ def test_verbs_show_and_check(capsys, tmp_path) -> None:
     assert call(capsys, "live", "check", file, "--no-cameras")[0] == 0
     code, out, _ = call(capsys, "live", "check", file, "--set", "cameras.*.address='/dev/video77'")
     assert code == 2 and "no such camera" in out
+
+
+class TestBodies:
+    """Keys of a lab whose robots have bodies."""
+
+    ON = ("avoidance.on=true", "avoidance.body_radius_sides=1")
+
+    def test_left_out_means_no_avoidance(self) -> None:
+        lab = load_lab("webcams")
+        assert not lab.model.avoidance.on and lab.model.obstacles == []
+        assert lab.make_controller(0).bodies is None
+        assert lab.make_avoidance() is None
+
+    def test_units_report_radii_of_robots_and_obstacles(self) -> None:
+        settings = ["avoidance.margin_sides=0.5", "avoidance.horizon_sides=5"]
+        lab = load_lab("webcams", [*self.ON, *settings, "obstacles=[{id=40, radius_sides=1.6}, {id=9}]"])
+        bodies = lab.make_controller(0).bodies
+        assert bodies == BodyRule(1.0, 0.5, 5.0, {40: 1.6, 9: 1.0})
+        assert lab.body_ids == [0, 1, 2, 3, 9, 40]
+
+    def test_rule_has_the_margins_that_the_file_states(self) -> None:
+        settings = ["avoidance.stamp_error_s=0.2", "limits.clock_uncertainty_s=0.05", "control.delay_s=0.3"]
+        rule = load_lab("webcams", [*self.ON, *settings, "drive.max_accel_mps2=0.3"]).make_avoidance()
+        assert rule is not None
+        assert rule.clock_margin_s == pytest.approx(0.25)
+        assert rule.step_s == pytest.approx(HOLD_S + 0.05)
+        assert rule.lag_s == pytest.approx(0.3 + 0.15 / 0.3)
+        assert rule.line_s == pytest.approx(rule.held_s)
+        assert rule.bearing_error_rad == pytest.approx(1.5 * (0.25 + 0.05))
+        assert rule.superseded_age_s == 0.0
+
+    def test_brakes_left_out_are_the_acceleration_limit(self) -> None:
+        rule = load_lab("webcams", [*self.ON, "limits.max_accel_mps2=0.1"]).make_avoidance()
+        assert rule is not None and rule.lag_s == pytest.approx(0.15 / 0.1)
+
+    def test_simulated_and_live_rule_share_the_wheel_errors(self) -> None:
+        errors = {"gain_error": 0.1, "slip": 0.02, "wheel_step_mps": 0.01, "dead_zone_mps": 0.02}
+        scenario = load_mission("crowd", [f"robots.drive.{key}={value}" for key, value in errors.items()])
+        lab = load_lab("crowd", [f"drive.{key}={value}" for key, value in errors.items()])
+        live, simulated = lab.make_avoidance(), make_avoidance(scenario.scenario)
+        assert live is not None
+        assert (live.overshoot, live.creep_mps) == (simulated.overshoot, simulated.creep_mps)
+        assert live.overshoot > 0 < live.turn_error_radps
+
+    @pytest.mark.parametrize(
+        ("settings", "line"),
+        [
+            (["avoidance.on=true"], "avoidance.body_radius_sides: 0 with avoidance.on; the radius of the "),
+            ([*ON, "avoidance.lifetime_s=0.5"], "avoidance.lifetime_s: 0.5; at least limits.goal_timeout_s"),
+            ([*ON, "control.axis_offset_m=0.1"], "control.axis_offset_m: 0.1 with avoidance.on; 0, the "),
+            (["obstacles=[{id=2}]"], "obstacles.0.id: 2 is the marker of robot 2; a marker of its own"),
+            (["obstacles=[{id=8}, {id=8}]"], "obstacles.1.id: 8 is the marker of obstacle 0; a marker of"),
+            (["obstacles=[{id=77}]"], "obstacles.0.id: 77, but 4X4_50 has 50 markers; an id from 0 to 49, "),
+            (["obstacles=[{id=8, radius_sides=-1}]"], "obstacles.0.radius_sides: "),
+            (["obstacles=[{id=8, position_m=[0, 0]}]"], "obstacles.0.position_m: unknown key"),
+            (["avoidance.body_radius_sides=-1"], "avoidance.body_radius_sides: "),
+            (["avoidance.detour='left'"], "avoidance.detour: "),
+            (["drive.gain_error=1"], "drive.gain_error: "),
+            (["drive.delay_s=1"], "drive.delay_s: unknown key"),
+        ],
+    )
+    def test_wrong_values_name_the_key(self, webcams, settings, line) -> None:
+        with pytest.raises(InputError) as refusal:
+            load_lab(str(webcams), settings)
+        assert str(refusal.value).startswith(f"{webcams}: {line}")
+        assert "\n" not in str(refusal.value)

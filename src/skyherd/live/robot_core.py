@@ -29,6 +29,7 @@ from skyherd.control import (
     RobotLaw,
     Wheels,
 )
+from skyherd.live.drivers.driver import HOLD_S
 from skyherd.live.drivers.limits import Limiter, SpeedLimits
 from skyherd.live.drivers.link import STILL, Motion
 from skyherd.live.peers import CONFLICT_S, ClockLimits, PeerClocks
@@ -304,13 +305,14 @@ class RobotCore:
             axis_offset_m=self._wheels.axis_offset_m,
             delay_s=self._delay_s,
             memory_s=self.limits.goal_timeout_s + FUTURE_S,
+            hold_s=HOLD_S,
         )
         self._limiter.last = STILL
         self._seen_s = self._doubled_s = -math.inf
         neighbors = None
         if self._avoidance is not None:
             bodies = np.array(sorted({self.robot_id, *self._other_ids}))
-            neighbors = NeighborMemory(ids, bodies, self._avoidance.lifetime_s)
+            neighbors = NeighborMemory(ids, bodies, self._avoidance.lifetime_s, self._motion)
         self._team = GoalFollowers(
             inboxes,
             self._law,

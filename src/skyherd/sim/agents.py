@@ -27,7 +27,14 @@ from skyherd.control import (
     TreeRule,
     newest_roles,
 )
-from skyherd.datasets import FlightModel, Mission, Scenario, SelectionModel
+from skyherd.datasets import (
+    AvoidanceModel,
+    FlightModel,
+    Mission,
+    ObstacleMarkerModel,
+    Scenario,
+    SelectionModel,
+)
 from skyherd.geometry import IntArray
 from skyherd.messages import Detections, UnitReport
 from skyherd.sim.delays import min_report_delay_s
@@ -166,12 +173,25 @@ def make_size(mission: Mission) -> SizeRule:
 
 def make_bodies(mission: Mission) -> BodyRule | None:
     """What units know of bodies; None where robots are points."""
-    model = mission.scenario.avoidance
+    scenario = mission.scenario
+    return make_body_rule(scenario.avoidance, scenario.robots.body_radius_sides, scenario.obstacles)
+
+
+def make_body_rule(
+    model: AvoidanceModel, radius_sides: float, obstacles: Sequence[ObstacleMarkerModel]
+) -> BodyRule | None:
+    """Return the bodies that units report to robots; None if avoidance is off.
+
+    Args:
+        model: how robots keep apart.
+        radius_sides: radius of the robots' bodies, in marker sides.
+        obstacles: markers that are obstacles.
+    """
     if not model.on:
         return None
     return BodyRule(
-        radius_sides=mission.scenario.robots.body_radius_sides,
+        radius_sides=radius_sides,
         margin_sides=model.margin_sides,
         horizon_sides=model.horizon_sides,
-        obstacles={obstacle.id: obstacle.radius_sides for obstacle in mission.scenario.obstacles},
+        obstacles={obstacle.id: obstacle.radius_sides for obstacle in obstacles},
     )

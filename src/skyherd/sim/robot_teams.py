@@ -1,6 +1,7 @@
 """The robots of a scenario, as its file asks for them: what they know of themselves, and their law."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from skyherd.control import (
     TeamClock,
     Wheels,
 )
-from skyherd.datasets import Mission, Scenario
+from skyherd.datasets import AvoidanceModel, Mission, Scenario, WheelsModel
 from skyherd.errors import InputError
 from skyherd.geometry import ComplexArray
 from skyherd.random_streams import RunStream, generator
@@ -132,22 +133,72 @@ def make_wheels(scenario: Scenario) -> Wheels:
 
 def make_avoidance(scenario: Scenario) -> AvoidanceRule:
     """What the bound on robots' speed goes by: their own wheels, and how old their news may be."""
-    robots, drive, step_s = scenario.robots, scenario.robots.drive, scenario.step_s
-    brakes_s = robots.max_speed_mps / drive.max_accel_mps2 if drive.max_accel_mps2 else 0.0
+    drive, step_s = scenario.robots.drive, scenario.step_s
     rates_hz = {unit.frame_rate_hz for unit in scenario.units}
     apart_s = step_s if len(rates_hz) > 1 else 1 / rates_hz.pop()  # between two images, of whatever units
-    wheel_mps = drive.wheel_step_mps / 2 + drive.dead_zone_mps + drive.gain_error * robots.max_speed_mps
-    return AvoidanceRule(
-        side_m=scenario.marker.side_m,
-        wheels=make_wheels(scenario),
+    timing = Timing(
         nominal_age_s=max(unit.latency_s + 1 / unit.frame_rate_hz for unit in scenario.units),
         superseded_age_s=min(unit.latency_s for unit in scenario.units) + apart_s,
         step_s=step_s,
-        lag_s=whole_steps(drive.delay_s, step_s) + brakes_s,
+        delay_s=whole_steps(drive.delay_s, step_s),
+        clock_margin_s=make_clock_margin_s(scenario),
+    )
+    return make_avoidance_rule(
+        scenario.avoidance, drive, make_wheels(scenario), side_m=scenario.marker.side_m, timing=timing
+    )
+
+
+@dataclass(frozen=True)
+class Timing:
+    """Ages of messages, and how long commands last; `AvoidanceRule` has the attributes of these names.
+
+    Attributes:
+        nominal_age_s: greatest age of a message where none is lost.
+        superseded_age_s: age from which on a newer message may exist.
+        step_s: how long a command lasts.
+        delay_s: time from a command to its effect.
+        clock_margin_s: how much older a message may be than the robot's clock shows.
+        bearing_s: time of turning at the greatest rate by which a robot may misjudge its heading.
+        is_synchronous: whether all robots decide at the same instants.
+    """
+
+    nominal_age_s: float
+    superseded_age_s: float
+    step_s: float
+    delay_s: float
+    clock_margin_s: float
+    bearing_s: float = 0.0
+    is_synchronous: bool = True
+
+
+def make_avoidance_rule(
+    model: AvoidanceModel, drive: WheelsModel, wheels: Wheels, *, side_m: float, timing: Timing
+) -> AvoidanceRule:
+    """Return the bound on robots' speed, of simulated and of live robots.
+
+    Args:
+        model: how robots keep apart.
+        drive: errors and brakes of their wheels.
+        wheels: limits of their wheels.
+        side_m: side of their markers.
+        timing: ages of messages, and how long commands last.
+    """
+    brakes_s = wheels.max_speed_mps / drive.max_accel_mps2 if drive.max_accel_mps2 else 0.0
+    wheel_mps = drive.wheel_step_mps / 2 + drive.dead_zone_mps + drive.gain_error * wheels.max_speed_mps
+    lag_s = timing.delay_s + brakes_s
+    return AvoidanceRule(
+        side_m=side_m,
+        wheels=wheels,
+        nominal_age_s=timing.nominal_age_s,
+        superseded_age_s=timing.superseded_age_s,
+        step_s=timing.step_s,
+        lag_s=lag_s,
         overshoot=drive.gain_error + SLIP_DEVIATIONS * drive.slip,
         creep_mps=drive.wheel_step_mps / 2,
-        turn_error_radps=2 * wheel_mps / drive.track_m + SLIP_DEVIATIONS * drive.slip * robots.max_turn_radps,
-        clock_margin_s=make_clock_margin_s(scenario),
-        lifetime_s=scenario.avoidance.lifetime_s,
-        detour=scenario.avoidance.detour,
+        turn_error_radps=2 * wheel_mps / drive.track_m + SLIP_DEVIATIONS * drive.slip * wheels.max_turn_radps,
+        clock_margin_s=timing.clock_margin_s,
+        line_s=0.0 if timing.is_synchronous else timing.step_s + lag_s,
+        bearing_error_rad=wheels.max_turn_radps * timing.bearing_s,
+        lifetime_s=model.lifetime_s,
+        detour=model.detour,
     )

@@ -224,7 +224,7 @@ def test_directions_turn_with_the_robot(make_detections, imaged_s, lead_s) -> No
             near = proximity(seen, np.array([0]), BodyRule(1.0, obstacles={1: 1.0}))
             memory.receive(near, lead_s=np.array([lead_s]))
         memory.record_rotation(np.array([1.0]), 0.1 * tick, 0.1)
-    assert memory.bearings_rad(memory.fresh(0.5 + lead_s)) == pytest.approx([imaged_s - 0.5])
+    assert memory.bearings_rad(memory.fresh(0.5 + lead_s), 0.5) == pytest.approx([imaged_s - 0.5])
 
 
 def test_nothing_near_leaves_the_law_alone(make_detections) -> None:
@@ -287,7 +287,7 @@ def test_a_robot_remembers_its_turns_for_the_whole_lifetime_of_a_message(make_de
         memory.record_rotation(np.array([1.0]), 0.125 * tick, 0.125)
     seen = make_detections([0, 1], [0, 60], time_s=0.0)
     memory.receive(proximity(seen, np.array([0]), BodyRule(1.0, obstacles={1: 1.0})))
-    assert memory.bearings_rad(memory.fresh(0.5)) == pytest.approx([-0.625])
+    assert memory.bearings_rad(memory.fresh(0.5), 0.5) == pytest.approx([-0.625])
 
 
 def test_a_robot_that_stands_is_slowed_to_nothing_without_a_division() -> None:

@@ -107,3 +107,14 @@ def test_compensated_robots_converge_at_a_gain_at_which_others_do_not() -> None:
     """0.3 s of latency and k_omega = 16 /s, three times the limit π/2 of a delayed integrator."""
     assert shape_error_at_end(4.0, True) < 0.005
     assert shape_error_at_end(4.0, False) > 0.05
+
+
+def test_headings_follow_commands_until_they_expire() -> None:
+    """Irregular commands of two robots, held for 0.5 s at most, against sums by hand."""
+    motion = DeadReckoning(2, SIDE_M, memory_s=10.0, hold_s=0.5)
+    for time_s, omega_radps in ((1.0, [1.0, -2.0]), (1.25, [0.5, 0.0]), (3.0, [0.0, 1.0])):
+        motion.record(VelocityCommand([0, 1], [0.3, 0.3], omega_radps), time_s)
+    times_s = np.array([0.0, 1.125, 1.5, 1.75, 2.5, 3.25, 9.0, 9.0])
+    robots = np.array([0, 1, 0, 0, 0, 1, 0, 1])
+    expected_rad = [0.0, -0.25, 0.375, 0.5, 0.5, -0.25, 0.5, 0.0]
+    np.testing.assert_allclose(motion.headings_rad(times_s, robots), expected_rad, atol=1e-12)

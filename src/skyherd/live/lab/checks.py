@@ -2,6 +2,7 @@
 
 import re
 
+from skyherd.datasets import check_obstacle_ids
 from skyherd.errors import InputError
 from skyherd.live.drivers import check_driver
 from skyherd.live.lab.models import TEAM_PATTERN, LabModel
@@ -39,6 +40,7 @@ def check_model(model: LabModel, where: str) -> None:
             )
     _check_markers(model, where)
     _check_shape(model, where)
+    _check_bodies(model, where)
 
 
 def check_drivers(model: LabModel, where: str, *, imports: bool = False) -> None:
@@ -104,4 +106,39 @@ def _check_shape(model: LabModel, where: str) -> None:
             f"{where}: shape.points",
             f"{len(shape.points)} points for {robots} robots",
             "a point for each",
+        )
+
+
+def _check_bodies(model: LabModel, where: str) -> None:
+    """Check obstacles, and that the bound on robots' speed holds with the other keys."""
+    avoidance, dictionary = model.avoidance, model.markers.dictionary
+    try:
+        check_obstacle_ids(
+            model.obstacles,
+            [robot.id for robot in model.robots],
+            dictionary_size(dictionary),
+            dictionary,
+            "markers.dictionary",
+        )
+    except InputError as error:
+        raise InputError(f"{where}: {error.where}", error.what, error.allowed) from None
+    if not avoidance.on:
+        return
+    if avoidance.body_radius_sides <= 0:
+        raise InputError(
+            f"{where}: avoidance.body_radius_sides",
+            "0 with avoidance.on",
+            "the radius of the robots' bodies, in marker sides",
+        )
+    if avoidance.lifetime_s < model.limits.goal_timeout_s:
+        raise InputError(
+            f"{where}: avoidance.lifetime_s",
+            f"{avoidance.lifetime_s:g}",
+            f"at least limits.goal_timeout_s, which is {model.limits.goal_timeout_s:g}",
+        )
+    if model.control.axis_offset_m:
+        raise InputError(
+            f"{where}: control.axis_offset_m",
+            f"{model.control.axis_offset_m:g} with avoidance.on",
+            "0, the marker above the wheel axis; or avoidance.on = false",
         )

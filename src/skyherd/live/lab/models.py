@@ -5,7 +5,16 @@ from typing import Annotated
 
 from pydantic import Field, FiniteFloat
 
-from skyherd.datasets import FlightModel, Model, Point, SelectionModel, SizeModel
+from skyherd.datasets import (
+    AvoidanceModel,
+    FlightModel,
+    Model,
+    ObstacleMarkerModel,
+    Point,
+    SelectionModel,
+    SizeModel,
+    WheelsModel,
+)
 from skyherd.errors import InputError
 
 MAX_ROBOTS = 1000
@@ -111,6 +120,17 @@ class LabLimits(Model):
     )
 
 
+class LabAvoidance(AvoidanceModel):
+    """How robots keep apart from each other and from obstacles."""
+
+    body_radius_sides: Annotated[FiniteFloat, Field(ge=0, le=1000)] = Field(
+        0.0, description="marker sides; radius of the robots' round bodies; above 0 if avoidance is on"
+    )
+    stamp_error_s: Annotated[FiniteFloat, Field(ge=0, le=10)] = Field(
+        0.05, description="s; how much older images may be than their time stamps, by exposure and encoding"
+    )
+
+
 class LabRadio(Model):
     """How the processes find each other."""
 
@@ -191,5 +211,14 @@ class LabModel(Model):
         SelectionModel(radius=1.2), description="which robots each unit controls"
     )
     limits: LabLimits = Field(LabLimits(), description="what robots may do")
+    avoidance: LabAvoidance = Field(LabAvoidance(), description="how robots keep apart")
+    obstacles: list[ObstacleMarkerModel] = Field(
+        default=[], max_length=1000, description="markers of round bodies that stand still"
+    )
+    drive: WheelsModel = Field(
+        WheelsModel(),
+        description="errors of the wheels, and how fast they brake, which avoidance allows for; without "
+        "max_accel_mps2 they brake as fast as limits.max_accel_mps2",
+    )
     radio: LabRadio = Field(LabRadio(), description="how the processes find each other")
     recording: LabRecording = Field(LabRecording(), description="what units record for viewers")

@@ -39,12 +39,12 @@ from skyherd.control import newest_roles
 from skyherd.datasets import Mission, load_mission, make_mission, put_value, scenario_text
 from skyherd.files.atomic import write_text
 from skyherd.geometry import Array
+from skyherd.live import operator
 from skyherd.live.lab import Lab, lab_text, load_lab, make_lab
 from skyherd.live.logs.process_log_file import read_process_log
 from skyherd.live.mailbox import Air, Mailbox
 from skyherd.live.robot_core import RobotCore
 from skyherd.live.unit_core import UnitCore
-from skyherd.live.wire import Arm
 from skyherd.messages import Detections, RoleMap, VelocityCommand
 from skyherd.sim.physics import make_world
 from skyherd.sim.projected_perception import ProjectedPerception
@@ -135,9 +135,8 @@ class CrowdedTeam:
         )
         units = [f"unit/{unit}" for unit in range(len(lab.model.cameras))]
         self._agents = [self._agent(name) for name in [*units, *(f"robot/{robot}" for robot in lab.ids)]]
-        self._operator = Mailbox(
-            self._air.radio("operator"), lab.model.team, "operator", lambda: self._now_s, ("heartbeat/**",)
-        )
+        self._operator = operator.watch(lab, self._air.radio("operator"), lambda: self._now_s)
+        self._arming: operator.ArmCommand | None = None
         self._wheels = {robot: (0.0, 0.0, -np.inf) for robot in lab.ids}
         self.gaps_m: list[float] = []
         self.errors: list[float] = []
@@ -159,6 +158,7 @@ class CrowdedTeam:
             lambda: self._now_s + process.offset_s,
             KINDS[kind],
             process.say,
+            lambda: process.core.latch,
         )
         period_s = IMAGE_S if kind == "unit" else self.lab.model.limits.period_s
         due_s, beat_s = self._now_s + self._rng.uniform(0, [period_s, HEARTBEAT_S])
@@ -179,11 +179,11 @@ class CrowdedTeam:
             self._now_s = self._start_s + self._step * STEP_S
 
     def _arm(self) -> None:
-        """Arm all robots whose heartbeats arrive."""
-        found = {a.envelope.sender: a.envelope.message.session for a in self._operator.fetch()}
-        sessions = {name: session for name, session in found.items() if session}
-        if sessions and ARM_S[0] <= self.time_s < ARM_S[1]:
-            self._operator.send(Arm(sessions))
+        """Arm all robots, as `skyherd live arm` does."""
+        self._operator.listen(0.0)
+        if ARM_S[0] <= self.time_s < ARM_S[1]:
+            self._arming = self._arming or operator.ArmCommand(self.lab, self._operator)
+            self._arming.advance()
 
     def _listen(self, agent: Agent) -> float:
         """Take in messages and send a heartbeat when it is due; returns the process's clock."""
@@ -269,7 +269,8 @@ def run_in_memory(
         lab = load_lab("crowd", settings)
     team = CrowdedTeam(lab, mission, seed)
     team.run(default_s if duration_s is None else duration_s)
-    return _row(kind, seed, np.array(team.gaps_m), STEP_S, team.errors[-1])
+    row = _row(kind, seed, np.array(team.gaps_m), STEP_S, team.errors[-1])
+    return row | {"start_error": team.errors[0]}
 
 
 def _row(kind: str, seed: int, gaps_m: Array, step_s: float, error: float) -> dict[str, Any]:

@@ -329,11 +329,10 @@ def _keys() -> Iterator[Callable[[], str]]:
 
 def _windows_key() -> str:
     """Return the last key that was pressed at a Windows console since the last call, or the space bar."""
-    if sys.platform != "win32":
-        return ""
-    import msvcrt
-
     keys = ""
-    while msvcrt.kbhit() and len(keys) < MAX_KEYS:
-        keys += msvcrt.getwch()
+    if sys.platform == "win32":
+        import msvcrt
+
+        while msvcrt.kbhit() and len(keys) < MAX_KEYS:
+            keys += msvcrt.getwch()
     return " " if " " in keys else keys[-1:]

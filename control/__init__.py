@@ -32,7 +32,7 @@ from skyherd.control.policy import (
 from skyherd.control.rectification.ground_map import GroundMap
 from skyherd.control.rectification.rectifier import Rectifier, rectified
 from skyherd.control.robot_team import GoalFollowers, RobotClocks
-from skyherd.control.robots.dead_reckoning import DeadReckoning
+from skyherd.control.robots.latency_compensation import LatencyCompensation
 from skyherd.control.robots.goal_fusion import GoalInboxes
 from skyherd.control.robots.unicycle import (
     MarkerGains,
@@ -64,7 +64,7 @@ __all__ = [
     "BodyRule",
     "Conditions",
     "ControlSets",
-    "DeadReckoning",
+    "LatencyCompensation",
     "Decision",
     "Delivery",
     "Detour",

@@ -8,7 +8,7 @@ import numpy as np
 from skyherd.control.avoidance.neighbor_memory import NeighborMemory
 from skyherd.control.avoidance.speed_bound import AvoidanceRule, avoiding_law
 from skyherd.control.policy import Delivery, RobotTeam, TeamOrders
-from skyherd.control.robots.dead_reckoning import DeadReckoning
+from skyherd.control.robots.latency_compensation import LatencyCompensation
 from skyherd.control.robots.goal_fusion import GoalInboxes
 from skyherd.control.robots.unicycle import RobotLaw, Wheels, robot_commands
 from skyherd.control.team_clock import TeamClock
@@ -48,7 +48,7 @@ class GoalFollowers(RobotTeam):
         wheels: what the robots' wheels can do.
         neighbors: bodies near each robot, as units reported them; None where robots are points.
         avoidance: how robots keep apart from these; None where they do not.
-        motion: what each robot has driven since, which it takes off goals of images in the past; None where
+        latency_compensation: what each robot has driven since, which it takes off goals of images in the past; None where
             goals are followed as they come.
         clocks: how robots tell the age of messages though their clocks differ; None where all clocks agree.
     """
@@ -58,7 +58,7 @@ class GoalFollowers(RobotTeam):
     wheels: Wheels
     neighbors: NeighborMemory | None = None
     avoidance: AvoidanceRule | None = None
-    motion: DeadReckoning | None = None
+    latency_compensation: LatencyCompensation | None = None
     clocks: RobotClocks | None = None
 
     def decide(self, time_s: float, delivered: Sequence[Delivery]) -> TeamOrders:
@@ -74,11 +74,11 @@ class GoalFollowers(RobotTeam):
                 self.neighbors.receive(delivery.message, delivery.received, lead_s)
         commanded = self.inboxes.ids[self.inboxes.fresh(time_s).any(axis=0)]
         inboxes = self.inboxes
-        if self.motion is not None:
-            inboxes = self.motion.up_to_date(inboxes, time_s, lead_s)
+        if self.latency_compensation is not None:
+            inboxes = self.latency_compensation.compensate(inboxes, time_s, lead_s)
         command = self._command(inboxes, time_s, lead_s)
-        if self.motion is not None:
-            self.motion.record(command, time_s)
+        if self.latency_compensation is not None:
+            self.latency_compensation.record(command, time_s)
         return TeamOrders(command, np.asarray(commanded))
 
     def _command(self, inboxes: GoalInboxes, time_s: float, lead_s: Array) -> VelocityCommand:

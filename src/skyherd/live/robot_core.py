@@ -19,7 +19,7 @@ import numpy as np
 
 from skyherd.control import (
     AvoidanceRule,
-    DeadReckoning,
+    LatencyCompensation,
     GoalFollowers,
     GoalInboxes,
     NeighborMemory,
@@ -259,7 +259,7 @@ class RobotCore:
         inboxes = GoalInboxes(
             ids, np.array(self._units), self.limits.goal_timeout_s, distances=self._law.needs_distances
         )
-        self._motion = DeadReckoning(
+        self._motion = LatencyCompensation(
             1,
             self._side_m,
             axis_offset_m=self._wheels.axis_offset_m,
@@ -278,7 +278,7 @@ class RobotCore:
             self._wheels,
             neighbors=neighbors,
             avoidance=self._avoidance,
-            motion=self._motion,
+            latency_compensation=self._motion,
         )
 
 

@@ -18,7 +18,7 @@ from skyherd.messages import TIME_TOLERANCE_S, VelocityCommand
 from skyherd.messages.checks import check_numbers
 
 
-class DeadReckoning:
+class LatencyCompensation:
     """Poses of N robots, each from its own commands alone, in the frame that it had at the start.
 
     Between two commands a robot drives an arc, so that with `h` the heading at the last command
@@ -66,7 +66,7 @@ class DeadReckoning:
         while len(self._knots) > 2 and self._knots[1][0] <= time_s - self.memory_s - self.delay_s:
             self._knots.popleft()
 
-    def up_to_date(self, inboxes: GoalInboxes, time_s: float, lead_s: Array | float = 0.0) -> GoalInboxes:
+    def compensate(self, inboxes: GoalInboxes, time_s: float, lead_s: Array | float = 0.0) -> GoalInboxes:
         """The inboxes as if every image had been taken now, with goals in the robots' present frames.
 
         With d what the marker of robot i has moved since the image of unit j, and θ what it has turned, both

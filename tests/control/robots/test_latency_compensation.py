@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from skyherd.control import DeadReckoning, GoalInboxes
+from skyherd.control import LatencyCompensation, GoalInboxes
 from skyherd.datasets import load_mission
 from skyherd.errors import InputError
 from skyherd.geometry import to_complex, to_points
@@ -31,7 +31,7 @@ def test_a_late_goal_becomes_the_goal_of_now(make_goals, age_steps, lead_s, dela
     steps = 25
     commands = rng.normal(0, 1, (steps, 2, ROBOTS))
     commands[::5, 1] = 0.0
-    motion = DeadReckoning(
+    motion = LatencyCompensation(
         ROBOTS, SIDE_M, axis_offset_m=offset_m, delay_s=delay_steps * STEP_S, memory_s=2 * steps * STEP_S
     )
     axles, headings = to_complex(rng.normal(0, 3, (ROBOTS, 2))), rng.uniform(-3, 3, ROBOTS)
@@ -57,35 +57,35 @@ def test_a_late_goal_becomes_the_goal_of_now(make_goals, age_steps, lead_s, dela
         goals_at(make_goals, old_axles, then_rad, targets, sides, offset_m, imaged_s + lead_s), steps * STEP_S
     )
     before = inboxes.rho_px.copy()
-    found = motion.up_to_date(inboxes, steps * STEP_S, np.full(ROBOTS, lead_s)).rho_px[0]
+    found = motion.compensate(inboxes, steps * STEP_S, np.full(ROBOTS, lead_s)).rho_px[0]
     wanted = (targets - to_complex(future)) * np.exp(-1j * turned) * sides / SIDE_M
     np.testing.assert_allclose(found, wanted, atol=1e-9)
     np.testing.assert_array_equal(inboxes.rho_px, before)
 
 
 def test_memory_is_bounded_and_old_goals_are_taken_as_of_its_end(make_goals) -> None:
-    motion = DeadReckoning(ROBOTS, SIDE_M, memory_s=0.5)
+    motion = LatencyCompensation(ROBOTS, SIDE_M, memory_s=0.5)
     drive = VelocityCommand(range(ROBOTS), np.ones(ROBOTS), np.zeros(ROBOTS))
     for step in range(1000):
         motion.record(drive, step * STEP_S)
     assert len(motion._knots) < 10
     inboxes = GoalInboxes(np.arange(ROBOTS), np.arange(1), 1e9)
     inboxes.receive(make_goals(0, range(ROBOTS), np.full(ROBOTS, 100 + 0j), time_s=0.0), 0.0)
-    moved_m = (100 - motion.up_to_date(inboxes, 100.0).rho_px[0].real) * SIDE_M / 20
+    moved_m = (100 - motion.compensate(inboxes, 100.0).rho_px[0].real) * SIDE_M / 20
     assert (moved_m >= 0.5).all() and (moved_m <= 0.5 + 2 * STEP_S).all()
 
 
 def test_nothing_driven_leaves_goals_as_they_are(make_goals) -> None:
     inboxes = GoalInboxes(np.arange(ROBOTS), np.arange(2), 1.0)
     inboxes.receive(make_goals(1, range(ROBOTS), np.arange(ROBOTS) + 2j), 0.0)
-    current = DeadReckoning(ROBOTS, SIDE_M, memory_s=1.0).up_to_date(inboxes, 0.4)
+    current = LatencyCompensation(ROBOTS, SIDE_M, memory_s=1.0).compensate(inboxes, 0.4)
     np.testing.assert_array_equal(current.rho_px, inboxes.rho_px)
 
 
 @pytest.mark.parametrize("wrong", [{"side_m": 0.0}, {"memory_s": np.nan}, {"delay_s": -1.0}])
 def test_wrong_numbers_are_refused(wrong) -> None:
     with pytest.raises(InputError, match=next(iter(wrong))):
-        DeadReckoning(**({"count": 2, "side_m": 1.0, "memory_s": 1.0} | wrong))
+        LatencyCompensation(**({"count": 2, "side_m": 1.0, "memory_s": 1.0} | wrong))
 
 
 def shape_error_at_end(gain: float, compensate: bool) -> float:
@@ -98,7 +98,7 @@ def shape_error_at_end(gain: float, compensate: bool) -> float:
         f"control.k_omega={4 * gain}",
         "robots.max_speed_mps=100",
         "robots.max_turn_radps=100",
-        f"control.compensate={str(compensate).lower()}",
+        f"control.latency_compensation={str(compensate).lower()}",
     ]
     return [step.metrics.shape.error for step in run_steps(load_mission("triangle", settings))][-1]
 

@@ -12,12 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from skyherd.control.rectification.ground_map import (
+    ANISOTROPY,
     CAMERA,
     CENTER,
     FOCAL,
-    HORIZON,
     LENS,
-    SQUEEZE,
+    PERSPECTIVE,
     UNKNOWNS,
     GroundMap,
     local_maps,
@@ -32,8 +32,8 @@ wide enough for fisheyes, and for tilts of 16 degrees at the usual focal length 
 says how far beyond a fit is refused."""
 
 GROUPS = {
-    "squeeze": SQUEEZE,
-    "tilt": [*HORIZON, *FOCAL],
+    "anisotropy": ANISOTROPY,
+    "tilt": [*PERSPECTIVE, *FOCAL],
     "lens": LENS[:1],
     "second lens": LENS[1:2],
     "third lens": LENS[2:],
@@ -77,13 +77,13 @@ MIN_DEVIATION = 1e-12
 """Residuals are divided by at least so many standard deviations. Chosen: it only avoids a division by
 zero."""
 
-SIDES, SQUEEZES = 0, 1
+SIDES, ANISOTROPIES = 0, 1
 """Rows of the two kinds of data: logarithms of sides, and squeezes."""
 
 
 @dataclass(frozen=True)
 class NoiseStatistics:
-    """What residuals say of the noise of the data, by kind: row `SIDES`, row `SQUEEZES`.
+    """What residuals say of the noise of the data, by kind: row `SIDES`, row `ANISOTROPIES`.
 
     Attributes:
         squares: (2,) sums of squared residuals over their variances.
@@ -153,7 +153,10 @@ class _Linearization:
             scales - (scales @ shares)[:, None],
             sides - sides @ shares,
         )
-        predicted[SQUEEZES], seen[SQUEEZES] = maps.squeezes().view(float), squares.squeezes.view(float)
+        predicted[ANISOTROPIES], seen[ANISOTROPIES] = (
+            maps.anisotropies().view(float),
+            squares.anisotropies.view(float),
+        )
         jacobian = (predicted[:, 1:] - predicted[:, :1]) / DIFFERENCE
         return cls(
             at=unknowns,
@@ -220,7 +223,7 @@ def fit_ground(
 
 def _combined(parts: list[Information], factors: Array) -> Information:
     """Information from sides and squeezes together, by their variance factors (2,)."""
-    return parts[SIDES].scaled(1 / factors[SIDES]) + parts[SQUEEZES].scaled(1 / factors[SQUEEZES])
+    return parts[SIDES].scaled(1 / factors[SIDES]) + parts[ANISOTROPIES].scaled(1 / factors[ANISOTROPIES])
 
 
 def _noise_statistics(

@@ -23,7 +23,7 @@ import numpy as np
 from skyherd.geometry import Array, ComplexArray, to_complex, to_points
 from skyherd.messages import centred
 
-SQUEEZE, LENS, CENTER, FOCAL, HORIZON = [0, 1], [2, 3, 4], [5, 6], [7], [8, 9]
+ANISOTROPY, LENS, CENTER, FOCAL, PERSPECTIVE = [0, 1], [2, 3, 4], [5, 6], [7], [8, 9]
 """Indices of the unknowns α, (κ₁, κ₂, κ₃), c, f² / `USUAL_FOCAL`² - 1 and λ among all ten; a complex unknown
 has two, real part and imaginary part."""
 
@@ -61,7 +61,7 @@ class LocalMaps:
     derivatives: ComplexArray
     conjugate_derivatives: ComplexArray
 
-    def squeezes(self) -> ComplexArray:
+    def anisotropies(self) -> ComplexArray:
         """Relative squeezes ε = -b / a (..., N) of the images of squares on the ground."""
         return np.asarray(-self.conjugate_derivatives / self.derivatives)
 
@@ -101,10 +101,10 @@ def _raw_maps(unknowns: Array, p: ComplexArray) -> LocalMaps:
     # Below a half f² falls exponentially, so that it stays positive and never loses its slope.
     square_focal = np.maximum(1 + unknowns[..., 7], np.exp(np.minimum(2 * unknowns[..., 7] + 1, 0)) / 2)
     focal = USUAL_FOCAL * np.sqrt(square_focal)
-    lean = (focal * h / (1 + np.sqrt(1 + (focal * np.abs(h)) ** 2))) ** 2
+    foreshortening = (focal * h / (1 + np.sqrt(1 + (focal * np.abs(h)) ** 2))) ** 2
     w = np.maximum(1 - (np.conj(h) * s).real, MIN_FACTOR)
-    q = (s + lean * s.conj()) / w
-    q_s, q_sc = (1 + q * np.conj(h) / 2) / w, (lean + q * h / 2) / w
+    q = (s + foreshortening * s.conj()) / w
+    q_s, q_sc = (1 + q * np.conj(h) / 2) / w, (foreshortening + q * h / 2) / w
     return LocalMaps(q, q_s * s_p + q_sc * np.conj(s_c), q_s * s_c + q_sc * np.conj(s_p))
 
 
@@ -113,7 +113,7 @@ class GroundMap:
     """The map of one image to the ground; by default the identity.
 
     Attributes:
-        unknowns: (10,) values in the order of `SQUEEZE`, `LENS`, `CENTER`, `FOCAL` and `HORIZON`.
+        unknowns: (10,) values in the order of `ANISOTROPY`, `LENS`, `CENTER`, `FOCAL` and `PERSPECTIVE`.
         covariance: (10, 10) their covariance.
     """
 

@@ -188,7 +188,7 @@ def rectified(seen: Detections, ground_map: GroundMap) -> Detections:
     corners = ground_map.rectified_px(seen.corners_px.reshape(-1, 2), size).reshape(-1, 4, 2)
     before, after = (fit_squares(to_complex(c)) for c in (seen.corners_px, corners))
     maps = local_maps(ground_map.unknowns + STEPS, to_complex(centred(seen.centers_px, size)))
-    by_map = _but_for_similarity(_pose_by_map(maps, half), maps.values[0] * half)
+    by_map = _without_similarity(_pose_by_map(maps, half), maps.values[0] * half)
     by_pose = _pose_by_pose(maps.derivatives[0], maps.conjugate_derivatives[0], seen.headings_rad)
     return replace(
         seen,
@@ -211,7 +211,7 @@ def _pose_by_map(maps: LocalMaps, half: float) -> Array:
     return np.asarray((pose[:, 1:] - pose[:, :1]).transpose(2, 0, 1) / DIFFERENCE)
 
 
-def _but_for_similarity(by_map: Array, centers: ComplexArray) -> Array:
+def _without_similarity(by_map: Array, centers: ComplexArray) -> Array:
     """Derivatives (N, 3, 10) of poses less the part that is a similarity of all centres (N,).
 
     That part is `t + a z`, fitted by least squares, z being the centres relative to their mean; its rotation,

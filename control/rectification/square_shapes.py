@@ -22,17 +22,19 @@ UNKNOWN_ERROR_PX = 0.1
 guess, since the noise is estimated from the residuals then."""
 
 
-def relative_squeezes(squares: SquareImages) -> ComplexArray:
+def relative_anisotropies(squares: SquareImages) -> ComplexArray:
     """Relative squeezes `ε = squeeze / conj(arm)` (N,), which do not depend on how a square is rotated.
 
     The image of a square under `q ↦ p(q) = arm q + squeeze q̄` has the aspect ratio (1 + |ε|) / (1 - |ε|).
     """
-    return np.asarray(squares.squeezes * squares.arms / np.maximum(np.abs(squares.arms) ** 2, TINY))
+    return np.asarray(
+        squares.anisotropies * squares.similarities / np.maximum(np.abs(squares.similarities) ** 2, TINY)
+    )
 
 
 def log_sides(squares: SquareImages) -> Array:
     """Natural logarithms (N,) of the sides of squares that have the same areas as the images."""
-    areas = np.abs(squares.arms) ** 2 - np.abs(squares.squeezes) ** 2
+    areas = np.abs(squares.similarities) ** 2 - np.abs(squares.anisotropies) ** 2
     return np.asarray(np.log(np.maximum(np.abs(areas), TINY)) / 2)
 
 
@@ -44,7 +46,7 @@ class Squares:
         ids: (N,) ids of the markers.
         points: (N,) their centres, complex, from the image centre, in halves of the shorter side.
         log_sides: (N,) natural logarithms of their sides.
-        squeezes: (N,) their relative squeezes, complex.
+        anisotropies: (N,) their relative squeezes, complex.
         variances: (N,) variances of each log side and of each component of a squeeze.
         reported: whether the variances come from covariances that the detector reports.
     """
@@ -52,7 +54,7 @@ class Squares:
     ids: IntArray
     points: ComplexArray
     log_sides: Array
-    squeezes: ComplexArray
+    anisotropies: ComplexArray
     variances: Array
     reported: bool
 
@@ -68,7 +70,7 @@ class Squares:
             ids=seen.ids,
             points=to_complex(centred(seen.centers_px, seen.image_size_px)),
             log_sides=log_sides(images),
-            squeezes=relative_squeezes(images),
+            anisotropies=relative_anisotropies(images),
             variances=variances,
             reported=reported,
         )

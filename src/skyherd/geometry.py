@@ -86,17 +86,17 @@ class SquareImages:
 
     Attributes:
         centers: (N,) images of the squares' centres, as `u + iv`.
-        arms: (N,) the similarity's part: `|arm|` is the side, `arg(-i arm)` the heading.
-        squeezes: (N,) the other part; zero where the image is a square.
+        similarities: (N,) the similarity's part: `|arm|` is the side, `arg(-i arm)` the heading.
+        anisotropies: (N,) the other part; zero where the image is a square.
     """
 
     centers: ComplexArray
-    arms: ComplexArray
-    squeezes: ComplexArray
+    similarities: ComplexArray
+    anisotropies: ComplexArray
 
     def headings_rad(self) -> Array:
         """(N,) headings of the squares, from +u to +v, that fit both of their axes equally well."""
-        return np.angle(-1j * self.arms)
+        return np.angle(-1j * self.similarities)
 
 
 def fit_squares(corners: ComplexArray) -> SquareImages:
@@ -110,6 +110,6 @@ def fit_squares(corners: ComplexArray) -> SquareImages:
     power = float(np.sum(np.abs(SQUARE_CORNERS) ** 2))
     return SquareImages(
         centers=np.asarray(corners.mean(axis=1)),
-        arms=np.asarray(corners @ SQUARE_CORNERS.conj() / power),
-        squeezes=np.asarray(corners @ SQUARE_CORNERS / power),
+        similarities=np.asarray(corners @ SQUARE_CORNERS.conj() / power),
+        anisotropies=np.asarray(corners @ SQUARE_CORNERS / power),
     )

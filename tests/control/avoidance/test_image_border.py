@@ -27,7 +27,7 @@ from skyherd.control.avoidance.image_border import (
 )
 from skyherd.control.avoidance.proximity import proximity
 from skyherd.control.avoidance.speed_bound import closing_bounds, slowed
-from skyherd.control.rectification.ground_map import HORIZON, LENS, SQUEEZE, UNKNOWNS
+from skyherd.control.rectification.ground_map import ANISOTROPY, LENS, PERSPECTIVE, UNKNOWNS
 from skyherd.geometry import to_complex, to_points
 from skyherd.messages import BORDER_IDS, Detections, Proximity, UnitReport
 from skyherd.sim.world import move_bodies
@@ -42,8 +42,8 @@ GOAL_TIMEOUT_S = 2.0
 
 def map_with(squeeze=0.0, horizon=0.0, lens=0.0) -> GroundMap:
     unknowns = np.zeros(UNKNOWNS)
-    unknowns[SQUEEZE] = complex(squeeze).real, complex(squeeze).imag
-    unknowns[HORIZON] = complex(horizon).real, complex(horizon).imag
+    unknowns[ANISOTROPY] = complex(squeeze).real, complex(squeeze).imag
+    unknowns[PERSPECTIVE] = complex(horizon).real, complex(horizon).imag
     unknowns[LENS[0]] = lens
     return GroundMap(unknowns)
 

@@ -6,8 +6,15 @@ from scipy.optimize import least_squares
 from seen_squares import FOCAL_PX, View, random_robots
 
 from skyherd.control import GroundMap
-from skyherd.control.rectification.ground_map import HORIZON, LENS, SQUEEZE, UNKNOWNS, USUAL_FOCAL, local_maps
-from skyherd.control.rectification.square_shapes import log_sides, relative_squeezes
+from skyherd.control.rectification.ground_map import (
+    ANISOTROPY,
+    LENS,
+    PERSPECTIVE,
+    UNKNOWNS,
+    USUAL_FOCAL,
+    local_maps,
+)
+from skyherd.control.rectification.square_shapes import log_sides, relative_anisotropies
 from skyherd.geometry import fit_squares
 from skyherd.render import Camera, Distortion
 from skyherd.render.camera.camera import rotation_camera_world
@@ -53,7 +60,7 @@ def true_unknowns(view: View) -> np.ndarray:
     x, y, z = rotation_camera_world(view.pose)[:, 2]
     horizon = -complex(x, y) / z / np.conj(a)
     unknowns = np.zeros(UNKNOWNS)
-    unknowns[SQUEEZE], unknowns[HORIZON] = (squeeze.real, squeeze.imag), (horizon.real, horizon.imag)
+    unknowns[ANISOTROPY], unknowns[PERSPECTIVE] = (squeeze.real, squeeze.imag), (horizon.real, horizon.imag)
     unknowns[7] = (abs(a) / USUAL_FOCAL) ** 2 - 1
     return unknowns
 
@@ -78,8 +85,8 @@ def test_squares_on_the_ground_are_squeezed_and_sized_as_told():
     maps = local_maps(true_unknowns(view), points)
     corners = ((seen.corners_px - 399.5) / 400) @ np.array([1, 1j])
     squares = fit_squares(corners)
-    assert np.abs(relative_squeezes(squares)).max() > 0.05
-    np.testing.assert_allclose(relative_squeezes(squares), maps.squeezes(), atol=2e-4, rtol=0)
+    assert np.abs(relative_anisotropies(squares)).max() > 0.05
+    np.testing.assert_allclose(relative_anisotropies(squares), maps.anisotropies(), atol=2e-4, rtol=0)
     sides = log_sides(squares) - maps.log_scales()
     np.testing.assert_allclose(sides, sides.mean(), atol=5e-4, rtol=0)
 
@@ -142,11 +149,11 @@ def test_the_focal_length_stays_positive_and_keeps_its_slope():
     points = np.array([0.3 + 0.1j, -0.2 + 0.4j])
     for focal in (-3.0, -1.0, -0.95, -0.5, 0.0, 2.0):
         unknowns = np.zeros(UNKNOWNS)
-        unknowns[HORIZON], unknowns[7] = (0.1, -0.05), focal
+        unknowns[PERSPECTIVE], unknowns[7] = (0.1, -0.05), focal
         step = np.zeros(UNKNOWNS)
         step[7] = 1e-4
         up, down = (local_maps(unknowns + sign * step, points) for sign in (1, -1))
         assert np.isfinite(up.values).all()
-        assert np.abs(up.squeezes() - down.squeezes()).max() > 1e-10
+        assert np.abs(up.anisotropies() - down.anisotropies()).max() > 1e-10
     below, above = (local_maps(np.r_[np.zeros(7), f, 0.1, -0.05], points) for f in (-0.5 - 1e-9, -0.5 + 1e-9))
     np.testing.assert_allclose(below.values, above.values, atol=1e-10)

@@ -14,11 +14,11 @@ from seen_squares import CORNERS, View, random_robots, random_view, shape_error
 
 from skyherd.control import Rectifier, rectified
 from skyherd.control.rectification.ground_map import (
+    ANISOTROPY,
     CENTER,
     FOCAL,
-    HORIZON,
     LENS,
-    SQUEEZE,
+    PERSPECTIVE,
     USUAL_FOCAL,
     GroundMap,
 )
@@ -138,11 +138,11 @@ def test_squeeze_focal_length_and_tilt_are_the_cameras(aspect, skew):
     normal = np.array([normal[2] * np.sin(tilt_v), normal[1], normal[2] * np.cos(tilt_v)])
     horizon = -complex(normal[0], normal[1]) / normal[2] / np.conj(a)
     deviations = np.sqrt(np.diag(rectifier.ground_map.covariance))
-    assert deviations[SQUEEZE].max() < 1e-3
+    assert deviations[ANISOTROPY].max() < 1e-3
     assert deviations[FOCAL].max() < 0.1
-    assert deviations[HORIZON].max() < 1e-3
-    assert off(rectifier, SQUEEZE, squeeze) < 4.5
-    assert off(rectifier, HORIZON, horizon) < 4.5
+    assert deviations[PERSPECTIVE].max() < 1e-3
+    assert off(rectifier, ANISOTROPY, squeeze) < 4.5
+    assert off(rectifier, PERSPECTIVE, horizon) < 4.5
     assert off(rectifier, FOCAL, (abs(a) / USUAL_FOCAL) ** 2 - 1) < 4.5
 
 

@@ -32,8 +32,8 @@ from skyherd.control.policy import (
 from skyherd.control.rectification.ground_map import GroundMap
 from skyherd.control.rectification.rectifier import Rectifier, rectified
 from skyherd.control.robot_team import GoalFollowers, RobotClocks
-from skyherd.control.robots.latency_compensation import LatencyCompensation
 from skyherd.control.robots.goal_fusion import GoalInboxes
+from skyherd.control.robots.latency_compensation import LatencyCompensation
 from skyherd.control.robots.unicycle import (
     MarkerGains,
     PixelGains,
@@ -54,8 +54,8 @@ from skyherd.control.topology.conditions import (
     owners_by_robot,
 )
 from skyherd.control.topology.convergence_rate import laplacian, slowest_rate
-from skyherd.control.tree.node_state import TreeRule
 from skyherd.control.tree.protocol import TreeProtocol
+from skyherd.control.tree.settings import TreeSettings
 
 __all__ = [
     "NO_ROBOTS",
@@ -64,7 +64,6 @@ __all__ = [
     "BodyRule",
     "Conditions",
     "ControlSets",
-    "LatencyCompensation",
     "Decision",
     "Delivery",
     "Detour",
@@ -77,6 +76,7 @@ __all__ = [
     "Hover",
     "HybridSelection",
     "KeepInView",
+    "LatencyCompensation",
     "MarkerGains",
     "NeighborMemory",
     "Perimeter",
@@ -96,7 +96,7 @@ __all__ = [
     "TeamOrders",
     "Template",
     "TreeProtocol",
-    "TreeRule",
+    "TreeSettings",
     "Wheels",
     "ascend",
     "check_conditions",

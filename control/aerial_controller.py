@@ -4,7 +4,7 @@ Units and robots may fall silent, and markers may be missed, so that everything 
 at which it stops counting:
 
 - A report that is older than `report_lifetime_s`, which is several images, is left out of the decision. The
-  tree protocol remembers reports by itself, and has a limit of its own for them (`TreeRule.silence_s`).
+  tree protocol remembers reports by itself, and has a limit of its own for them (`TreeSettings.silence_s`).
 - A robot that is not detected gets no goal in that image. Where control sets follow from a safety radius, it
   counts for a dwell time as where it was last seen (`skyherd.control.selection.safety_radius`).
 - A robot follows a goal until the scenario's `robots.timeout_s` has passed since it received it
@@ -23,7 +23,7 @@ from skyherd.control.formation.roles import RoleRule, Roles
 from skyherd.control.formation.schedule import Schedule
 from skyherd.control.formation.size import SideConsensus, SizeRule
 from skyherd.control.formation.template import Template
-from skyherd.control.goals import cost_share, motion_goals
+from skyherd.control.goals import lyapunov_term, motion_goals
 from skyherd.control.policy import FlightLaw, FlightTask, Selection, SelectionPolicy
 from skyherd.control.rectification.ground_map import GroundMap
 from skyherd.control.rectification.rectifier import Rectifier
@@ -125,7 +125,7 @@ class AerialController:
             controlled_ids=selection.controlled_ids,
             secure_ids=selection.secure_ids,
             tree=selection.tree_status,
-            cost_sides2=cost_share(goals),
+            cost_sides2=lyapunov_term(goals),
             side_px=side_px,
             roles=self.roles.reported,
         )

@@ -54,7 +54,7 @@ def motion_goals(
     )
 
 
-def cost_share(goals: MotionGoals | None) -> float:
+def lyapunov_term(goals: MotionGoals | None) -> float:
     """A unit's share of the cost function (paper, eq. 9), in marker sides squared; 0 without goals.
 
     `V_j = 1/2 Σ_i (rho_i / side_i)²` over the robots i that it sends goals to, each in sides of its own

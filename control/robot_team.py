@@ -8,8 +8,8 @@ import numpy as np
 from skyherd.control.avoidance.neighbor_memory import NeighborMemory
 from skyherd.control.avoidance.speed_bound import AvoidanceRule, avoiding_law
 from skyherd.control.policy import Delivery, RobotTeam, TeamOrders
-from skyherd.control.robots.latency_compensation import LatencyCompensation
 from skyherd.control.robots.goal_fusion import GoalInboxes
+from skyherd.control.robots.latency_compensation import LatencyCompensation
 from skyherd.control.robots.unicycle import RobotLaw, Wheels, robot_commands
 from skyherd.control.team_clock import TeamClock
 from skyherd.geometry import Array, IntArray

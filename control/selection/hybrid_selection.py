@@ -10,8 +10,8 @@ from skyherd.control.formation.template import Template
 from skyherd.control.policy import Selection, SelectionPolicy
 from skyherd.control.selection.safety_radius import SafetyRadius
 from skyherd.control.topology.conditions import check_conditions, control_matrix
-from skyherd.control.tree.node_state import TreeRule
 from skyherd.control.tree.protocol import TreeProtocol
+from skyherd.control.tree.settings import TreeSettings
 from skyherd.messages import Detections, UnitReport
 from skyherd.messages.checks import check_numbers
 
@@ -28,7 +28,7 @@ class HybridSelection(SelectionPolicy):
 
     Attributes:
         overlapping: the policy while V falls.
-        tree_rule: settings of the protocol after it stalled.
+        tree_settings: settings of the protocol after it stalled.
         stall_s: V has stalled if it fell by less than `progress` over this time; TC1 and TC2 have failed if
             they did not hold for as long. Chosen: ten dwell times.
         progress: share of V.
@@ -37,12 +37,12 @@ class HybridSelection(SelectionPolicy):
     """
 
     overlapping: SafetyRadius = field(default_factory=SafetyRadius)
-    tree_rule: TreeRule = field(default_factory=TreeRule)
+    tree_settings: TreeSettings = field(default_factory=TreeSettings)
     stall_s: float = 20.0
     progress: float = 0.05
     floor_sides: float = 0.1
     tree: TreeProtocol | None = field(default=None, init=False)
-    _costs: deque[tuple[float, float]] = field(default_factory=deque, init=False)
+    _lyapunov_values: deque[tuple[float, float]] = field(default_factory=deque, init=False)
     _in_q_s: float | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
@@ -53,7 +53,7 @@ class HybridSelection(SelectionPolicy):
     ) -> Selection:
         """The set by the policy that holds now."""
         if self.tree is None and self._has_failed(last, reports, shape):
-            self.tree = TreeProtocol(self.tree_rule)
+            self.tree = TreeProtocol(self.tree_settings)
         policy = self.overlapping if self.tree is None else self.tree
         return policy.choose(seen, reports, shape, last)
 
@@ -68,10 +68,10 @@ class HybridSelection(SelectionPolicy):
 
     def _is_stalled(self, last: UnitReport, reports: Sequence[UnitReport], shape: Template) -> bool:
         total = last.cost_sides2 + sum(report.cost_sides2 for report in reports)
-        self._costs.append((last.time_s, total))
+        self._lyapunov_values.append((last.time_s, total))
         before = np.inf
-        while last.time_s - self._costs[0][0] > self.stall_s:
-            before = self._costs.popleft()[1]
+        while last.time_s - self._lyapunov_values[0][0] > self.stall_s:
+            before = self._lyapunov_values.popleft()[1]
         is_far = np.sqrt(2 * total / shape.ids.size) > self.floor_sides
         return bool(is_far and total > (1 - self.progress) * before)
 

@@ -18,7 +18,7 @@ given comes within two, once the robots that it needs are promised to nobody; a 
 own may never have two to give."""
 
 
-def join_tree(state: NodeState, now: Situation) -> Changes:
+def join_tree(state: NodeState, context: Situation) -> Changes:
     """Outside of a tree: ask a member to be admitted; if there is no tree, see that one is founded.
 
     Large control sets bind a team firmly (docs/topology.md), and the founder's set is all that it sees inside
@@ -29,28 +29,32 @@ def join_tree(state: NodeState, now: Situation) -> Changes:
     """
     if state.is_member:
         return Changes()
-    if now.members:
-        return _ask(state, now)
-    living = {peer.unit_id: peer for peer in now.living}
-    lowest = min(living, default=now.unit_id)
-    if lowest < now.unit_id:
-        return _found(now) if lowest in now.askers else Changes()
-    if not now.at_slot or now.time_s - state.since_s < now.rule.dwell_s or state.asks_id in living:
+    if context.members:
+        return _ask(state, context)
+    living = {peer.unit_id: peer for peer in context.living}
+    lowest = min(living, default=context.unit_id)
+    if lowest < context.unit_id:
+        return _found(context) if lowest in context.askers else Changes()
+    if (
+        not context.at_slot
+        or context.time_s - state.since_s < context.rule.dwell_s
+        or state.asks_id in living
+    ):
         return Changes()
-    inside = {unit: len(peer.near(now.rule.radius)) for unit, peer in living.items()}
-    inside[now.unit_id] = len(now.visible)
+    inside = {unit: len(peer.near(context.rule.radius)) for unit, peer in living.items()}
+    inside[context.unit_id] = len(context.visible)
     chosen = max(inside, key=lambda unit: (inside[unit], -unit))
-    if chosen == now.unit_id:
-        return _found(now)
-    return Changes(asks_id=chosen, ask_turn=first_turn(now.time_s, now.unit_id, chosen))
+    if chosen == context.unit_id:
+        return _found(context)
+    return Changes(asks_id=chosen, ask_turn=first_turn(context.time_s, context.unit_id, chosen))
 
 
-def _found(now: Situation) -> Changes:
+def _found(context: Situation) -> Changes:
     """Begin the tree, with all robots in view as the unit's own."""
-    return Changes(tree_id=now.unit_id, asks_id=NO_ID, own=now.visible)
+    return Changes(tree_id=context.unit_id, asks_id=NO_ID, own=context.visible)
 
 
-def _ask(state: NodeState, now: Situation) -> Changes:
+def _ask(state: NodeState, context: Situation) -> Changes:
     """Open the edge that the member that was asked grants; else ask the one with most own robots in common.
 
     The question names the turn at which the edge is to begin, another one each time, so that a grant that
@@ -59,47 +63,47 @@ def _ask(state: NodeState, now: Situation) -> Changes:
     offered may have gone to other units since. That is done in the unit's own turn, in which the member makes
     no pair.
     """
-    patience_s = PATIENT_SLOTS * now.rule.dwell_s
+    patience_s = PATIENT_SLOTS * context.rule.dwell_s
     if any(
-        edge.pair or not edge.is_my_turn or now.time_s - edge.since_s < patience_s
+        edge.pair or not edge.is_my_turn or context.time_s - edge.since_s < patience_s
         for edge in state.edges.values()
     ):
         return Changes()
-    for peer in now.members:
-        status = edge_status(peer.report, now.unit_id)
+    for peer in context.members:
+        status = edge_status(peer.report, context.unit_id)
         if peer.unit_id == state.asks_id and status and not status.pair and status.turn == state.ask_turn:
-            edge = Edge(now.unit_id, peer.unit_id, now.time_s).received(peer.report)
+            edge = Edge(context.unit_id, peer.unit_id, context.time_s).received(peer.report)
             return Changes(edges={peer.unit_id: edge})
-    common = {peer.unit_id: _common(now, peer) for peer in now.members}
+    common = {peer.unit_id: _common(context, peer) for peer in context.members}
     able = sorted((member for member in common if common[member] >= 2), key=lambda m: (-common[m], m))
-    asked_s = now.time_s - turn_time_s(state.ask_turn)
+    asked_s = context.time_s - turn_time_s(state.ask_turn)
     if state.asks_id in able and (len(able) == 1 or asked_s < patience_s):
         return Changes()
     if not able:
         return Changes() if state.edges else Changes(asks_id=NO_ID)
     best = able[(able.index(state.asks_id) + 1) % len(able) if state.asks_id in able else 0]
-    return Changes(edges={}, asks_id=best, ask_turn=first_turn(now.time_s, now.unit_id, best))
+    return Changes(edges={}, asks_id=best, ask_turn=first_turn(context.time_s, context.unit_id, best))
 
 
-def _common(now: Situation, member: PeerReport) -> int:
+def _common(context: Situation, member: PeerReport) -> int:
     """How many own robots of a member the unit sees as well."""
-    return len(now.visible.intersection(member.report.secure_ids.tolist()) - member.paired)
+    return len(context.visible.intersection(member.report.secure_ids.tolist()) - member.paired)
 
 
-def admit(state: NodeState, now: Situation) -> Changes:
+def admit(state: NodeState, context: Situation) -> Changes:
     """As a member: grant an edge, yet without a pair, to each unit that asks for one."""
     if not state.is_member:
         return Changes()
-    for asking in sorted(now.askers - state.edges.keys()):
-        offered = offerable(state, now, asking)
+    for asking in sorted(context.askers - state.edges.keys()):
+        offered = offerable(state, context, asking)
         if len(offered) >= 2:
-            turn = now.peers.newest[asking].tree.ask_turn
-            edge = Edge(now.unit_id, asking, now.time_s, turn=turn, offered=offered)
+            turn = context.peers.newest[asking].tree.ask_turn
+            edge = Edge(context.unit_id, asking, context.time_s, turn=turn, offered=offered)
             state = replace(state, edges={**state.edges, asking: edge})
     return Changes(edges=state.edges)
 
 
-def watch_growth(state: NodeState, now: Situation) -> Changes:
+def watch_growth(state: NodeState, context: Situation) -> Changes:
     """Until the tree is complete: tell whether it is, and whether to look around because it does not grow.
 
     It is complete when all units heard of belong to it and all robots to a unit, when any unit that was heard
@@ -109,15 +113,15 @@ def watch_growth(state: NodeState, now: Situation) -> Changes:
     """
     if state.ready:
         return Changes()
-    outside = {peer.unit_id for peer in now.living if not peer.is_member}
+    outside = {peer.unit_id for peer in context.living if not peer.is_member}
     extent = Extent(
-        frozenset(outside if state.is_member else outside | {now.unit_id}),
-        state.controlled.union(*(peer.controlled for peer in now.living)),
+        frozenset(outside if state.is_member else outside | {context.unit_id}),
+        state.controlled.union(*(peer.controlled for peer in context.living)),
     )
-    is_begun = state.is_member or bool(now.members)
-    grew_slot = now.slot if extent != state.extent or not is_begun else state.grew_slot
-    stalled = state.stalled or now.slot - grew_slot >= STALLED_SLOTS
-    ready = state.is_member and _is_complete(state, now, extent)
+    is_begun = state.is_member or bool(context.members)
+    grew_slot = context.slot if extent != state.extent or not is_begun else state.grew_slot
+    stalled = state.stalled or context.slot - grew_slot >= STALLED_SLOTS
+    ready = state.is_member and _is_complete(state, context, extent)
     return Changes(
         extent=extent,
         grew_slot=grew_slot,
@@ -127,7 +131,7 @@ def watch_growth(state: NodeState, now: Situation) -> Changes:
     )
 
 
-def _is_complete(state: NodeState, now: Situation, extent: Extent) -> bool:
-    is_reported = any(peer.tree.ready for peer in now.living)
-    is_patience_over = now.time_s - state.since_s > now.rule.patience_s
-    return is_reported or is_patience_over or (not extent.outside and extent.held >= now.shape.members)
+def _is_complete(state: NodeState, context: Situation, extent: Extent) -> bool:
+    is_reported = any(peer.tree.ready for peer in context.living)
+    is_patience_over = context.time_s - state.since_s > context.rule.patience_s
+    return is_reported or is_patience_over or (not extent.outside and extent.held >= context.shape.members)

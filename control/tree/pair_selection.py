@@ -75,7 +75,7 @@ def choose_pair(
     return None if chosen == present else chosen
 
 
-def firmer_pair(
+def stronger_pair(
     template: Template,
     present: Robots,
     candidates: Robots,

@@ -40,36 +40,37 @@ from skyherd.control.topology.slots import slot_at
 from skyherd.control.tree.failover import fail_over, name_heir
 from skyherd.control.tree.hand_over import give, take
 from skyherd.control.tree.joining import admit, join_tree, watch_growth
-from skyherd.control.tree.node_state import Changes, NodeState, Situation, TreeRule
+from skyherd.control.tree.node_state import Changes, NodeState, Situation
 from skyherd.control.tree.orphans import adopt_orphans, yield_claims
 from skyherd.control.tree.pair_exchange import receive_turns, use_turns
 from skyherd.control.tree.partition import heal_partition, leave_for_lower_tree
 from skyherd.control.tree.peer_reports import PeerReports
+from skyherd.control.tree.settings import TreeSettings
 from skyherd.control.tree.view_targets import seek_robots
 from skyherd.geometry import IntArray
 from skyherd.messages import NO_ID, Detections, TreeStatus, UnitReport
 
 
-def note_view(state: NodeState, now: Situation) -> Changes:
+def note_view(state: NodeState, context: Situation) -> Changes:
     """Note the time, the slot, and which robots are in view.
 
     Without an image for a silence, or after its clock was set, a unit begins anew to look around.
     """
-    is_used = now.time_s - state.imaged_s <= now.rule.silence_s
+    is_used = context.time_s - state.imaged_s <= context.rule.silence_s
     return Changes(
-        imaged_s=now.time_s,
-        since_s=state.since_s if is_used else now.time_s,
-        slot=now.slot,
-        seen_s={**state.seen_s, **dict.fromkeys(now.distances, now.time_s)},
+        imaged_s=context.time_s,
+        since_s=state.since_s if is_used else context.time_s,
+        slot=context.slot,
+        seen_s={**state.seen_s, **dict.fromkeys(context.distances, context.time_s)},
     )
 
 
-def note_holding(state: NodeState, now: Situation) -> Changes:
+def note_holding(state: NodeState, context: Situation) -> Changes:
     """Note since when the unit has had each robot of its set, and which own robots it has never seen."""
-    never_seen = state.own - now.distances.keys() - state.seen_s.keys() - state.missed_since_s.keys()
+    never_seen = state.own - context.distances.keys() - state.seen_s.keys() - state.missed_since_s.keys()
     return Changes(
-        held_s={robot: state.held_s.get(robot, now.time_s) for robot in state.controlled},
-        missed_since_s={**state.missed_since_s, **dict.fromkeys(never_seen, now.time_s)},
+        held_s={robot: state.held_s.get(robot, context.time_s) for robot in state.controlled},
+        missed_since_s={**state.missed_since_s, **dict.fromkeys(never_seen, context.time_s)},
     )
 
 
@@ -106,13 +107,13 @@ class TreeProtocol(SelectionPolicy):
     """One unit's part in the protocol, as a selection policy.
 
     Attributes:
-        rule: settings.
+        settings: radii, times and thresholds of the protocol.
         rules: what is applied, in this order; tests replace it.
         state: after the last image.
         peers: reports received.
     """
 
-    rule: TreeRule = field(default_factory=TreeRule)
+    settings: TreeSettings = field(default_factory=TreeSettings)
     rules: tuple[tuple[Transition, str], ...] = RULES
     state: NodeState = field(default_factory=NodeState, init=False)
     peers: PeerReports = field(default_factory=PeerReports, init=False)
@@ -121,23 +122,23 @@ class TreeProtocol(SelectionPolicy):
         self, seen: Detections, reports: Sequence[UnitReport], shape: Template, last: UnitReport | None
     ) -> Selection:
         """Apply all rules to one image and to the reports received."""
-        now = self._situation(seen, reports, shape)
+        context = self._context(seen, reports, shape)
         for transition, _ in self.rules:
-            self.state = self.state.after(transition(self.state, now))
+            self.state = self.state.after(transition(self.state, context))
         state = self.state
         return Selection(
             controlled_ids=_ascending(state.controlled),
-            secure_ids=_ascending(state.controlled & now.visible),
+            secure_ids=_ascending(state.controlled & context.visible),
             may_move=state.ready,
             sought_ids=_ascending(state.sought),
             searches=state.searches,
-            tree_status=tree_status(state, now),
+            tree_status=tree_status(state, context),
         )
 
-    def _situation(self, seen: Detections, reports: Sequence[UnitReport], shape: Template) -> Situation:
-        slot = slot_at(seen.time_s, self.rule.dwell_s)
+    def _context(self, seen: Detections, reports: Sequence[UnitReport], shape: Template) -> Situation:
+        slot = slot_at(seen.time_s, self.settings.dwell_s)
         return Situation(
-            rule=self.rule,
+            rule=self.settings,
             shape=shape,
             unit_id=seen.unit_id,
             time_s=seen.time_s,
@@ -149,13 +150,13 @@ class TreeProtocol(SelectionPolicy):
         )
 
 
-def tree_status(state: NodeState, now: Situation) -> TreeStatus:
+def tree_status(state: NodeState, context: Situation) -> TreeStatus:
     """What the unit's report says of the tree; missing are own robots that it has not seen for a silence."""
     edges = list(state.edges.values())
     offers = [(robot, edge.neighbor_id) for edge in edges for robot in sorted(edge.offered)]
     to_release = frozenset[int]().union(*(edge.releasing & edge.offered for edge in edges))
-    hidden = state.own - now.distances.keys()
-    missing = [robot for robot in hidden if state.unseen_s(robot, now.time_s) > now.rule.silence_s]
+    hidden = state.own - context.distances.keys()
+    missing = [robot for robot in hidden if state.unseen_s(robot, context.time_s) > context.rule.silence_s]
     return TreeStatus(
         tree_id=state.tree_id,
         asks_id=state.asks_id,

@@ -13,10 +13,10 @@ founder (`skyherd.control.tree.joining`). docs/topology.md has the measurements.
 """
 
 from skyherd.control.tree.node_state import Changes, NodeState, Situation
-from skyherd.control.tree.pair_selection import firmer_pair
+from skyherd.control.tree.pair_selection import stronger_pair
 
 
-def seek_robots(state: NodeState, now: Situation) -> Changes:
+def seek_robots(state: NodeState, context: Situation) -> Changes:
     """At a slot: choose robots to get into view: missing ones, and pairs that would bind weak edges firmly.
 
     A neighbour reports robots of its own that it has not seen for a silence; the unit looks for those that it
@@ -25,25 +25,25 @@ def seek_robots(state: NodeState, now: Situation) -> Changes:
     know each other's control set and the shape, and so which pair would bind them firmly, seen or not; while
     theirs is weak they fly to see a better one.
     """
-    if not now.at_slot:
+    if not context.at_slot:
         return Changes()
-    robots = set(now.shape.members - now.claimed - state.controlled) if state.ready else set[int]()
+    robots = set(context.shape.members - context.claimed - state.controlled) if state.ready else set[int]()
     missed_since_s = dict(state.missed_since_s)
     for edge in state.edges.values():
-        neighbor = now.peers.newest[edge.neighbor_id]
+        neighbor = context.peers.newest[edge.neighbor_id]
         missing = neighbor.tree.missing_ids.tolist()
         for robot in missing:
             if robot not in state.seen_s:
-                missed_since_s.setdefault(robot, now.time_s)
-        robots.update(r for r in missing if state.unseen_s(r, now.time_s) < now.rule.patience_s)
-        if now.rule.share == "leverage" and edge.pair and edge.pair <= neighbor.controlled:
-            robots |= firmer_pair(
-                now.shape,
+                missed_since_s.setdefault(robot, context.time_s)
+        robots.update(r for r in missing if state.unseen_s(r, context.time_s) < context.rule.patience_s)
+        if context.rule.share == "leverage" and edge.pair and edge.pair <= neighbor.controlled:
+            robots |= stronger_pair(
+                context.shape,
                 edge.pair,
                 candidates=(neighbor.controlled - neighbor.paired) - state.controlled,
                 theirs=neighbor.controlled,
                 ours=state.controlled - edge.pair,
-                firm=now.rule.firm,
-                gain=now.rule.gain,
+                firm=context.rule.firm,
+                gain=context.rule.gain,
             )
     return Changes(sought=frozenset(robots), missed_since_s=missed_since_s)

@@ -26,7 +26,7 @@ class RunStream(IntEnum):
     WHEEL_SLIP = 5
     SWAY = 6
     ROBOT_CLOCKS = 7
-    TOLD_POSITIONS = 8
+    REPORTED_POSITIONS = 8
     RANDOM_MISSION = 71
     STAR_MISSION = 73
     CROWDED_MISSION = 79

@@ -18,7 +18,7 @@ from skyherd.control import (
     SafetyRadius,
     SizeRule,
     Template,
-    TreeRule,
+    TreeSettings,
     Wheels,
 )
 from skyherd.datasets import shape_points
@@ -40,7 +40,7 @@ CONSTRUCTORS = {
     Wheels: ({"max_speed_mps": 1.0, "max_turn_radps": 1.0}, ("max_speed_mps", "max_turn_radps")),
     SafetyRadius: ({}, ("radius", "hysteresis", "dwell_s")),
     HybridSelection: ({}, ("stall_s", "progress", "floor_sides")),
-    TreeRule: ({}, ("radius", "hysteresis", "dwell_s", "gain", "firm", "silence_s", "patience_s")),
+    TreeSettings: ({}, ("radius", "hysteresis", "dwell_s", "gain", "firm", "silence_s", "patience_s")),
     Follow: ({}, ("desired_radius", "lateral_gain_mps", "climb_gain_mps", "dead_band")),
     Perimeter: ({}, ("desired_radius", "lateral_gain_mps", "climb_gain_mps")),
     KeepInView: (
@@ -74,7 +74,7 @@ def test_a_rate_is_finite_and_of_either_sign(value):
 
 
 def test_a_limit_that_there_is_not_may_be_infinite():
-    assert Wheels(INF, INF) and SizeRule(0.0, INF) and TreeRule(patience_s=INF)
+    assert Wheels(INF, INF) and SizeRule(0.0, INF) and TreeSettings(patience_s=INF)
     for kind, name in ((MarkerGains, "k"), (SafetyRadius, "radius"), (SizeRule, "min_sides")):
         with pytest.raises(SkyherdError):
             kind(**CONSTRUCTORS[kind][0] | {name: INF})

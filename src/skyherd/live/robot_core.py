@@ -19,9 +19,9 @@ import numpy as np
 
 from skyherd.control import (
     AvoidanceRule,
-    LatencyCompensation,
     GoalFollowers,
     GoalInboxes,
+    LatencyCompensation,
     NeighborMemory,
     RobotLaw,
     Wheels,

@@ -6,9 +6,9 @@ import numpy as np
 
 from skyherd.control import (
     AvoidanceRule,
-    LatencyCompensation,
     GoalFollowers,
     GoalInboxes,
+    LatencyCompensation,
     MarkerGains,
     NeighborMemory,
     PixelGains,
@@ -81,7 +81,7 @@ def _make_oracle_team(mission: Mission, world: World, gains: RobotLaw, wheels: W
         noise_m=scenario.control.told_noise_m,
         loss=scenario.network.message_loss,
         lifetime_s=scenario.robots.timeout_s,
-        rng=generator(scenario.seed, RunStream.TOLD_POSITIONS),
+        rng=generator(scenario.seed, RunStream.REPORTED_POSITIONS),
     )
     return OracleTeam(world, found.make(shape_m(mission), scenario.control.k), gains, wheels, news)
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from skyherd.control import LatencyCompensation, GoalInboxes
+from skyherd.control import GoalInboxes, LatencyCompensation
 from skyherd.datasets import load_mission
 from skyherd.errors import InputError
 from skyherd.geometry import to_complex, to_points

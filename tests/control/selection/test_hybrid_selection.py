@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from skyherd.control import HybridSelection, Template, TreeProtocol
-from skyherd.control.goals import cost_share
+from skyherd.control.goals import lyapunov_term
 from skyherd.datasets import make_mission
 from skyherd.datasets.generated.random_missions import random_mission
 from skyherd.loop import run_steps
@@ -68,8 +68,8 @@ def test_a_unit_follows_one_that_has_begun(make_report, make_detections) -> None
 
 
 def test_the_cost_is_half_the_squares_in_marker_sides(make_goals) -> None:
-    assert cost_share(None) == 0.0
-    assert cost_share(make_goals(0, [0, 1], [3, 4j], sides=[1.0, 2.0])) == pytest.approx((9 + 4) / 2)
+    assert lyapunov_term(None) == 0.0
+    assert lyapunov_term(make_goals(0, [0, 1], [3, 4j], sides=[1.0, 2.0])) == pytest.approx((9 + 4) / 2)
 
 
 def test_a_mission_that_free_overlaps_lose_is_saved_by_the_tree() -> None:

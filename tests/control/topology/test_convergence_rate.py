@@ -9,7 +9,7 @@ from scipy.linalg import expm
 from skyherd.control import Template, motion_goals
 from skyherd.control.topology.conditions import check_conditions
 from skyherd.control.topology.convergence_rate import laplacian, pair_rates, slowest_rate
-from skyherd.control.tree.pair_selection import firmer_pair
+from skyherd.control.tree.pair_selection import stronger_pair
 from skyherd.datasets import make_mission
 from skyherd.datasets.generated.random_missions import Crowd, random_mission
 from skyherd.geometry import wrap_angle
@@ -196,7 +196,7 @@ def test_the_firmer_pair_is_the_nearest_that_is_firm_enough_or_the_firmest_there
         mine, theirs = (int(count) for count in rng.integers(3, 7, 2))
         points = cloud(rng, mine + 2 + theirs)
         ours, there, pair = range(mine), range(mine, points.size), (mine, mine + 1)
-        chosen = firmer_pair(
+        chosen = stronger_pair(
             Template(np.arange(points.size), points),
             frozenset(pair),
             candidates=frozenset(there) - frozenset(pair),

@@ -8,7 +8,7 @@ import pytest
 
 from skyherd.control.selection.safety_radius import centre_distances
 from skyherd.control.topology.convergence_rate import slowest_rate
-from skyherd.control.tree.node_state import TreeRule
+from skyherd.control.tree.settings import TreeSettings
 from skyherd.datasets import make_mission
 from skyherd.datasets.generated.random_missions import Crowd, random_mission
 from skyherd.loop import Step, run_steps
@@ -92,7 +92,7 @@ def test_units_that_see_little_in_common_fly_to_see_what_binds_them(firm) -> Non
     edges = [pair for pair in combinations(rows, 2) if np.intersect1d(*pair).size == 2]
     rates = [edge_rate(mission.template.points_px, *edge) for edge in edges]
     assert len(edges) == 2
-    assert (min(rates) >= 0.2 / TreeRule().gain) == (firm > 0)
+    assert (min(rates) >= 0.2 / TreeSettings().gain) == (firm > 0)
 
 
 def test_units_that_share_no_robots_climb_until_they_do() -> None:
@@ -106,6 +106,6 @@ def test_units_that_share_no_robots_climb_until_they_do() -> None:
     heights = np.array([step.fleet.heights_m for step in steps])
     still = np.flatnonzero((np.diff(heights, axis=0) == 0).all(axis=1))
     begun = next(step.time_s for step in steps if founders(step))
-    assert begun <= steps[still[0]].time_s and steps[still[-1]].time_s >= begun + TreeRule().dwell_s
+    assert begun <= steps[still[0]].time_s and steps[still[-1]].time_s >= begun + TreeSettings().dwell_s
     assert is_ready(steps[-1]) and (heights[-1] > heights[0]).all()
     assert steps[-1].metrics.conditions.in_p

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from protocol_world import ProtocolWorld
 
-from skyherd.control import Template, TreeRule
+from skyherd.control import Template, TreeSettings
 from skyherd.control.tree.edge import NO_TURN, Edge, first_turn
 from skyherd.control.tree.joining import join_tree
 from skyherd.control.tree.node_state import NodeState, Situation
@@ -17,7 +17,7 @@ from skyherd.control.tree.orphans import adopt_orphans, yield_claims
 from skyherd.control.tree.peer_reports import PeerReports
 from skyherd.messages import NO_ID, TreeStatus, UnitReport
 
-RULE = TreeRule()
+RULE = TreeSettings()
 STEP_S = 0.5
 NONE = np.array([], dtype=np.int64)
 

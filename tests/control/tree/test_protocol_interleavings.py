@@ -32,12 +32,12 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, rule, run_sta
 from protocol_world import ProtocolWorld
 
 from skyherd.control.tree.failover import GRACE
-from skyherd.control.tree.node_state import TreeRule
 from skyherd.control.tree.protocol import TreeProtocol
+from skyherd.control.tree.settings import TreeSettings
 
 IMAGE_S = 0.9
 """The longest time between two images of a unit."""
-RULE = TreeRule(gain=1.05)
+RULE = TreeSettings(gain=1.05)
 SETTLING_S = RULE.dwell_s + RULE.silence_s + 2 * IMAGE_S
 
 DISTANCES = st.sampled_from([None, 0.1, 0.3, 0.5, 0.7, 0.9, 1.0, 1.2])

@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 from protocol_world import ProtocolWorld
 
-from skyherd.control import AerialController, KeepInView, TreeProtocol, TreeRule
+from skyherd.control import AerialController, KeepInView, TreeProtocol, TreeSettings
 from skyherd.control.tree.protocol import RULES, Transition
 from skyherd.datasets import make_mission, random_mission
 from skyherd.loop import run_steps
 from skyherd.messages import NO_ID
 
 NAMES = [transition.__name__ for transition, _ in RULES]
-RULE = TreeRule()
+RULE = TreeSettings()
 
 
 def ordered(names: Sequence[str]) -> tuple[tuple[Transition, str], ...]:

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from skyherd.control import BodyRule, RoleRule, Template, TreeRule
+from skyherd.control import BodyRule, RoleRule, Template, TreeSettings
 from skyherd.control.tree.edge import NO_TURN, Edge
 from skyherd.control.tree.failover import fail_over, name_heir, successor_of
 from skyherd.control.tree.hand_over import give, take
@@ -23,7 +23,7 @@ from skyherd.messages import NO_ID, NO_SLOT, TreeStatus, UnitReport
 
 SIZE_PX = np.array([800, 800])
 SHAPE = Template(np.arange(8), np.exp(2j * np.pi * np.arange(8) / 8) * (1 + 0.1 * np.arange(8)))
-RULE = TreeRule(share="nearest")
+RULE = TreeSettings(share="nearest")
 
 
 def report(
@@ -276,7 +276,7 @@ def test_a_unit_with_nothing_to_change_hands_its_turn_over_at_once():
         sees = {1: 0.1, 2: 0.2, 3: 0.01, 4: 0.05}
         peer = report(1, 10.0, controls=[1, 2, *reach], sees=sees, edges=[(0, 4, [1, 2])])
         edge = Edge(0, 1, 0.0, turn=4, pair=robots(1, 2), reach=reach)
-        plain = TreeRule(share="nearest", gain=1.0)
+        plain = TreeSettings(share="nearest", gain=1.0)
         now = replace(situation(0, [peer], sees=sees), at_slot=False, rule=plain)
         changed = use_turns(NodeState(edges={1: edge}, tree_id=0), now)["edges"][1]
         assert (changed.turn, changed.pair, changed.wants) == (turn, robots(1, 2), turn == 4)
@@ -371,7 +371,7 @@ def test_an_heir_has_a_pair_and_was_heard(pair, heard, heir):
 def test_rules_that_are_told_nothing_are_those_of_scenarios_that_say_nothing():
     """Lengths, times and shares have their defaults in two places, which must not part."""
     tree, roles, bodies = SelectionModel(), RolesModel(), AvoidanceModel()
-    for rule, model in ((TreeRule(), tree), (RoleRule(), roles), (BodyRule(1.0), bodies)):
+    for rule, model in ((TreeSettings(), tree), (RoleRule(), roles), (BodyRule(1.0), bodies)):
         both = vars(rule).keys() & type(model).model_fields.keys() - {"classes"}
         assert len(both) >= 2
         assert {name: getattr(rule, name) for name in both} == {name: getattr(model, name) for name in both}
@@ -389,7 +389,7 @@ def test_a_robot_that_leaves_the_view_is_released_if_there_are_two_to_take_in_re
 def test_to_bind_a_weak_edge_a_unit_seeks_robots_that_its_neighbour_shares_with_nobody():
     """Of its neighbour's robots 2 to 7 it has 2 and 3; 4 and 5 are in another pair of the neighbour."""
     peer = report(1, 10.0, controls=range(2, 8), edges=[(0, 4, [2, 3]), (9, 4, [4, 5])])
-    rule = TreeRule(share="leverage", firm=1e6, gain=1.0)
+    rule = TreeSettings(share="leverage", firm=1e6, gain=1.0)
     now = replace(situation(0, [peer]), rule=rule)
     edge = Edge(0, 1, 0.0, turn=4, pair=robots(2, 3))
     sought = seek_robots(NodeState(own=robots(0, 1), edges={1: edge}, tree_id=0), now)["sought"]

@@ -1,8 +1,10 @@
-"""Detections to motion goals to robot commands. Nothing here sees the truth or a camera's calibration.
+"""Control: from detections to motion goals to robot commands.
 
-Start with `AerialController` (one unit: an image's detections in, goals, a report and a flight command out)
-and `GoalFollowers` (the robots: messages in, wheel speeds out). `skyherd.control.policy` has the interfaces
-of what can be exchanged.
+Nothing in this package sees ground truth or camera calibration.
+
+`AerialController` is the controller of one unit. From the detections of an image it computes motion goals, a
+report and a flight command. `GoalFollowers` are the robots: they turn received messages into wheel speeds.
+`skyherd.control.policy` defines the interfaces of the exchangeable parts.
 """
 
 from skyherd.control.aerial_controller import AerialController, Decision

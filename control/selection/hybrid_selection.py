@@ -1,4 +1,4 @@
-"""Overlapping sets first, a tree when they fail: membership in Q with a way back to P (paper, Section VI)."""
+"""Overlapping sets first, a tree after a failure: membership in Q, then in P (paper, Section VI)."""
 
 from collections import deque
 from collections.abc import Sequence
@@ -18,22 +18,23 @@ from skyherd.messages.checks import check_numbers
 
 @dataclass
 class HybridSelection(SelectionPolicy):
-    """One unit's control set: by the safety radius, and by the tree protocol once that has failed.
+    """Selection by the safety radius, and by the tree protocol once that has failed.
 
     With TC1 and TC2 alone every unit controls all robots inside its safety radius. More robots are shared and
-    the shape comes faster, but nothing keeps TC1 and TC2: robots drift out of all sets, and neighbours come
-    to share fewer than two. Then V stalls above zero, or falls to zero with every unit content with a shape
-    of its own. Units report their sets and their shares of V (eq. 9); the first one to notice either begins
-    the tree protocol, and its report makes the others follow.
+    the team converges faster, but nothing maintains TC1 and TC2. Robots drift out of all sets, and neighbours
+    then share fewer than two. The Lyapunov function V then stalls above zero, or each unit reaches a shape of
+    its own and V falls to zero. Units report their sets and their Lyapunov terms V^j (eq. 9). The first unit
+    that detects a failure starts the tree protocol, and its report makes the others follow.
 
     Attributes:
-        overlapping: the policy while V falls.
-        tree_settings: settings of the protocol after it stalled.
-        stall_s: V has stalled if it fell by less than `progress` over this time; TC1 and TC2 have failed if
+        overlapping: policy while V falls.
+        tree_settings: settings of the protocol after V stalled.
+        stall_s: V has stalled if it fell by less than `progress` over this time. TC1 and TC2 have failed if
             they did not hold for as long. Chosen: ten dwell times.
         progress: share of V.
-        floor_sides: V counts as above zero while robots are this far from their goals, RMS in marker sides.
-        tree: the protocol, once it has begun.
+        floor_sides: V is above zero while the RMS distance of robots to their goals is above this, marker
+            sides.
+        tree: the protocol, once started.
     """
 
     overlapping: SafetyRadius = field(default_factory=SafetyRadius)
@@ -51,14 +52,14 @@ class HybridSelection(SelectionPolicy):
     def choose(
         self, seen: Detections, reports: Sequence[UnitReport], shape: Template, last: UnitReport | None
     ) -> Selection:
-        """The set by the policy that holds now."""
+        """Return the selection of the policy that is active now."""
         if self.tree is None and self._has_failed(last, reports, shape):
             self.tree = TreeProtocol(self.tree_settings)
         policy = self.overlapping if self.tree is None else self.tree
         return policy.choose(seen, reports, shape, last)
 
     def _has_failed(self, last: UnitReport | None, reports: Sequence[UnitReport], shape: Template) -> bool:
-        """Whether another unit began the tree, V has stalled, or TC1 and TC2 are broken for too long."""
+        """Return whether another unit started the tree, V has stalled, or TC1 and TC2 failed for too long."""
         if any(report.tree is not None for report in reports):
             return True
         if last is None:

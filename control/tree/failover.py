@@ -1,6 +1,7 @@
-"""When a neighbour falls silent: its heir takes over its robots and edges, the others turn to the heir.
+"""Failover: the heir of a silent neighbour takes over its robots and edges; other neighbours join the heir.
 
-Two adjoining units are made one, so that what was a tree with one pair an edge still is.
+Each report serves as a heartbeat of its sender. A unit without a report for `silence_s` is declared dead. Two
+adjacent units become one, so that a tree with one pair per edge remains such a tree.
 """
 
 from dataclasses import replace
@@ -11,16 +12,16 @@ from skyherd.control.tree.peer_reports import PeerReport
 from skyherd.messages import NO_ID
 
 GRACE = 2
-"""Silences after which the other end of a new edge must know of it. Chosen: one in which the report of the
-edge arrives for certain, and one in which the answer does."""
+"""Number of silence timeouts after which the other end of a new edge must know it. Chosen: one in which the
+report of the edge arrives, and one in which the answer does."""
 
 RECENT = 0.5
-"""Share of the silence in which a unit must have been heard of to succeed another one. Chosen: half, which is
-seven images of a camera with five a second, so that hardly ever all of their reports are lost."""
+"""Maximum age of the last heartbeat of a successor, as a share of the silence timeout. Chosen: half is seven
+images at five a second, so that losing all their reports is unlikely."""
 
 
 def fail_over(state: NodeState, context: Situation) -> Changes:
-    """Go on without neighbours that fell silent or left the tree; start anew if they gave this unit up."""
+    """Remove edges to silent neighbours and neighbours that left; rejoin if this unit was declared dead."""
     for neighbor, edge in list(state.edges.items()):
         if state.edges.get(neighbor) is not edge:
             continue  # what was done about a neighbour before concerned this edge as well
@@ -39,7 +40,7 @@ def fail_over(state: NodeState, context: Situation) -> Changes:
 
 
 def name_heir(state: NodeState, context: Situation) -> Changes:
-    """Name as the heir, of the neighbours with a pair, the one with fewest robots, and keep to it."""
+    """Select the heir: the neighbour with a pair and the fewest robots; keep it while its edge exists."""
     if state.heir_id in state.edges:
         return Changes()
     robots = {
@@ -51,7 +52,7 @@ def name_heir(state: NodeState, context: Situation) -> Changes:
 
 
 def _is_abandoned(context: Situation, edge: Edge, peer: PeerReport) -> bool:
-    """Whether the neighbour knows nothing of the edge, although it must by now: then it left the tree."""
+    """Return whether the neighbour lacks the edge although it must know it by now: it then left the tree."""
     if context.unit_id in peer.tree.rows:
         return False
     if not edge.pair:
@@ -60,10 +61,11 @@ def _is_abandoned(context: Situation, edge: Edge, peer: PeerReport) -> bool:
 
 
 def _without(state: NodeState, context: Situation, edge: Edge) -> NodeState:
-    """The state without the edge to a unit that is gone.
+    """Return the state without the edge to a dead unit.
 
-    Its successor takes over what was its. Another neighbour keeps the pair as its own if it has an edge to
-    the successor, and else opens one with that pair and has the first turn on it.
+    The successor takes over the dead unit's robots and edges. Another neighbour keeps the pair as its own if
+    it has an edge to the successor. Otherwise it creates an edge to the successor with that pair and has the
+    first turn on it.
     """
     edges = {neighbor: other for neighbor, other in state.edges.items() if neighbor != edge.neighbor_id}
     state = replace(state, edges=edges)
@@ -80,10 +82,10 @@ def _without(state: NodeState, context: Situation, edge: Edge) -> NodeState:
 
 
 def successor_of(gone: PeerReport, context: Situation) -> int:
-    """Who takes over what was a dead unit's: its heir, or if that is gone too its lowest living neighbour.
+    """Return the successor of a dead unit: its heir, or its lowest living neighbour if the heir is dead.
 
-    Units that fall silent at one time are not noticed at one time, so that only those count as living whose
-    last report is younger than a share of the silence.
+    Simultaneous failures are not detected at the same time. Only units with a heartbeat younger than a share
+    of the silence timeout count as living.
     """
     young_s = context.time_s - RECENT * context.rule.silence_s
     if gone.tree.heir_id == context.unit_id or context.heard_s(gone.tree.heir_id) >= young_s:
@@ -93,9 +95,9 @@ def successor_of(gone: PeerReport, context: Situation) -> int:
 
 
 def _inherit(state: NodeState, context: Situation, gone: PeerReport) -> NodeState:
-    """The state with the robots of a dead unit, unless somebody else has them, and with its other edges.
+    """Return the state with the unclaimed robots of a dead unit and with its other edges.
 
-    The other ends know best which pairs they had with it: their first turn tells.
+    The other ends have the newest knowledge of their pairs with it, and report them in their first turn.
     """
     others = [peer.controlled for peer in context.living if peer.unit_id != gone.unit_id]
     state = replace(state, own=state.own | (gone.controlled - state.controlled.union(*others)))

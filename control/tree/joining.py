@@ -1,4 +1,4 @@
-"""How units become one tree: one founds it, the others ask to be admitted and are granted an edge each."""
+"""Formation of the tree: one unit founds it, the others request admission and get an edge each."""
 
 from dataclasses import replace
 
@@ -9,22 +9,21 @@ from skyherd.control.tree.peer_reports import PeerReport
 from skyherd.messages import NO_ID
 
 STALLED_SLOTS = 1
-"""Slots without growth after which units look around. Chosen: the shortest time in which an edge can be
-granted and its first pair be taken; twice as long only delays deployment by a slot."""
+"""Number of slots without growth after which units search. Chosen: the shortest time to grant an edge and
+take its first pair; twice the value only delays deployment by a slot."""
 
 PATIENT_SLOTS = 5
-"""Slots after which a unit that was not granted an edge asks another member. Chosen: a grant that can be
-given comes within two, once the robots that it needs are promised to nobody; a member with few robots of its
-own may never have two to give."""
+"""Number of slots after which a unit without an edge asks another member. Chosen: a possible grant comes
+within two; a member with few own robots may never have two to give."""
 
 
 def join_tree(state: NodeState, context: Situation) -> Changes:
-    """Outside of a tree: ask a member to be admitted; if there is no tree, see that one is founded.
+    """Request admission by a member; without a tree, found one or select its founder.
 
-    Large control sets bind a team firmly (docs/topology.md), and the founder's set is all that it sees inside
-    the radius. So the unit that sees most robots is to be the founder. For there to be one founder only,
-    however late reports are, the lowest unit chooses: after a dwell time it founds the tree itself, or asks
-    another unit to, and keeps to that choice while it receives reports of the chosen one, which may have
+    Large control sets couple a team strongly (docs/topology.md), and the founder's set is all that it sees
+    inside the radius. The unit that sees most robots should therefore be the founder. To ensure a single
+    founder despite late reports, the lowest unit decides. After a dwell time it founds the tree itself or
+    asks another unit to. It keeps that choice while it receives reports of the chosen unit, which may have
     founded the tree by then.
     """
     if state.is_member:
@@ -50,18 +49,17 @@ def join_tree(state: NodeState, context: Situation) -> Changes:
 
 
 def _found(context: Situation) -> Changes:
-    """Begin the tree, with all robots in view as the unit's own."""
+    """Found the tree, with all robots in view as the unit's own."""
     return Changes(tree_id=context.unit_id, asks_id=NO_ID, own=context.visible)
 
 
 def _ask(state: NodeState, context: Situation) -> Changes:
-    """Open the edge that the member that was asked grants; else ask the one with most own robots in common.
+    """Open the edge that the requested member grants; otherwise ask the one with most own robots in common.
 
-    The question names the turn at which the edge is to begin, another one each time, so that a grant that
-    arrives late, after the question was given up, is void. Members are asked one after the other, each for
-    `PATIENT_SLOTS`, and an edge on which there has been no pair for as long is given up: the robots that were
-    offered may have gone to other units since. That is done in the unit's own turn, in which the member makes
-    no pair.
+    The request contains the turn at which the edge must begin, a different one each time. A grant that
+    arrives after the request was withdrawn is therefore void. Members are asked one after the other, each for
+    `PATIENT_SLOTS`. An edge without a pair for as long is removed: the offered robots may have gone to other
+    units since. The removal takes place in the unit's own turn, in which the member makes no pair.
     """
     patience_s = PATIENT_SLOTS * context.rule.dwell_s
     if any(
@@ -86,12 +84,12 @@ def _ask(state: NodeState, context: Situation) -> Changes:
 
 
 def _common(context: Situation, member: PeerReport) -> int:
-    """How many own robots of a member the unit sees as well."""
+    """Return the number of own robots of a member that the unit sees as well."""
     return len(context.visible.intersection(member.report.secure_ids.tolist()) - member.paired)
 
 
 def admit(state: NodeState, context: Situation) -> Changes:
-    """As a member: grant an edge, yet without a pair, to each unit that asks for one."""
+    """Grant an edge, still without a pair, to each unit that requests one."""
     if not state.is_member:
         return Changes()
     for asking in sorted(context.askers - state.edges.keys()):
@@ -104,12 +102,12 @@ def admit(state: NodeState, context: Situation) -> Changes:
 
 
 def watch_growth(state: NodeState, context: Situation) -> Changes:
-    """Until the tree is complete: tell whether it is, and whether to look around because it does not grow.
+    """Detect whether the tree is complete, and whether to search because it does not grow.
 
-    It is complete when all units heard of belong to it and all robots to a unit, when any unit that was heard
-    of says so, or when the unit's patience has ended. Units look around before the tree has been founded, and
-    from the first slot on in which it did not grow; meanwhile they hold their place, so that others can count
-    on what they see.
+    The tree is complete if all known units belong to it and all robots to a unit. It also counts as complete
+    if any known unit reports so, or if the unit's patience has ended. Units search before the tree is
+    founded, and from the first slot without growth. Until then they hold their position, so that other units
+    can rely on their views.
     """
     if state.ready:
         return Changes()

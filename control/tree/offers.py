@@ -1,4 +1,4 @@
-"""Which of its own robots a unit may offer to a neighbour."""
+"""Own robots that a unit may offer to a neighbour."""
 
 import numpy as np
 
@@ -7,11 +7,10 @@ from skyherd.control.tree.node_state import NodeState, Situation
 
 
 def undisputed(state: NodeState, context: Situation) -> Robots:
-    """Own robots that no member claims, by a report of each member made since the unit has them.
+    """Return own robots that no member claims, by a report of each member since the unit has them.
 
     Other units may have adopted or inherited the same robots at the same time. Two units can settle that
-    while the robots are their own (control/tree/orphans.py), but no more once they share them with third
-    ones.
+    while the robots are their own (control/tree/orphans.py), but not once they share them with third units.
     """
     known_s = min((peer.time_s for peer in context.members), default=np.inf)
     unclaimed = state.own - context.claimed
@@ -19,9 +18,9 @@ def undisputed(state: NodeState, context: Situation) -> Robots:
 
 
 def lost(state: NodeState, context: Situation) -> Robots:
-    """Own robots that went out of view: seen since the unit has them, and not for a silence.
+    """Return own robots that left the view: seen since the unit has them, and not for a silence timeout.
 
-    Robots that the unit has not seen since they are its own were inherited; it flies to where they are.
+    Robots that the unit has not seen since they are its own were inherited. The unit flies to them.
     """
     return frozenset(
         robot
@@ -32,11 +31,11 @@ def lost(state: NodeState, context: Situation) -> Robots:
 
 
 def offerable(state: NodeState, context: Situation, neighbor: int) -> Robots:
-    """Own robots that may be offered to a unit: undisputed, seen by both, promised or handed to nobody else.
+    """Return own robots to offer to a unit: undisputed, seen by both, promised or handed to no other unit.
 
-    Robots that several neighbours see, or units that ask to become neighbours, go to one after the other,
-    slot by slot and two by two, so that none is left out and none gets a single robot, which makes no pair.
-    Units that have no pair yet come first.
+    Robots that several neighbours or requesting units see are offered to one after the other, slot by slot
+    and two by two. None is left out and none gets a single robot, which makes no pair. Units without a pair
+    have priority.
     """
     free = undisputed(state, context).intersection(context.seen_by(neighbor)) - state.offered(but=neighbor)
     free -= lost(state, context) | state.giving.keys()

@@ -1,4 +1,4 @@
-"""Robots that nobody controls find a unit; robots that two units claim lose one."""
+"""Adoption of uncontrolled robots, and resolution of robots that two units claim."""
 
 import numpy as np
 
@@ -8,7 +8,7 @@ from skyherd.control.tree.node_state import Changes, NodeState, Situation
 def yield_claims(state: NodeState, context: Situation) -> Changes:
     """Drop own robots that a lower unit controls as well, or that an edge of other units shares.
 
-    What a unit reported before this one had the robot is no claim: it may have given the robot away since.
+    A report from before this unit had the robot is no claim: the sender may have given the robot away since.
     """
     if state.own.isdisjoint(context.claimed):
         return Changes()
@@ -20,12 +20,12 @@ def yield_claims(state: NodeState, context: Situation) -> Changes:
 
 
 def adopt_orphans(state: NodeState, context: Situation) -> Changes:
-    """As a member: make robots one's own that are in view and that no member controls.
+    """Adopt robots in view that no member controls.
 
-    After half a dwell time in which nobody took it, so that reports on their way have arrived, such a robot
-    becomes the own of the member that sees it nearest to its image centre, by what all reported last; of
-    equals, of the lower unit. A robot goes from hand to hand by being shared for a slot at least. So nobody
-    has it only if that is what all members report of this slot or of the one before.
+    The unit waits half a dwell time, so that reports in transit have arrived. The robot then becomes the own
+    of the member that last reported it nearest to its image centre; ties go to the lower unit. A robot passes
+    between units by being shared for at least a slot. It is therefore uncontrolled only if all members report
+    so for this slot or the one before.
     """
     if not state.is_member:
         return Changes()
@@ -44,7 +44,7 @@ def adopt_orphans(state: NodeState, context: Situation) -> Changes:
 
 
 def _is_nearest(state: NodeState, context: Situation, robot: int) -> bool:
-    """Whether no member reported to see the robot nearer than this unit did in its last image."""
+    """Return whether no member reported the robot nearer than this unit did in its last image."""
     others = ((peer.distances.get(robot, np.inf), peer.unit_id) for peer in context.members)
     here = (state.distances_before.get(robot, np.inf), context.unit_id)
     return here <= min(others, default=(np.inf, context.unit_id))

@@ -15,12 +15,12 @@ from skyherd.messages import NO_ID
 def receive_turns(state: NodeState, context: Situation) -> Changes:
     """Take the turns that the reports hand over.
 
-    The neighbour may have exchanged the pair in its turn. A robot that left the pair is the unit's own again,
-    and one that came into it, which the unit had offered, is its own no more; the unit's control set stays as
-    it is.
+    The neighbour may have exchanged the pair in its turn. A robot that left the pair is the unit's own again.
+    A robot that entered it, which the unit had offered, is no longer its own. The unit's control set stays
+    the same.
 
-    Where both ends of an edge wait for the first turn of the other, because both took themselves for the
-    successor of a dead unit between them, the lower unit begins, with the pair that it knows.
+    If both ends of an edge wait for the first turn of the other, the lower unit begins, with its known pair.
+    This happens if both considered themselves the successor of a dead unit between them.
     """
     own, edges = state.own, dict(state.edges)
     for peer in context.news:
@@ -32,7 +32,7 @@ def receive_turns(state: NodeState, context: Situation) -> Changes:
 
 
 def _begun(edge: Edge, peer: PeerReport, context: Situation) -> Edge:
-    """The edge with the lower unit's first turn if both ends wait for the other's; else as it is."""
+    """Return the edge with the lower unit's first turn if both ends wait for the other's; else unchanged."""
     if edge.turn != NO_TURN or not edge.pair or context.unit_id > edge.neighbor_id:
         return edge
     status = edge_status(peer.report, context.unit_id)
@@ -42,10 +42,10 @@ def _begun(edge: Edge, peer: PeerReport, context: Situation) -> Edge:
 
 
 def use_turns(state: NodeState, context: Situation) -> Changes:
-    """Exchange the pair where it is the unit's turn and another pair is better, then hand the turn over.
+    """Exchange the pair if the unit has the turn and another pair is better, then hand the turn over.
 
-    A unit that has nothing to change hands the turn over at once; else it waits for the next slot, changes
-    the pair there if that is still better, and hands over. It looks for a better pair only in a new slot, or
+    A unit without a change hands the turn over at once. Otherwise it waits for the next slot, changes the
+    pair there if that is still better, and hands over. It searches for a better pair only in a new slot, or
     when other robots have come into its reach. With the first pair of its first edge a unit becomes a member
     of the neighbour's tree.
     """
@@ -73,7 +73,7 @@ def _with_edge(state: NodeState, edge: Edge) -> NodeState:
 
 
 def _exchanged(state: NodeState, context: Situation, edge: Edge, pair: Robots) -> NodeState:
-    """The state with `pair` shared instead of the present pair, which the neighbour keeps."""
+    """Return the state with `pair` shared instead of the present pair, which the neighbour keeps."""
     state = _with_edge(state, replace(edge, pair=pair))
     if state.is_member:
         return state
@@ -82,7 +82,7 @@ def _exchanged(state: NodeState, context: Situation, edge: Edge, pair: Robots) -
 
 
 def _better_pair(state: NodeState, context: Situation, edge: Edge) -> Robots | None:
-    """The pair to exchange the present one for; None if none is better."""
+    """Return the pair that should replace the present one, or None if no pair is better."""
     neighbor = context.peers.newest[edge.neighbor_id]
     ours = state.controlled - edge.pair
     within_view = context.visible & (neighbor.near(context.rule.radius) | edge.to_release)
@@ -101,9 +101,10 @@ def _better_pair(state: NodeState, context: Situation, edge: Edge) -> Robots | N
 
 
 def _to_release(context: Situation, edge: Edge, offered: Robots) -> Robots:
-    """Of the robots offered, those that leave the unit's view and that the neighbour sees inside its radius.
+    """Return the offered robots that leave the unit's view and that the neighbour sees inside its radius.
 
-    None, if the unit could take none of the neighbour's robots in return: the pair would only go to and fro.
+    Return none if the unit could take none of the neighbour's robots in return: the pair would only
+    alternate.
     """
     neighbor = context.peers.newest[edge.neighbor_id]
     near = neighbor.near(context.rule.radius)

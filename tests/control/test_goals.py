@@ -21,7 +21,7 @@ def random_scene(seed: int, make_detections, count: int = 12):
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_neighbours_are_the_shared_robots_and_the_nearest(make_detections, seed) -> None:
+def test_goals_send_shared_and_nearest_neighbors(make_detections, seed) -> None:
     """Against a plain loop over all pairs; distances to rounding."""
     seen, template, place, rng = random_scene(seed, make_detections)
     controlled = rng.permutation(seen.ids)[:7]
@@ -39,14 +39,14 @@ def test_neighbours_are_the_shared_robots_and_the_nearest(make_detections, seed)
         )
 
 
-def test_a_shared_robot_that_is_not_in_view_is_not_told_of(make_detections) -> None:
+def test_goals_omit_shared_robot_out_of_view(make_detections) -> None:
     seen, template, _, _ = random_scene(3, make_detections)
     unseen = int(np.setdiff1d(np.arange(50), seen.ids)[0])
     goals = motion_goals(seen, seen.ids, template, shared_ids=np.array([unseen]), nearest=1)
     assert not (goals.neighbor_ids == unseen).any()
 
 
-def test_more_nearest_asked_than_there_are_robots(make_detections) -> None:
+def test_goals_accept_more_neighbors_than_robots(make_detections) -> None:
     seen = make_detections([4, 8, 9], [100 + 100j, 200 + 100j, 100 + 300j])
     template = Template(np.array([4, 8, 9]), np.array([0, 1, 1j]))
     goals = motion_goals(seen, seen.ids, template, shared_ids=NO_ID, nearest=10)
@@ -58,7 +58,7 @@ def test_more_nearest_asked_than_there_are_robots(make_detections) -> None:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_the_wire_view_equals_the_arrays(make_detections, seed) -> None:
+def test_robot_goal_equals_rows_of_arrays(make_detections, seed) -> None:
     seen, template, _, _ = random_scene(seed, make_detections)
     goals = motion_goals(seen, seen.ids[:6], template, shared_ids=seen.ids[:1], nearest=3)
     for row, robot in enumerate(goals.ids.tolist()):
@@ -75,7 +75,7 @@ def test_the_wire_view_equals_the_arrays(make_detections, seed) -> None:
         goals.for_robot(99)
 
 
-def test_controlled_robots_out_of_view_get_no_goal_and_shape_none(make_detections) -> None:
+def test_robot_out_of_view_gets_no_goal_and_affects_none(make_detections) -> None:
     """The goals of those in view are what they would be were the other not in the set."""
     seen, template, _, _ = random_scene(1, make_detections)
     gone = int(np.setdiff1d(np.arange(50), seen.ids)[0])
@@ -87,14 +87,14 @@ def test_controlled_robots_out_of_view_get_no_goal_and_shape_none(make_detection
 
 
 @pytest.mark.parametrize("controlled", [[], [4], [8, 9]], ids=["none", "one", "two on one template point"])
-def test_a_set_without_a_shape_is_refused(make_detections, controlled) -> None:
+def test_goals_reject_degenerate_set(make_detections, controlled) -> None:
     seen = make_detections([4, 8, 9], [100 + 100j, 200 + 100j, 100 + 300j])
     template = Template(np.array([4, 8, 9]), np.array([0, 1, 1]))
     with pytest.raises(DegenerateSetError):
         motion_goals(seen, np.array(controlled, dtype=int), template, shared_ids=NO_ID, nearest=2)
 
 
-def test_goals_are_copies_and_read_only(make_detections) -> None:
+def test_goals_are_read_only_copies(make_detections) -> None:
     seen, template, _, _ = random_scene(2, make_detections)
     goals = motion_goals(seen, seen.ids, template, shared_ids=NO_ID, nearest=2)
     with pytest.raises(ValueError, match="read-only"):
@@ -103,7 +103,7 @@ def test_goals_are_copies_and_read_only(make_detections) -> None:
         seen.centers_px[0] = 1.0
 
 
-def test_detections_mark_repeated_ids_and_do_without_them(make_detections) -> None:
+def test_detections_mark_and_remove_repeated_ids(make_detections) -> None:
     seen = make_detections([4, 7, 4, 9], [1, 2, 3, 4])
     assert seen.repeated.tolist() == [True, False, True, False]
     assert seen.unambiguous().ids.tolist() == [7, 9]
@@ -112,7 +112,7 @@ def test_detections_mark_repeated_ids_and_do_without_them(make_detections) -> No
     assert once.unambiguous() is once
 
 
-def test_messages_refuse_repeated_ids_and_nonsense(make_detections, make_goals) -> None:
+def test_messages_reject_repeated_ids_and_invalid_values(make_detections, make_goals) -> None:
     with pytest.raises(MessageError, match=r"repeated id in \[4, 4\]"):
         make_goals(0, [4, 4], [1j, 2j])
     with pytest.raises(MessageError, match="finite"):
@@ -126,7 +126,7 @@ def test_messages_refuse_repeated_ids_and_nonsense(make_detections, make_goals) 
 TRIANGLE = np.exp(2j * np.pi * np.arange(3) / 3)
 
 
-def test_a_team_that_stands_as_the_mirror_image_of_its_shape_is_led_out_of_it(make_detections) -> None:
+def test_mirrored_team_leaves_singular_arrangement(make_detections) -> None:
     """Remark 2: no rotation of an equilateral triangle fits its mirror image. It would get no goal for ever.
 
     Points without limits follow `x' = k ρ`: V falls from first to last. The scale a grows by
@@ -149,7 +149,7 @@ def test_a_team_that_stands_as_the_mirror_image_of_its_shape_is_led_out_of_it(ma
 
 
 @pytest.mark.parametrize(("share", "as_it_is"), [(0.012, True), (0.008, False)])
-def test_only_starts_that_hardly_resemble_the_shape_are_led(share, as_it_is) -> None:
+def test_minimum_scale_applies_only_to_poor_fits(share, as_it_is) -> None:
     """`share` is the part of the spread that the best fit explains; the rotation is the fit's."""
     mirrored = np.sqrt(1 - share**2) * TRIANGLE.conj()
     places = 50 * (mirrored + share * np.exp(0.7j) * TRIANGLE)
@@ -159,7 +159,7 @@ def test_only_starts_that_hardly_resemble_the_shape_are_led(share, as_it_is) -> 
     assert led.rotation_rad == pytest.approx(0.7)
 
 
-def test_where_it_is_led_to_depends_neither_on_pixels_nor_on_the_templates_size() -> None:
+def test_minimum_scale_is_invariant_to_image_and_template() -> None:
     places = TRIANGLE.conj() + 0.001 * np.array([1, 1j, -1])
     led = fit_goals(TRIANGLE, places)
     larger = fit_goals(7 * TRIANGLE + 3, 20 * places - 5j)

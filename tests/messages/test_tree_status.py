@@ -29,7 +29,7 @@ def status(**changes):
     return TreeStatus(**(fields | changes))
 
 
-def test_a_whole_status_is_taken() -> None:
+def test_tree_status_accepts_consistent_lists() -> None:
     assert status().handed_slots.tolist() == [NO_SLOT, 12]
 
 
@@ -48,7 +48,7 @@ def test_a_whole_status_is_taken() -> None:
     ],
     ids=str,
 )
-def test_lists_that_do_not_fit_each_other_are_refused(changes) -> None:
+def test_tree_status_rejects_inconsistent_lists(changes) -> None:
     """They come by radio: a unit that read on would fail in the middle of a decision."""
     with pytest.raises(MessageError):
         status(**changes)

@@ -132,7 +132,7 @@ teams = st.builds(
 
 @settings(max_examples=60)
 @given(team=teams)
-def test_ways_and_distances_are_within_the_bound_of_v_and_the_threshold(team: Team) -> None:
+def test_paths_and_distances_satisfy_bound(team: Team) -> None:
     """Points that move to any side: all premises hold, c = 1."""
     run = drive(team, sideways=True)
     budget_m = (run.V[0] - run.V[-1]) / (team.threshold_m * (1 - team.k * STEP_S))
@@ -143,7 +143,7 @@ def test_ways_and_distances_are_within_the_bound_of_v_and_the_threshold(team: Te
 
 @settings(max_examples=60)
 @given(team=teams)
-def test_unicycles_are_within_the_bound_for_the_angle_that_they_keep(team: Team) -> None:
+def test_unicycles_satisfy_bound_for_their_angle(team: Team) -> None:
     """Robots at first within 60 degrees of their vectors, forwards or backwards, as the law turns them.
 
     c is the least cosine along the run: a robot whose vector swings, as others move, may be farther off than
@@ -161,7 +161,7 @@ def test_unicycles_are_within_the_bound_for_the_angle_that_they_keep(team: Team)
 
 @settings(max_examples=60)
 @given(team=teams)
-def test_speeds_are_within_the_bound_of_v_whatever_the_headings(team: Team) -> None:
+def test_speeds_satisfy_bound_at_any_heading(team: Team) -> None:
     """sqrt(8 V_0) k t for unicycles at any heading; V may rise within a step by what the step is worth."""
     run = drive(team, sideways=False, steps=100)
     fastest = np.sqrt(run.V[:-1]) if len(run.V) > 1 else np.zeros(1)
@@ -169,14 +169,14 @@ def test_speeds_are_within_the_bound_of_v_whatever_the_headings(team: Team) -> N
     assert (run.parted_m.max(axis=1) <= bound_m * (1 + ROUNDING) + ROUNDING).all()
 
 
-def test_robots_come_to_rest_far_from_the_shape_where_the_threshold_is_large() -> None:
+def test_large_threshold_stops_robots_far_from_shape() -> None:
     """The premise of a finite time: with the threshold all robots stop, and V stays above zero."""
     rests = [drive(team_of(seed, 3, 5.0, 0.3), sideways=False) for seed in range(20)]
     assert all(run.rests for run in rests)
     assert min(run.V[-1] / run.V[0] for run in rests) > 1e-4
 
 
-def test_the_bound_is_reached_within_a_hundredth() -> None:
+def test_bound_is_tight_within_one_percent() -> None:
     """Vectors a hundredth above the threshold: (g - b) / λ is a robot's way, (g² - b²) / (2 λ b) the bound.
 
     One unit, and errors that all have the same length: six robots off a hexagon by a mode of its own.
@@ -192,7 +192,7 @@ def test_the_bound_is_reached_within_a_hundredth() -> None:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_without_its_premises_the_bound_is_broken(seed: int) -> None:
+def test_bound_fails_without_its_assumptions(seed: int) -> None:
     """Goals on the wrong side, so that V rises; robots that stop later than they should; another topology.
 
     V of the topology that is left says nothing of what robots do after: there Proposition 1 has to hold.
@@ -209,7 +209,7 @@ def test_without_its_premises_the_bound_is_broken(seed: int) -> None:
         assert (drive(changed, sideways=True).ways_m.sum() <= bound_m) == within
 
 
-def test_robots_that_stop_later_than_told_go_farther_than_the_bound() -> None:
+def test_late_stop_exceeds_bound() -> None:
     """Vectors of 1.5 m and a bound for robots that stop at 0.9 m, which these do or not."""
     shape, error = (np.exp(turns * np.pi * 1j * np.arange(6) / 6) for turns in (2, 4))
     team = Team(laplacian(shape, [np.arange(6)]), shape + 1.5 * error, np.zeros(6), 0.02)

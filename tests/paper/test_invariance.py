@@ -143,7 +143,7 @@ def camera_free_goals(mission_with: Callable[..., Mission], reference_fit: Calla
 
 @settings(max_examples=50)
 @given(unit=cameras(TRIANGLE_START))
-def test_desired_ground_points_do_not_depend_on_the_camera(mission_with, camera_free_goals, unit) -> None:
+def test_desired_ground_points_are_invariant_to_camera(mission_with, camera_free_goals, unit) -> None:
     np.testing.assert_allclose(ground_goals(mission_with([unit])), camera_free_goals, rtol=0, atol=EXACT)
 
 
@@ -166,7 +166,7 @@ three_cameras = st.tuples(*[cameras(TRIANGLE_START)] * 3)
 
 @settings(max_examples=25)
 @given(one=three_cameras, other=three_cameras)
-def test_in_marker_units_the_command_does_not_depend_on_the_cameras(mission_with, one, other) -> None:
+def test_marker_gains_command_is_invariant_to_cameras(mission_with, one, other) -> None:
     gains = MarkerGains(0.1, 0.4, 0.0, SIDE_M)
     first, second = command_of(mission_with(list(one)), gains), command_of(mission_with(list(other)), gains)
     assert np.abs(first.v_mps).min() > 1e-3, "all robots move, so that there is a direction to compare"
@@ -176,7 +176,7 @@ def test_in_marker_units_the_command_does_not_depend_on_the_cameras(mission_with
 
 @settings(max_examples=25)
 @given(one=three_cameras, other=three_cameras)
-def test_in_pixel_gains_the_cameras_are_a_gain_on_v_alone(mission_with, one, other) -> None:
+def test_pixel_gains_cameras_scale_only_linear_speed(mission_with, one, other) -> None:
     """Remark 1: direction and omega agree; v is in proportion to the mean scale of a robot's cameras."""
     gains = PixelGains(0.001, 0.4, 0.0)
     results = []
@@ -231,7 +231,7 @@ def random_units(seed: int, zoom: bool, duration_s: float) -> list[dict[str, Any
         pytest.param(False, 18.0, True, id="fixed zoom, rectified", marks=pytest.mark.slow),
     ],
 )
-def test_in_marker_units_whole_trajectories_are_the_same(mission_with, zoom, duration_s, rectify) -> None:
+def test_marker_gains_trajectories_are_invariant_to_cameras(mission_with, zoom, duration_s, rectify) -> None:
     """1e-9 m over the run (the issue's figure), 3.6 time constants; rounding of 1e-13 m a step dies out."""
     k = 3.6 / duration_s
     runs = [
@@ -259,9 +259,7 @@ def test_in_marker_units_whole_trajectories_are_the_same(mission_with, zoom, dur
     ],
     ids=["to 1e-3", "to 1e-4"],
 )
-def test_in_pixel_gains_the_focal_length_sets_the_final_size_yet_all_converge(
-    mission_with, scales, error
-) -> None:
+def test_pixel_gains_focal_length_sets_final_size(mission_with, scales, error) -> None:
     """numbers.md: from the Fig. 4 start the scale ends at 2.88, 3.0, 3.77 with k_omega/(k_v r) = 4, 3, 1.
 
     Tolerance 0.03: those are given to two or three digits, and the step of 0.1 s shifts the end by 0.01. At a
@@ -301,7 +299,7 @@ def test_in_pixel_gains_the_focal_length_sets_the_final_size_yet_all_converge(
         pytest.param("opencv", 40, 0.005, marks=pytest.mark.slow),
     ],
 )
-def test_rendered_goals_agree_within_the_measured_noise(
+def test_rendered_goals_agree_within_measured_noise(
     mission_with, camera_free_goals, detector, views, worth_m
 ) -> None:
     """x^d is linear in the image points: x^d = P p / r, P = 11'/N + t t^H/|t|², a projection.
@@ -359,7 +357,7 @@ def linear_map(focal_over_height: float, yaw_rad: float, aspect: float, mirrored
     ids=["pixels 640/480", "pixels 1.1", "mirrored"],
 )
 @pytest.mark.parametrize("yaw_deg", [0.0, 33.0, -120.0])
-def test_a_distorting_image_moves_the_goals_as_geometry_predicts(
+def test_affine_distortion_moves_goals_as_predicted(
     mission_with, scenario_tree, reference_fit, aspect, mirrored, min_rms, yaw_deg
 ) -> None:
     """Fit the similarity to A x, map back by A's inverse; the displacement is a good part of the span."""
@@ -387,7 +385,7 @@ def test_a_distorting_image_moves_the_goals_as_geometry_predicts(
 
 
 @pytest.mark.parametrize("tilt_deg", [(15.0, 0.0), (0.0, 15.0), (-8.0, 12.0)])
-def test_tilt_moves_the_goals_as_geometry_predicts(mission_with, reference_fit, tilt_deg) -> None:
+def test_tilt_moves_goals_as_predicted(mission_with, reference_fit, tilt_deg) -> None:
     """Rays, not homographies: a camera turned about its own axes, points and goals on the plane z = 0."""
     focal, height, yaw, at = 700.0, 14.0, 0.5, np.array([1.0, 2.0])
     unit = {
@@ -446,7 +444,7 @@ class Replay:
         return Sight(seen, seen.ids, seen.ids, 0, None)
 
 
-def test_with_the_images_held_fixed_scrambling_the_truth_changes_no_command(scenario_tree) -> None:
+def test_commands_depend_on_images_only(scenario_tree) -> None:
     """The whole loop runs again on recorded images in a world where robots and cameras are elsewhere."""
     tree = scenario_tree("star") | {"duration_s": 0.2}
     mission = make_mission(tree)
@@ -489,9 +487,7 @@ def test_with_the_images_held_fixed_scrambling_the_truth_changes_no_command(scen
             assert ours.flight.climb_mps == theirs.flight.climb_mps
 
 
-def test_a_template_of_another_size_turn_and_place_sets_the_same_goals(
-    mission_with, camera_free_goals
-) -> None:
+def test_goals_are_invariant_to_similarity_of_template(mission_with, camera_free_goals) -> None:
     """The template image is a camera's image too: its scale, rotation and origin are arbitrary."""
     mission = mission_with([camera_of(TRIANGLE_START, [0.4] * 10)])
     moved = Template(mission.template.ids, 37.0 * np.exp(0.7j) * mission.template.points_px + (400 - 90j))

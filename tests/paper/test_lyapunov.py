@@ -100,7 +100,9 @@ def step(
 @pytest.mark.parametrize(
     ("starts", "dt", "steps"), [(12, 0.03, 100), pytest.param(40, 0.02, 150, marks=pytest.mark.slow)]
 )
-def test_cost_never_rises_under_tc1_to_tc5(units: int, starts: int, dt: float, steps: int) -> None:
+def test_lyapunov_function_never_increases_under_tc1_to_tc5(
+    units: int, starts: int, dt: float, steps: int
+) -> None:
     """Random starts for each number of units, over three time constants 1/k.
 
     Both bounds know the step: V's rise in one is at most Σ|D_i|², of order dt².
@@ -123,7 +125,7 @@ def test_cost_never_rises_under_tc1_to_tc5(units: int, starts: int, dt: float, s
         assert worst_rate <= 4 * dt * start
 
 
-def test_the_largest_rise_per_unit_time_vanishes_with_the_step() -> None:
+def test_lyapunov_increase_rate_vanishes_with_step() -> None:
     """Starts made to rise: every robot at right angles to its goal, where dV/dt is 0."""
     rng = np.random.default_rng(9)
     rises = 0
@@ -143,7 +145,7 @@ def test_the_largest_rise_per_unit_time_vanishes_with_the_step() -> None:
     assert rises > 5, "the test bites: a finite step does raise V here"
 
 
-def test_the_rate_of_v_is_that_of_the_paper() -> None:
+def test_lyapunov_rate_equals_equation_of_paper() -> None:
     """dV/dt = -Σ_i gain_i cos(alpha_i - alpha_d) |Σ_j (x^{d,j} - x_i)|² <= 0, by central differences.
 
     V is smooth along an arc; with h = 1e-4 the error is h² V'''/6, under 1e-7 of V.
@@ -168,7 +170,7 @@ def test_the_rate_of_v_is_that_of_the_paper() -> None:
         assert (ahead - behind) / (2 * h) == pytest.approx(predicted, abs=1e-6 * cost)
 
 
-def test_lemma_2_the_gradient_of_each_units_share() -> None:
+def test_lyapunov_term_gradient_equals_lemma_2() -> None:
     """dV^j/dx_i = x_i - x_i^{d,j}, against central differences of the observer's V^j.
 
     V^j is quadratic, so that central differences have no truncation error; with h = 1e-3 rounding leaves
@@ -205,7 +207,7 @@ def test_lemma_2_the_gradient_of_each_units_share() -> None:
 
 
 @pytest.mark.parametrize("starts", [8, pytest.param(20, marks=pytest.mark.slow)])
-def test_without_tc3_to_tc5_the_form_is_still_quadratic_and_falls(starts: int) -> None:
+def test_lyapunov_function_decreases_without_tc3_to_tc5(starts: int) -> None:
     """Contrast, a cycle of three units that share three robots each, one robot held by all three (Q, not P).
 
     The same argument holds with c = 3 units on a robot, Hessian at most 3: a bound 1.5 times as large.
@@ -227,7 +229,7 @@ def test_without_tc3_to_tc5_the_form_is_still_quadratic_and_falls(starts: int) -
         assert previous < start
 
 
-def test_a_formed_team_stands_still() -> None:
+def test_formed_team_is_static() -> None:
     """Corollary 1: at V = 0 no robot drives; one that has no goal does not turn either."""
     rng = np.random.default_rng(13)
     for _ in range(20):

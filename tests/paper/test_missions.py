@@ -25,19 +25,19 @@ TREE_SETTINGS = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", FORMED_S)
-def test_a_mission_forms_its_shape_from_pixels_alone(name):
+def test_mission_forms_shape_from_pixels(name):
     check_mission_from_pixels(name, *SETTINGS[name])
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", TREE_SETTINGS)
-def test_a_tree_of_units_forms_its_shape_from_pixels_alone(name):
+def test_tree_mission_forms_shape_from_pixels(name):
     check_tree_mission(name, "rendered", *TREE_SETTINGS[name])
 
 
 @pytest.mark.parametrize(
     "name", ["star", "grid", *(pytest.param(name, marks=pytest.mark.slow) for name in ("triangle", "circle"))]
 )
-def test_noisy_perception_forms_the_same_shape_and_leaves_no_robot_alone(name):
+def test_noisy_mission_forms_shape_with_all_robots(name):
     """Points with the detector's measured noise."""
     check_noisy_mission(name, *SETTINGS[name])

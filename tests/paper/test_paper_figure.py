@@ -39,7 +39,7 @@ def triangle_in_steps(tree: dict, perception: str, step_s: float) -> list[Step]:
         pytest.param("rendered", 0.3, 0.12, id="rendered, in small steps", marks=pytest.mark.slow),
     ],
 )
-def test_fig_4_comes_back(ideal_triangle, scenario_tree, perception, step_s, allowed_m) -> None:
+def test_figure_4_is_reproduced(ideal_triangle, scenario_tree, perception, step_s, allowed_m) -> None:
     tree = scenario_tree("triangle")
     steps = triangle_in_steps(tree, perception, step_s) if step_s else ideal_triangle
     first, last = steps[0], steps[-1]
@@ -51,7 +51,7 @@ def test_fig_4_comes_back(ideal_triangle, scenario_tree, perception, step_s, all
     assert all(step.control_sets[0].tolist() == list(range(6)) for step in steps)
 
 
-def test_fig_4_at_the_papers_pace(ideal_triangle, load_benchmark) -> None:
+def test_figure_4_is_reproduced_at_speed_of_paper(ideal_triangle, load_benchmark) -> None:
     """Gains an eighth of the scenario's give the same ways in eight times the time, all speeds an eighth.
 
     The published plots: |v| below 0.05 m/s, close enough to it for the axis to end there, and V near 0 after
@@ -73,7 +73,7 @@ COST_ERROR_M2 = 2.1
 more than three units, and errors of 0.06 m along x and y at each robot are worth sqrt(6 * 197) * 0.06."""
 
 
-def test_fig_5_begins_with_the_published_cost(load_benchmark) -> None:
+def test_figure_5_starts_with_published_cost(load_benchmark) -> None:
     """From the published places and heights, by one threshold: sets of 7, 9 and 6 robots."""
     figures = load_benchmark("paper_figures")
     first = next(iter(run_steps(figures.figure5_mission("radius"))))
@@ -84,7 +84,7 @@ def test_fig_5_begins_with_the_published_cost(load_benchmark) -> None:
     assert sorted(first.fleet.heights_m) == told["camera_heights_m"]
 
 
-def test_one_order_of_the_heights_gives_the_published_cost_by_one_threshold(load_benchmark) -> None:
+def test_figure_5_cost_determines_order_of_heights(load_benchmark) -> None:
     """All orders of the three heights, all thresholds up to the whole view: sets with TC1 and TC2."""
     figures, mission = load_benchmark("paper_figures"), load_mission("star")
     told, observer = figures.PUBLISHED["figure5"], TruthObserver(mission.template, mission.ids)
@@ -113,7 +113,7 @@ def fingerprint(tree: dict) -> list[np.ndarray]:
 
 
 @pytest.mark.parametrize("perception", ["ideal", "noisy", "rendered"])
-def test_the_same_seed_gives_the_same_steps(scenario_tree, perception) -> None:
+def test_run_is_deterministic_in_seed(scenario_tree, perception) -> None:
     """Bit for bit, with frames and messages lost at random too; and another seed gives others."""
     tree = scenario_tree("triangle") | {
         "perception": perception,
@@ -126,7 +126,7 @@ def test_the_same_seed_gives_the_same_steps(scenario_tree, perception) -> None:
     assert not np.array_equal(one[0], other[0])
 
 
-def test_the_seed_of_a_rendered_run_is_in_its_pixels(scenario_tree) -> None:
+def test_rendered_seed_changes_only_pixels(scenario_tree) -> None:
     """Without losses only ground and sensor noise differ: commands of two seeds differ, by noise."""
     tree = scenario_tree("triangle") | {"duration_s": 0.1}
     one, other = fingerprint(tree | {"seed": 5})[0], fingerprint(tree | {"seed": 6})[0]

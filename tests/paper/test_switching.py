@@ -82,7 +82,7 @@ def slots(rng: np.random.Generator, mean_s: float, total_s: float) -> list[float
 
 @pytest.mark.parametrize("mean_s", [SLOT_S, 0.1, 0.005])
 @pytest.mark.parametrize("kind", ["tree", "ring"])
-def test_the_distance_to_the_shape_falls_through_changes_at_any_rate(kind: str, mean_s: float) -> None:
+def test_shape_distance_decreases_under_any_switching(kind: str, mean_s: float) -> None:
     """The exact linear flow, a random topology in each dwell time: E falls by exp(-2 k λ_3 t) at least.
 
     Meanwhile V, the sum over units, rises at a fair share of the changes.
@@ -129,7 +129,7 @@ def unicycles(
 
 @pytest.mark.parametrize("dwell_s", [SLOT_S, 0.1])
 @pytest.mark.parametrize("limit_mps", [np.inf, 0.5])
-def test_two_seconds_suffice_for_robots_that_turn(dwell_s: float, limit_mps: float) -> None:
+def test_unicycles_converge_with_dwell_time_of_two_seconds(dwell_s: float, limit_mps: float) -> None:
     """Unicycles at random headings, without and with a limit of speed: E falls from slot to slot.
 
     After a minute, 30 slots, the shape error is below a hundredth of what it was. No topology is seen twice.
@@ -143,7 +143,7 @@ def test_two_seconds_suffice_for_robots_that_turn(dwell_s: float, limit_mps: flo
 
 
 @pytest.mark.parametrize("mean_s", [SLOT_S, 0.1])
-def test_one_shared_robot_leaves_the_shape_open_through_all_changes(mean_s: float) -> None:
+def test_one_shared_robot_leaves_shape_undetermined(mean_s: float) -> None:
     """Two halves that share robot 0 alone, each changing within P: V vanishes, and E stays where it must.
 
     One half may turn and grow about robot 0: the four numbers of both halves' similarities, but for the one
@@ -188,7 +188,7 @@ def rate(points: np.ndarray, p: np.ndarray, velocity: np.ndarray, weights: np.nd
     return (ahead - behind) / (2 * h)
 
 
-def test_gains_of_the_robots_own_need_weights_and_may_not_change() -> None:
+def test_individual_gains_need_constant_weights() -> None:
     """dp/dt = -diag(k_i) L p: with weights 1 / k_i dE/dt = -2 V still, and E alone may rise.
 
     Units' scales in pixels are such gains, and change as units take robots over: then no weights serve, and
@@ -208,7 +208,7 @@ def test_gains_of_the_robots_own_need_weights_and_may_not_change() -> None:
     assert np.mean(rises) > 0.5
 
 
-def test_robots_that_do_not_face_their_goals_can_raise_the_distance() -> None:
+def test_misaligned_robots_can_increase_distance() -> None:
     """While robots turn, by less than 90 degrees off their goals, V falls and E need not."""
     rng = np.random.default_rng(6)
     rises = []

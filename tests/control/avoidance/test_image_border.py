@@ -61,7 +61,7 @@ def image_points(seed: int, count: int = 400) -> np.ndarray:
     return to_complex(rng.uniform(low, high, (count, 2)))
 
 
-def test_depths_are_distances_from_the_four_sides() -> None:
+def test_border_depths_equal_distances_from_sides() -> None:
     border = ImageBorder.of(SIZE, GroundMap())
     assert border.depths_px(np.array([10 + 20j])) == pytest.approx(np.array([[20.5, 629.5, 459.5, 10.5]]))
     points = image_points(0)
@@ -73,7 +73,7 @@ def test_depths_are_distances_from_the_four_sides() -> None:
     horizon=st.complex_numbers(max_magnitude=0.25),
     seed=st.integers(0, 2**31),
 )
-def test_under_tilt_and_oblong_pixels_inside_is_what_the_image_shows(squeeze, horizon, seed) -> None:
+def test_border_under_tilt_and_anisotropy_contains_exact_image(squeeze, horizon, seed) -> None:
     """Both ways, since lines stay lines; the truth is the camera's own pixels, not the rectified ones."""
     ground_map = map_with(squeeze, horizon)
     raw = image_points(seed)
@@ -86,7 +86,7 @@ def test_under_tilt_and_oblong_pixels_inside_is_what_the_image_shows(squeeze, ho
 
 
 @pytest.mark.parametrize("lens", [-0.2, -0.05, 0.05, 0.2])
-def test_with_a_lens_each_line_touches_the_bent_side_at_its_innermost_point(lens) -> None:
+def test_border_under_lens_touches_innermost_point_of_side(lens) -> None:
     """Barrel and pincushion, tilted: no point of a side lies farther inside, and one lies on the line.
 
     To 1 % of the bend, which is what the 17 points of a side leave of an arc: (1 / 16)² at the most.
@@ -105,7 +105,7 @@ def test_with_a_lens_each_line_touches_the_bent_side_at_its_innermost_point(lens
 
 @pytest.mark.parametrize("heading", [0.0, 2.0])
 @pytest.mark.parametrize("side", range(4))
-def test_a_side_is_a_robot_that_stands_at_the_nearest_hidden_place(make_detections, side, heading) -> None:
+def test_border_side_equals_robot_at_nearest_hidden_point(make_detections, side, heading) -> None:
     """The same gap, bearing and share as an obstacle's that is drawn there."""
     robot, border = 60 + 70j, ImageBorder.of(SIZE, GroundMap())
     depth = border.depths_px(np.array([robot]))[0, side]
@@ -121,7 +121,7 @@ def test_a_side_is_a_robot_that_stands_at_the_nearest_hidden_place(make_detectio
     assert message.shares[told] == message.shares[drawn] == 1.0
 
 
-def test_where_a_bent_side_is_farther_out_than_its_line_the_gap_is_what_the_line_leaves(
+def test_border_gap_of_robot_beyond_line_is_zero(
     make_detections,
 ) -> None:
     """A robot beyond the line is at no distance from it, however far."""
@@ -132,7 +132,7 @@ def test_where_a_bent_side_is_farther_out_than_its_line_the_gap_is_what_the_line
     assert message.other_ids.tolist() == [BORDER_IDS[3]] and message.distances_sides.tolist() == [0.0]
 
 
-def test_only_whom_it_concerns_and_within_the_horizon(make_detections) -> None:
+def test_border_is_reported_to_concerned_robots_in_horizon(make_detections) -> None:
     seen = make_detections([0, 1, 2], [100 + 240j, 100 + 100j, 320 + 240j], sides=[SIDE_PX] * 3, size=SIZE)
     border = ImageBorder.of(SIZE, GroundMap())
     message = proximity(seen, TEAM, BODIES, HiddenBeyond(border, np.array([0, 2])))
@@ -143,7 +143,7 @@ def test_only_whom_it_concerns_and_within_the_horizon(make_detections) -> None:
     assert plain.distances_sides.tolist() == message.distances_sides[~is_side].tolist()
 
 
-def test_a_robot_is_hidden_once_no_unit_has_seen_it_for_a_second(make_detections, make_report) -> None:
+def test_robot_is_hidden_after_a_second_unseen_by_all_units(make_detections, make_report) -> None:
     """By own image and by others' reports, which count from when their images were taken."""
     hidden = HiddenRobots(TEAM)
 
@@ -167,7 +167,7 @@ def test_a_robot_is_hidden_once_no_unit_has_seen_it_for_a_second(make_detections
     assert AvoidanceRule.lifetime_s > UNSEEN_S, "the border takes over before robots forget"
 
 
-def test_a_border_is_forgotten_with_the_next_image_that_has_none(make_detections) -> None:
+def test_border_is_removed_by_next_image_without_border(make_detections) -> None:
     memory = NeighborMemory(TEAM, TEAM, lifetime_s=2.0)
     border = HiddenBeyond(ImageBorder.of(SIZE, GroundMap()), TEAM)
 
@@ -244,14 +244,14 @@ class LoneUnit:
 
 
 @pytest.mark.parametrize("camera_mps", [0.0, 0.1 + 0.1j, -0.15j])
-def test_nobody_drives_over_a_robot_that_the_image_does_not_show(make_detections, camera_mps) -> None:
+def test_lone_unit_keeps_robots_off_hidden_robot(make_detections, camera_mps) -> None:
     """At full speed at it, from anywhere, on each of the four sides, under a unit that stands or flies."""
     for seed in range(12):
         unit = LoneUnit(np.random.default_rng(seed), reports_border=True, camera_mps=camera_mps)
         assert unit.min_gap_m(make_detections) > 0, seed
 
 
-def test_without_the_border_it_is_driven_over(make_detections) -> None:
+def test_lone_unit_without_border_allows_collision(make_detections) -> None:
     gaps = [
         LoneUnit(np.random.default_rng(seed), reports_border=False).min_gap_m(make_detections)
         for seed in range(12)
@@ -270,7 +270,7 @@ class KnownCamera:
 
 
 @pytest.mark.parametrize("ground_map", [GroundMap(), map_with(horizon=0.1)])
-def test_a_unit_reports_its_border_while_it_misses_a_robot(make_detections, make_report, ground_map) -> None:
+def test_unit_reports_border_while_robot_is_missing(make_detections, make_report, ground_map) -> None:
     """As far off as it is in the rectified image; and not while another unit has the robot."""
     template = Template(TEAM, np.array([0, 100, 100j]))
     policy, near_only = SafetyRadius(radius=1.5), BodyRule(1.0, margin_sides=0.0, horizon_sides=4.0)

@@ -10,7 +10,7 @@ BODIES = np.array([2, 3, 5, 7, 11])
 """The robots, and an obstacle."""
 
 
-def test_the_memory_holds_the_newest_word_on_each_pair_that_robots_received() -> None:
+def test_neighbor_memory_keeps_newest_message_of_each_pair() -> None:
     """As a dictionary of pairs has it that is filled message by message; ids that nobody knows among them."""
     rng = np.random.default_rng(17)
     memory = NeighborMemory(ROBOTS, BODIES, lifetime_s=100.0)

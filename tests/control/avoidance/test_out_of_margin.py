@@ -53,19 +53,19 @@ def drive(make_detections, seed: int, steps: int = 150) -> tuple[np.ndarray, flo
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_two_robots_within_the_margin_part_and_reach_their_goals(make_detections, seed) -> None:
+def test_robots_within_margin_separate_and_reach_goals(make_detections, seed) -> None:
     """And come no nearer than they were: the bound is applied last of all."""
     left_m, min_m = drive(make_detections, seed)
     assert left_m.max() < 0.05 and min_m > 0.1 * SIDE_M - 1e-9
 
 
-def test_without_that_some_stand_for_ever(make_detections, monkeypatch) -> None:
+def test_robots_within_margin_without_rule_deadlock(make_detections, monkeypatch) -> None:
     monkeypatch.setattr(speed_bound, "out_of_margin", nothing)
     assert any(drive(make_detections, seed)[0].max() > 2.5 for seed in range(8))
 
 
 @given(seed=st.integers(0, 2**31))
-def test_the_direction_leads_away_from_all_bodies_and_is_the_nearest_such(seed) -> None:
+def test_escape_direction_is_nearest_away_from_all_bodies(seed) -> None:
     """Of 36, by brute force; who needs none, or has none, is left alone."""
     rng = np.random.default_rng(seed)
     rows = np.sort(rng.integers(0, 6, 9))

@@ -35,16 +35,14 @@ def fly(make_detections, make_report):
         pytest.param([5], [0, 1, 2, 3, 4], id="one in common makes no neighbour"),
     ],
 )
-def test_it_keeps_its_own_robots_and_of_those_in_common_the_two_nearest_to_the_centre(
-    fly, theirs, kept
-) -> None:
+def test_follow_keeps_own_and_two_nearest_common_robots(fly, theirs, kept) -> None:
     """Towards their centroid, and up by what the farthest of them is beyond the desired radius."""
     command, mean = fly(theirs), PLACES[kept].mean()
     np.testing.assert_allclose(command.lateral_mps, [mean.real, mean.imag], atol=1e-12)
     assert command.climb_mps == pytest.approx(np.abs(PLACES[kept]).max() - 0.3, abs=1e-12)
 
 
-def test_a_robot_that_the_other_gives_up_is_its_own_again(fly) -> None:
+def test_follow_keeps_robot_released_by_neighbor(fly) -> None:
     np.testing.assert_allclose(
         fly([2, 3, 4, 5], [2, 3]).lateral_mps, to_points(PLACES).mean(axis=0), atol=1e-12
     )

@@ -38,7 +38,7 @@ def known_points(memory: ImageMemory, ids) -> np.ndarray:
 
 @pytest.mark.parametrize("seed", range(8))
 @pytest.mark.parametrize("common", [2, 5])
-def test_a_robot_outside_the_frame_is_placed_where_it_is(make_detections, make_report, seed, common) -> None:
+def test_image_memory_places_robot_outside_frame(make_detections, make_report, seed, common) -> None:
     """Two robots in common tell the similarity; the others lie where one's own camera would have them."""
     _, ground, (ours, theirs), template = scene(seed)
     ids = template.ids
@@ -50,7 +50,7 @@ def test_a_robot_outside_the_frame_is_placed_where_it_is(make_detections, make_r
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_the_other_units_centre_is_found_in_the_own_image(make_detections, make_report, seed) -> None:
+def test_image_memory_places_other_units_image_center(make_detections, make_report, seed) -> None:
     _, ground, (ours, theirs), template = scene(seed)
     memory = ImageMemory(template)
     size = (640, 480)
@@ -64,7 +64,7 @@ def test_the_other_units_centre_is_found_in_the_own_image(make_detections, make_
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_points_are_carried_along_as_the_unit_moves(make_detections, seed) -> None:
+def test_image_memory_moves_points_with_unit(make_detections, seed) -> None:
     """The camera turns, climbs and drifts for thirty images; robots out of view since the first one stay put.
 
     Rounding adds up image by image.
@@ -83,7 +83,7 @@ def test_points_are_carried_along_as_the_unit_moves(make_detections, seed) -> No
     np.testing.assert_array_equal(memory.seen_s, [3.0] * 3 + [0.0] * 6)
 
 
-def test_one_robot_in_common_tells_nothing(make_detections, make_report) -> None:
+def test_image_memory_ignores_single_common_robot(make_detections, make_report) -> None:
     """Neither a similarity to another image nor the own motion: what is not seen is unknown, or stays."""
     _, ground, (ours, theirs), template = scene(1)
     memory = ImageMemory(template)
@@ -95,7 +95,7 @@ def test_one_robot_in_common_tells_nothing(make_detections, make_report) -> None
     assert known_points(memory, template.ids[:1]) == before
 
 
-def test_two_robots_on_one_spot_tell_nothing(make_detections, make_report) -> None:
+def test_image_memory_ignores_coincident_common_robots(make_detections, make_report) -> None:
     _, ground, (ours, theirs), template = scene(2)
     memory = ImageMemory(template)
     theirs_px = theirs(ground)
@@ -106,7 +106,7 @@ def test_two_robots_on_one_spot_tell_nothing(make_detections, make_report) -> No
     assert memory.known.sum() == 2
 
 
-def test_points_from_the_centre_are_in_half_images(make_detections) -> None:
+def test_image_memory_centred_points_are_in_half_images(make_detections) -> None:
     """Of robots that have a place; those that have none are left out."""
     template = Template(np.arange(4), np.array([0, 1, 1j, 2]))
     memory = ImageMemory(template)
@@ -118,9 +118,7 @@ def test_points_from_the_centre_are_in_half_images(make_detections) -> None:
 
 
 @pytest.mark.parametrize("first", [1, 2])
-def test_units_that_share_no_robot_with_this_one_are_placed_through_others(
-    make_detections, make_report, first
-) -> None:
+def test_image_memory_places_units_through_chain(make_detections, make_report, first) -> None:
     """Unit 2 shares robots with unit 1 alone, in whatever order their reports come; unit 3 with nobody."""
     _, ground, (ours, theirs), template = scene(3)
     ids = template.ids

@@ -29,7 +29,7 @@ def random_unknowns(seed: int) -> np.ndarray:
 
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("way", [1.0, 1j, np.exp(2j)])
-def test_derivatives_are_those_of_finite_differences(seed, way):
+def test_map_derivatives_match_finite_differences(seed, way):
     """Central differences of step h leave h² = 1e-10 times third derivatives, and rounding of 1e-16 / h."""
     unknowns, h = random_unknowns(seed), 1e-5
     maps = local_maps(unknowns, POINTS)
@@ -39,7 +39,7 @@ def test_derivatives_are_those_of_finite_differences(seed, way):
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_the_centre_stays_and_the_circle_keeps_its_size(seed):
+def test_map_fixes_center_and_circle_radius(seed):
     unknowns = random_unknowns(seed)
     origin = local_maps(unknowns, np.zeros(1, dtype=complex))
     assert abs(origin.values[0]) < 1e-15
@@ -67,7 +67,7 @@ def true_unknowns(view: View) -> np.ndarray:
 
 @pytest.mark.parametrize("tilt_deg", [(0.0, 0.0), (12.0, -9.0), (-25.0, 3.0)])
 @pytest.mark.parametrize(("aspect", "skew"), [(1.0, 0.0), (0.75, 0.0), (1.2, -0.1)])
-def test_with_the_true_unknowns_it_is_the_true_cameras_map(tilt_deg, aspect, skew):
+def test_map_with_true_unknowns_equals_camera_projection(tilt_deg, aspect, skew):
     """Exact projective geometry on both sides: 1e-6 is what the truth's own finite differences leave, px."""
     view = View(Camera((800, 800), FOCAL_PX, aspect=aspect, skew=skew), tilt_deg)
     image_px = 400 * np.column_stack([POINTS.real, POINTS.imag]) + 399.5
@@ -75,7 +75,7 @@ def test_with_the_true_unknowns_it_is_the_true_cameras_map(tilt_deg, aspect, ske
     np.testing.assert_allclose(ours, view.ideal_px(image_px), atol=1e-5, rtol=0)
 
 
-def test_squares_on_the_ground_are_squeezed_and_sized_as_told():
+def test_square_images_match_predicted_anisotropy_and_size():
     """Small squares; the corners' affine part leaves the third derivative times the side squared, 1e-6."""
     view = View(Camera((800, 800), FOCAL_PX, aspect=1.2, skew=0.05), (10.0, -6.0), sigma_px=0.0)
     rng = np.random.default_rng(1)
@@ -92,7 +92,7 @@ def test_squares_on_the_ground_are_squeezed_and_sized_as_told():
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_the_inverse_is_one(seed):
+def test_map_inverse_recovers_points(seed):
     """Newton's method, quadratic: to rounding of 1e3 px."""
     ground_map, size = GroundMap(random_unknowns(seed)), np.array([800, 600])
     points_px = np.random.default_rng(seed).uniform(100, 500, (30, 2))
@@ -101,7 +101,7 @@ def test_the_inverse_is_one(seed):
     np.testing.assert_allclose(ground_map.image_px(there, size), points_px, atol=1e-9, rtol=0)
 
 
-def test_nothing_known_changes_nothing():
+def test_map_without_unknowns_is_identity():
     assert GroundMap().ideal
     points_px = np.random.default_rng(0).uniform(0, 800, (30, 2))
     np.testing.assert_allclose(
@@ -124,7 +124,7 @@ BROWN = [
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )
-def test_three_coefficients_follow_lenses_of_all_kinds(lens, reach, name):
+def test_three_lens_coefficients_fit_all_lens_models(lens, reach, name):
     """A fit of κ to the lens's own curve leaves 2e-4 of the image's radius at most, and one coefficient five
     times as much or more."""
     rays = np.linspace(0.01, reach, 200)
@@ -144,7 +144,7 @@ def test_three_coefficients_follow_lenses_of_all_kinds(lens, reach, name):
     assert one > 5 * three
 
 
-def test_the_focal_length_stays_positive_and_keeps_its_slope():
+def test_focal_length_stays_positive_with_nonzero_slope():
     """Wherever its unknown goes, the map answers to it: an unknown without slope would claim to be known."""
     points = np.array([0.3 + 0.1j, -0.2 + 0.4j])
     for focal in (-3.0, -1.0, -0.95, -0.5, 0.0, 2.0):

@@ -59,7 +59,7 @@ def errors_after(view: View, count: int, images: int, seed: int, **how: bool) ->
 
 
 @pytest.mark.parametrize(("count", "worst"), [(3, 3e-3), (6, 1e-3), (16, 5e-4)])
-def test_one_image_is_rectified_by_its_own_markers(count, worst):
+def test_single_image_is_rectified_from_its_markers(count, worst):
     """Numbers of 1.3e-4 each, of which a fit of ten unknowns makes an error several times as large where
     markers are few; the worst of 20 cameras is held to what the issue asks of the median, or less."""
     before, after = np.array([errors_after(random_view(seed), count, 1, seed) for seed in range(20)]).T
@@ -68,7 +68,7 @@ def test_one_image_is_rectified_by_its_own_markers(count, worst):
     assert (after < before).all()
 
 
-def test_the_prototypes_figures_are_reached():
+def test_rectifier_reaches_prototype_accuracy():
     """Tilt 10 deg, aspect 1.1, k1 = -0.2 and corners of 0.1 px: 5 % falls to 0.09 % with 16 markers, to
     0.16 % with six (a prototype's medians); half as much again for the scatter of ten draws."""
     camera = Camera((800, 800), 640.0, aspect=1.1, distortion=Distortion(k1=-0.2))
@@ -79,7 +79,7 @@ def test_the_prototypes_figures_are_reached():
         assert np.median(after) < 1.5 * published
 
 
-def test_corners_headings_and_sides_are_those_of_squares():
+def test_rectified_markers_are_squares():
     """After 20 images a marker's rectified corners make a square: sides alike to 1e-3, right angles."""
     view, rng, rectifier = random_view(3), np.random.default_rng(0), Rectifier()
     for image in range(20):
@@ -124,7 +124,7 @@ SWAYING = [(12.0 * np.cos(a), 12.0 * np.sin(a)) for a in np.arange(0, 12, 0.7)]
 
 
 @pytest.mark.parametrize(("aspect", "skew"), [(640 / 480, 0.0), (0.8, 0.1), (1.05, -0.05)])
-def test_squeeze_focal_length_and_tilt_are_the_cameras(aspect, skew):
+def test_anisotropy_focal_length_and_tilt_match_camera(aspect, skew):
     """A camera that sways tells its focal length; α and λ as in `test_ground_map`. Within 4.5 stated
     deviations, which chance passes once in 25 000 for two components, and these small enough for a test."""
     camera = Camera((800, 800), 640.0, aspect=aspect, skew=skew)
@@ -147,7 +147,7 @@ def test_squeeze_focal_length_and_tilt_are_the_cameras(aspect, skew):
 
 
 @pytest.mark.parametrize("k1", [-0.25, -0.1, 0.1])
-def test_the_lens_is_the_cameras(k1):
+def test_lens_coefficients_match_camera(k1):
     """Ground radius over image radius, by the true polynomial, over the whole circle that markers fill; the
     division model with three coefficients follows it to 2e-4 (`test_ground_map`), noise adds as much."""
     camera = Camera((800, 800), 800.0, distortion=Distortion(k1=k1))
@@ -160,7 +160,7 @@ def test_the_lens_is_the_cameras(k1):
     assert np.sign(rectifier.ground_map.unknowns[LENS[0]]) == np.sign(k1)
 
 
-def test_the_lenss_centre_is_the_principal_point():
+def test_lens_center_matches_principal_point():
     """A fifth of the half image off, under a lens that bends: within 4.5 stated deviations."""
     camera = Camera(
         (800, 800), 760.0, principal_point_px=(399.5 + 80, 399.5 - 40), distortion=Distortion(k1=-0.2)
@@ -200,7 +200,7 @@ def fitted_square(z: np.ndarray, across: np.ndarray, images: np.ndarray) -> np.n
     [pytest.param(each, marks=pytest.mark.slow if each % 14 else ()) for each in range(0, 50, 7)],
 )
 @pytest.mark.parametrize("turn_rad", [0.0, 0.5])
-def test_a_bent_markers_centre_is_where_the_marker_is(marker_id, turn_rad):
+def test_center_of_distorted_marker_is_unbiased(marker_id, turn_rad):
     """A detector that fits a flat square to bent edges finds a centre that is off by half of how far the lens
     moves the mean of the corners, give or take what the marker's bits make of it; rectified it is not."""
     size_px, ground_map = np.array([800, 800]), GroundMap(unknowns=np.eye(10)[LENS[0]] * 0.3)
@@ -236,7 +236,7 @@ def detections_of(points: np.ndarray, size_px: np.ndarray) -> Detections:
 @pytest.mark.parametrize("count", [1, 2, 3, 6, 16])
 @pytest.mark.parametrize("sigma_px", [0.005, 0.1])
 @pytest.mark.parametrize("seeds", [3, pytest.param(10, marks=pytest.mark.slow)])
-def test_an_ideal_cameras_detections_pass_unchanged(count, sigma_px, seeds):
+def test_detections_of_ideal_camera_pass_unchanged(count, sigma_px, seeds):
     """The very same values. Groups of unknowns are asked six at a time; chance passes the threshold of 20 by
     one of them with less than 6 exp(-10) = 3e-4; 30 images a seed, to the 1e-6 quantile of the binomial."""
     changed = 0
@@ -251,7 +251,7 @@ def test_an_ideal_cameras_detections_pass_unchanged(count, sigma_px, seeds):
 
 
 @pytest.mark.parametrize("count", [0, 1, 2])
-def test_two_robots_tell_nothing_of_a_camera(count):
+def test_two_robots_alone_leave_detections_unchanged(count):
     """However it distorts."""
     view, rng = random_view(1), np.random.default_rng(0)
     rectifier = Rectifier()
@@ -261,7 +261,7 @@ def test_two_robots_tell_nothing_of_a_camera(count):
         assert rectifier.rectify(seen) is seen
 
 
-def test_what_was_learned_from_many_robots_serves_two():
+def test_camera_estimate_rectifies_two_robots_later():
     """A camera with a constant tilt that is gone by then: the lens and the pixels remain, and the two robots'
     own squeezes tell the tilt there is. Distances within 1e-3, from 5e-2."""
     camera = random_view(2).camera
@@ -279,7 +279,7 @@ def test_what_was_learned_from_many_robots_serves_two():
     np.testing.assert_allclose(ratios, 1.0, atol=0.02)
 
 
-def test_a_mirrored_view_is_no_camera():
+def test_mirrored_view_is_not_rectified():
     """Its markers are squeezed beyond one: nothing is changed, for a ground seen from below is none."""
     view, rng = View(replace(IDEAL.camera, mirrored=True)), np.random.default_rng(0)
     positions, headings = robots_in_view(view, 8, 0)
@@ -301,7 +301,7 @@ def cluster(count: int, rng: np.random.Generator) -> np.ndarray:
 @pytest.mark.parametrize("layout", [line, cluster])
 @pytest.mark.parametrize("count", [3, 5, 8])
 @pytest.mark.parametrize("cameras", [10, pytest.param(20, marks=pytest.mark.slow)])
-def test_a_layout_that_tells_little_is_never_made_worse(layout, count, cameras):
+def test_uninformative_layout_never_increases_error(layout, count, cameras):
     """Cameras that do all at once: of what the markers in view tell, their own shape is always better."""
     worse = []
     for seed in range(cameras):
@@ -315,7 +315,7 @@ def test_a_layout_that_tells_little_is_never_made_worse(layout, count, cameras):
 
 
 @pytest.mark.parametrize("cameras", [5, pytest.param(10, marks=pytest.mark.slow)])
-def test_a_layout_that_told_little_does_not_spoil_the_next_image(cameras):
+def test_uninformative_layout_does_not_affect_next_image(cameras):
     """A row of robots first, then robots all over the image."""
     for seed in range(cameras):
         view, rng, rectifier = random_view(seed), np.random.default_rng(seed), Rectifier()
@@ -326,7 +326,7 @@ def test_a_layout_that_told_little_does_not_spoil_the_next_image(cameras):
         assert shape_error(rectified.centers_px, positions) < 1e-3
 
 
-def test_one_wrong_marker_among_many_hardly_counts():
+def test_outlier_marker_is_down_weighted():
     """A corner 3.6 px off, 700 deviations, which makes its marker's side wrong by 4 %: not half of that is
     left of it in the shape."""
     worst = []
@@ -350,7 +350,7 @@ def resized(seen: Detections, factors: np.ndarray) -> Detections:
 
 
 @pytest.mark.parametrize("count", [6, 16])
-def test_markers_of_unequal_size_cost_accuracy_and_no_more(count):
+def test_unequal_marker_sizes_keep_bounded_error(count):
     """Sides that differ by 2 %: their noise is learned apart from the squeezes', which tell the map alone. An
     ideal camera's shape is not spoilt by more than 0.3 %, a bad one's error falls tenfold."""
     spoilt, gained = [], []
@@ -369,7 +369,7 @@ def test_markers_of_unequal_size_cost_accuracy_and_no_more(count):
 
 
 @pytest.mark.parametrize("sigma_px", [0.005, 0.1])
-def test_a_detector_that_tells_no_covariance_is_served_as_well(sigma_px):
+def test_missing_covariances_keep_accuracy(sigma_px):
     """The noise is told by what the fits leave."""
     ideal = [errors_after(replace(IDEAL, sigma_px=sigma_px), 8, 10, seed, told=False) for seed in range(5)]
     assert all(after == before for before, after in ideal)
@@ -382,7 +382,7 @@ def test_a_detector_that_tells_no_covariance_is_served_as_well(sigma_px):
 
 @pytest.mark.parametrize("count", [3, 8])
 @pytest.mark.parametrize("seeds", [10, pytest.param(30, marks=pytest.mark.slow)])
-def test_nonsense_is_survived(count, seeds):
+def test_invalid_corners_give_finite_values(count, seeds):
     """Corners at random, corners on one spot, wild covariances: every value stays finite, then and later, or
     the message would be refused."""
     view = random_view(4)
@@ -421,7 +421,7 @@ def rolled(seen: Detections, angle_rad: float) -> Detections:
 
 
 @pytest.mark.parametrize("angle_rad", [np.pi / 2, 1.0, -2.3])
-def test_a_turned_image_gives_turned_points(angle_rad):
+def test_rotated_image_gives_rotated_points(angle_rad):
     """Priors and weights know no direction; Gauss-Newton stops within 1e-7 of its end, the circle's mean
     size is taken at four points of it: 1e-3 px."""
     view, rng = random_view(5), np.random.default_rng(0)
@@ -435,7 +435,7 @@ def test_a_turned_image_gives_turned_points(angle_rad):
     np.testing.assert_allclose(np.exp(1j * (turned.headings_rad - expected.headings_rad)), 1.0, atol=1e-4)
 
 
-def test_the_size_of_pixels_and_the_order_of_markers_do_not_matter():
+def test_rectifier_is_invariant_to_pixel_size_and_order():
     view, rng = random_view(6), np.random.default_rng(0)
     positions, headings = robots_in_view(view, 10, 0)
     seen = view.see(positions, headings, rng)
@@ -474,7 +474,7 @@ def nees_of(seen: Detections, truth_px: np.ndarray) -> float:
 
 @pytest.mark.parametrize(("count", "images"), [(6, 1), (6, 15), (16, 1), (16, 15)])
 @pytest.mark.parametrize("cameras", [12, pytest.param(24, marks=pytest.mark.slow)])
-def test_covariances_are_honest(count, images, cameras):
+def test_rectified_covariances_match_errors(count, images, cameras):
     """NEES of the rectified centres against the true camera's map, but for a similarity, over all cameras:
     0.6 to 1.4. It is less than 1 after one image: what is held at zero is reckoned with as if it might be
     anything, and corners that err alike tell sides and squeezes as well as the rectifier takes them to."""
@@ -493,7 +493,7 @@ def test_covariances_are_honest(count, images, cameras):
     assert 0.6 < np.mean(nees) < 1.4
 
 
-def test_a_zoom_is_followed():
+def test_zoom_is_tracked():
     """Twice the focal length within one image, then a ramp: distances to the centre grow, the lens's bend
     moves outwards. Within 2e-3 at every image, from 3e-2 and more with the lens as it was."""
     camera = Camera((800, 800), 700.0, distortion=Distortion(k1=-0.2), aspect=1.1)
@@ -526,7 +526,7 @@ def scale_after_zooming(seed: int) -> float:
 
 
 @pytest.mark.parametrize("seed", [3, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (4, 5))])
-def test_a_zoom_lens_may_bend_otherwise_at_each_zoom(monkeypatch, seed):
+def test_zoom_lens_with_varying_distortion_keeps_scale(monkeypatch, seed):
     """Its k1 goes from -0.17 to -0.03 and back, which `κ ~ f^(-2)` does not explain: were that law believed,
     the lens at the image's rim, and so the scale, would stay off by half a per cent."""
     error = scale_after_zooming(seed)
@@ -542,7 +542,7 @@ BENT = np.array([0.05, -0.03, -0.08, 0.01, 0.0, 0.02, -0.01, 0.1, 0.06, -0.04])
 """Unknowns of a map with every part: squeezed pixels, lens, centre, focal length and tilt."""
 
 
-def test_a_headings_variance_is_mapped_as_a_direction_is():
+def test_heading_variance_is_mapped_like_direction():
     """By the map of two points a hundredth of a pixel apart, without its derivatives."""
     rng = np.random.default_rng(4)
     seen = IDEAL.see(*robots_in_view(IDEAL, 6, 4), rng)
@@ -567,7 +567,7 @@ def test_a_headings_variance_is_mapped_as_a_direction_is():
 
 
 @pytest.mark.parametrize("unknown", [0, 1, 2, 8, 9])
-def test_what_is_not_known_of_the_map_counts_but_for_a_rotation_of_all(unknown):
+def test_map_covariance_excludes_common_rotation(unknown):
     """Headings err as the map turns at their markers, less the turn of the best similarity of all centres."""
     rng = np.random.default_rng(5)
     seen = IDEAL.see(*robots_in_view(IDEAL, 8, 5), rng)
@@ -600,7 +600,7 @@ def test_what_is_not_known_of_the_map_counts_but_for_a_rotation_of_all(unknown):
 
 
 @pytest.mark.parametrize("factor", [1.2, 1 / 1.2])
-def test_zooming_in_and_out_cost_the_same_certainty(factor):
+def test_zoom_in_and_out_lose_equal_information(factor):
     """What is known of the camera loses the same, whichever way it zooms.
 
     So the sign of the growth of the sides in `Rectifier._after_zoom` decides nothing: it enters the variances

@@ -24,7 +24,7 @@ def goals_at(make_goals, axles, headings, targets, sides, offset_m, time_s):
 @pytest.mark.parametrize("offset_m", [0.0, 0.12])
 @pytest.mark.parametrize("delay_steps", [0, 3])
 @pytest.mark.parametrize(("age_steps", "lead_s"), [(0, 0.0), (1, 0.0), (7, 0.0), (7, 4.0)])
-def test_a_late_goal_becomes_the_goal_of_now(make_goals, age_steps, lead_s, delay_steps, offset_m) -> None:
+def test_late_goal_becomes_present_goal(make_goals, age_steps, lead_s, delay_steps, offset_m) -> None:
     """The drives are the simulator's exact arcs, and obey each command `delay_steps` late; images may be
     stamped by a clock that is ahead."""
     rng = np.random.default_rng(11)
@@ -63,7 +63,7 @@ def test_a_late_goal_becomes_the_goal_of_now(make_goals, age_steps, lead_s, dela
     np.testing.assert_array_equal(inboxes.rho_px, before)
 
 
-def test_memory_is_bounded_and_old_goals_are_taken_as_of_its_end(make_goals) -> None:
+def test_memory_is_bounded_and_clips_goal_age(make_goals) -> None:
     motion = LatencyCompensation(ROBOTS, SIDE_M, memory_s=0.5)
     drive = VelocityCommand(range(ROBOTS), np.ones(ROBOTS), np.zeros(ROBOTS))
     for step in range(1000):
@@ -75,7 +75,7 @@ def test_memory_is_bounded_and_old_goals_are_taken_as_of_its_end(make_goals) -> 
     assert (moved_m >= 0.5).all() and (moved_m <= 0.5 + 2 * STEP_S).all()
 
 
-def test_nothing_driven_leaves_goals_as_they_are(make_goals) -> None:
+def test_static_robot_keeps_goals(make_goals) -> None:
     inboxes = GoalInboxes(np.arange(ROBOTS), np.arange(2), 1.0)
     inboxes.receive(make_goals(1, range(ROBOTS), np.arange(ROBOTS) + 2j), 0.0)
     current = LatencyCompensation(ROBOTS, SIDE_M, memory_s=1.0).compensate(inboxes, 0.4)
@@ -83,7 +83,7 @@ def test_nothing_driven_leaves_goals_as_they_are(make_goals) -> None:
 
 
 @pytest.mark.parametrize("wrong", [{"side_m": 0.0}, {"memory_s": np.nan}, {"delay_s": -1.0}])
-def test_wrong_numbers_are_refused(wrong) -> None:
+def test_latency_compensation_rejects_invalid_numbers(wrong) -> None:
     with pytest.raises(InputError, match=next(iter(wrong))):
         LatencyCompensation(**({"count": 2, "side_m": 1.0, "memory_s": 1.0} | wrong))
 
@@ -103,7 +103,7 @@ def shape_error_at_end(gain: float, compensate: bool) -> float:
     return [step.metrics.shape.error for step in run_steps(load_mission("triangle", settings))][-1]
 
 
-def test_compensated_robots_converge_at_a_gain_at_which_others_do_not() -> None:
+def test_latency_compensation_allows_higher_gain() -> None:
     """0.3 s of latency and k_omega = 16 /s, three times the limit π/2 of a delayed integrator."""
     assert shape_error_at_end(4.0, True) < 0.005
     assert shape_error_at_end(4.0, False) > 0.05

@@ -59,11 +59,11 @@ def conditions_of(sets: list[list[int]], robots: int | None = None) -> tuple[boo
         pytest.param([[], []], 2, (0, 0, 1, 1, 0), id="nobody holds anything"),
     ],
 )
-def test_conditions(sets, robots, expected) -> None:
+def test_conditions_of_known_topologies(sets, robots, expected) -> None:
     assert conditions_of(sets, robots) == tuple(map(bool, expected))
 
 
-def test_conditions_against_the_papers_words() -> None:
+def test_conditions_match_definitions_of_paper() -> None:
     """Random topologies, each condition written out over sets as Section II has it."""
     rng = np.random.default_rng(1)
     seen = set()
@@ -91,7 +91,7 @@ def test_conditions_against_the_papers_words() -> None:
     assert len(seen) >= 12, "many combinations came up"
 
 
-def test_edges_are_between_units_that_share_two() -> None:
+def test_graph_edges_need_two_shared_robots() -> None:
     sets = {7: np.array([0, 1, 2]), 3: np.array([1, 2, 5]), 5: np.array([2, 5, 9]), 1: np.array([9])}
     assert graph_edges(sets) == [(3, 5), (3, 7)]
 
@@ -105,7 +105,7 @@ def test_edges_are_between_units_that_share_two() -> None:
         pytest.param([[0, 1], [0, 1, 2, 3, 4]], id="two units"),
     ],
 )
-def test_no_unit_alone_can_change_how_many_robots_it_has(sets) -> None:
+def test_single_unit_cannot_change_set_size_within_p(sets) -> None:
     """Every other set that a unit could have beside the others' present ones: inside P they are as large.
 
     Exhaustive, up to 128 sets a unit. There are exchanges, so that the statement is not empty.
@@ -149,13 +149,13 @@ class OneUnit:
 
 
 @pytest.mark.parametrize("size", [(800, 600), (640, 640), (480, 1920)])
-def test_distances_are_in_halves_of_the_shorter_side(make_detections, size) -> None:
+def test_centre_distances_are_in_halves_of_shorter_side(make_detections, size) -> None:
     """From the middle of the pixel grid, (width - 1) / 2: exact to rounding, the same for all sizes."""
     seen = at_radius(make_detections, {1: 0.0, 2: 0.5, 3: 1.0}, size=size)
     np.testing.assert_allclose(centre_distances(seen), [0, 0.5, 1.0], atol=1e-12)
 
 
-def test_robots_enter_inside_the_radius_and_leave_outside_a_wider_one(make_detections, make_report) -> None:
+def test_safety_radius_has_hysteresis(make_detections, make_report) -> None:
     """In at 0.8, out at 0.88, when another unit holds them; in between as they were."""
     control = OneUnit()
     other = make_report(1, [1, 2, 3], [0, 0, 0], [1, 2, 3], secure=[1, 2, 3])
@@ -173,7 +173,7 @@ def test_robots_enter_inside_the_radius_and_leave_outside_a_wider_one(make_detec
         assert control.update(seen, [other]).tolist() == [*expected, 3]
 
 
-def test_sets_change_at_most_once_a_dwell_slot(make_detections, make_report) -> None:
+def test_safety_radius_set_changes_once_per_slot(make_detections, make_report) -> None:
     """Robots that jump in and out at every image: changes only at multiples of 2 s, on the common clock."""
     rng = np.random.default_rng(2)
     control = OneUnit()
@@ -189,7 +189,7 @@ def test_sets_change_at_most_once_a_dwell_slot(make_detections, make_report) -> 
     assert all(tick % 20 == 0 for tick in changes)
 
 
-def test_a_robot_is_kept_while_nobody_else_secures_it(make_detections, make_report) -> None:
+def test_safety_radius_keeps_robot_until_secured_by_other(make_detections, make_report) -> None:
     """Far out, and even out of view (a lost detection), until a report names it secure."""
     control = OneUnit()
     control.update(at_radius(make_detections, {1: 0.2, 2: 0.2}), [])
@@ -202,7 +202,7 @@ def test_a_robot_is_kept_while_nobody_else_secures_it(make_detections, make_repo
     assert control.update(at_radius(make_detections, far, 8.0), [secured]).tolist() == [2]
 
 
-def test_secure_are_those_inside_the_radius(make_detections) -> None:
+def test_safety_radius_secures_robots_inside(make_detections) -> None:
     control = OneUnit()
     control.update(at_radius(make_detections, {1: 0.2, 2: 0.7, 3: 0.9}), [])
     control.update(at_radius(make_detections, {1: 0.2, 2: 0.85, 3: 0.3}, 0.1), [])
@@ -210,7 +210,7 @@ def test_secure_are_those_inside_the_radius(make_detections) -> None:
     assert control.selection.secure_ids.tolist() == [1]
 
 
-def test_two_units_that_sink_on_one_robot_do_not_both_let_go(make_detections, make_report) -> None:
+def test_two_descending_units_do_not_both_release_robot(make_detections, make_report) -> None:
     """Each knows the other's last report: robot 1 leaves both discs at once, and both keep it."""
     one, two = OneUnit(), OneUnit()
     near, far = {1: 0.5, 2: 0.1}, {1: 0.95, 2: 0.1}
@@ -225,7 +225,7 @@ def test_two_units_that_sink_on_one_robot_do_not_both_let_go(make_detections, ma
         assert 1 in two.update(seen, [reports[0]])
 
 
-def test_shared_are_robots_of_ours_that_others_control(make_report) -> None:
+def test_shared_ids_are_own_robots_controlled_by_others(make_report) -> None:
     reports = [make_report(1, [1, 2], [0, 0], [1, 9]), make_report(2, [3], [0], [3])]
     assert shared_ids(np.array([1, 2, 3]), reports).tolist() == [1, 3]
     assert shared_ids(np.array([1, 2, 3]), []).tolist() == []
@@ -253,7 +253,7 @@ FLIGHTS = {
 
 
 @pytest.mark.parametrize("name", FLIGHTS)
-def test_the_same_view_gives_the_same_command_whatever_its_pixels(make_detections, name) -> None:
+def test_flight_command_is_independent_of_pixel_size(make_detections, name) -> None:
     """Twice the pixels, the same scene: command to rounding."""
     rng = np.random.default_rng(3)
     seen = at_radius(make_detections, dict(enumerate(rng.uniform(0.1, 0.9, 6))), size=(600, 600))
@@ -270,14 +270,14 @@ def test_the_same_view_gives_the_same_command_whatever_its_pixels(make_detection
 @pytest.mark.parametrize(
     ("farthest", "climb"), [(0.9, 0.2 - 0.05), (0.5, -0.2 + 0.05), (0.73, 0.0), (0.66, 0.0)]
 )
-def test_follow_climbs_when_the_farthest_robot_is_too_far_out(make_detections, farthest, climb) -> None:
+def test_follow_climbs_for_robot_beyond_desired_radius(make_detections, farthest, climb) -> None:
     """In proportion to the excess over 0.7 beyond a dead band of 0.05, either way."""
     seen = at_radius(make_detections, {1: 0.1, 2: farthest, 3: 0.3})
     command = Follow(0.7, climb_gain_mps=2.0, dead_band=0.05).command(seen, FlightTask(seen.ids), [])
     assert command.climb_mps == pytest.approx(2 * climb, abs=1e-12)
 
 
-def test_follow_flies_towards_the_centroid_of_what_it_keeps(make_detections) -> None:
+def test_follow_flies_towards_centroid_of_kept_robots(make_detections) -> None:
     """Robots at +u, +v of the centre, others' robots not counted: speed in proportion to the distance."""
     half, centre = 400, 399.5 + 399.5j
     seen = make_detections([1, 2, 3], centre + half * np.array([0.2 + 0.4j, 0.4 + 0j, -0.9 - 0.9j]))
@@ -285,7 +285,7 @@ def test_follow_flies_towards_the_centroid_of_what_it_keeps(make_detections) -> 
     np.testing.assert_allclose(command.lateral_mps, 0.5 * np.array([0.3, 0.2]), atol=1e-12)
 
 
-def test_follow_keeps_the_two_common_robots_nearest_to_its_centre(make_detections, make_report) -> None:
+def test_follow_keeps_two_common_robots_nearest_to_center(make_detections, make_report) -> None:
     """A neighbour has all of 1-4 nearer to its own centre: of these, 3 and 1 are kept; 5 is ours."""
     seen = at_radius(make_detections, {1: 0.3, 2: 0.6, 3: 0.2, 4: 0.8, 5: 0.4})
     centre = complex(399.5, 299.5)
@@ -297,7 +297,7 @@ def test_follow_keeps_the_two_common_robots_nearest_to_its_centre(make_detection
     np.testing.assert_allclose(command.lateral_mps, ((kept - [399.5, 299.5]) / 300).mean(axis=0), atol=1e-12)
 
 
-def test_follow_keeps_pairs_for_the_neighbours_of_the_start_alone(make_detections, make_report) -> None:
+def test_follow_keeps_pairs_only_for_initial_neighbors(make_detections, make_report) -> None:
     """A unit that shared one robot at the start is no neighbour: later it may take the pair, unkept."""
     centre = complex(399.5, 299.5)
     flight = Follow(0.7, dead_band=0.0)
@@ -313,7 +313,7 @@ def test_follow_keeps_pairs_for_the_neighbours_of_the_start_alone(make_detection
     np.testing.assert_allclose(command.lateral_mps, ((kept - [399.5, 299.5]) / 300).mean(axis=0), atol=1e-12)
 
 
-def test_of_two_units_exactly_one_takes_a_shared_robot_in_charge(make_detections, make_report) -> None:
+def test_follow_assigns_shared_robot_to_exactly_one_unit(make_detections, make_report) -> None:
     """Robots 1 and 2 seen by both, at the same distance or not: the charges of the two part them."""
     rng = np.random.default_rng(4)
     for _ in range(50):
@@ -332,13 +332,13 @@ def test_of_two_units_exactly_one_takes_a_shared_robot_in_charge(make_detections
 
 
 @pytest.mark.parametrize("name", ["follow", "perimeter"])
-def test_a_unit_that_sees_nothing_hovers(make_detections, name) -> None:
+def test_flight_laws_without_detections_hover(make_detections, name) -> None:
     seen = make_detections([], [])
     command = FLIGHTS[name]().command(seen, FlightTask(seen.ids), [])
     assert not command.lateral_mps.any() and command.climb_mps == 0
 
 
-def test_perimeter_flies_along_the_hull_and_towards_it(make_detections) -> None:
+def test_perimeter_flies_along_and_towards_hull(make_detections) -> None:
     """A square around the centre, its nearest edge at +u: along that edge, and pulled out to it."""
     half, centre = 400, 399.5 + 399.5j
     corners = np.array([0.3 - 0.5j, 0.3 + 0.5j, -0.7 + 0.5j, -0.7 - 0.5j])
@@ -351,7 +351,7 @@ def test_perimeter_flies_along_the_hull_and_towards_it(make_detections) -> None:
     assert command.climb_mps == pytest.approx(abs(0.7 + 0.5j) - 0.7, abs=1e-9)
 
 
-def test_perimeter_goes_round_in_one_sense(make_detections) -> None:
+def test_perimeter_circles_hull_in_one_sense(make_detections) -> None:
     """Flown in a simple world, it circles the robots' hull: the angle about their centre is monotonic."""
     robots = np.array([2 + 0j, 1.5j, -2 + 0j, -1.5j])
     at, angles = complex(1.0, 0.4), []

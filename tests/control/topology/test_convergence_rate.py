@@ -38,7 +38,7 @@ def tree_sets(rng: np.random.Generator, units: int) -> list[np.ndarray]:
 
 
 @pytest.mark.parametrize(("tried", "least"), [(100, 300), pytest.param(300, 1000, marks=pytest.mark.slow)])
-def test_the_closed_form_of_two_units_is_the_eigenvalue(tried, least) -> None:
+def test_pair_rates_equal_eigenvalue(tried, least) -> None:
     """`pair_rates` against `slowest_rate` on random sets.
 
     λ = 1 - sqrt(ρ): ρ is the larger root of a quadratic, which loses half the digits, 1e-8, where both roots
@@ -66,7 +66,7 @@ def test_the_closed_form_of_two_units_is_the_eigenvalue(tried, least) -> None:
     assert compared > least
 
 
-def test_a_lone_pair_leaves_the_neighbours_rate_to_itself() -> None:
+def test_pair_rates_of_lone_pair_equal_one() -> None:
     """A set of a pair alone is always in shape: what remains is one projector, of rate 1."""
     points = cloud(np.random.default_rng(2), 6)
     rates = pair_rates(points, np.arange(6), NO_ID, np.array([[0, 1], [2, 5]]))
@@ -74,7 +74,7 @@ def test_a_lone_pair_leaves_the_neighbours_rate_to_itself() -> None:
 
 
 @pytest.mark.parametrize("units", [1, 2, 3, 5, 8])
-def test_the_null_space_is_that_of_similarities_in_p(units) -> None:
+def test_laplacian_null_space_is_similarities(units) -> None:
     """L vanishes on 1 and p', and on nothing else: rank exactly two less than the robots, on random trees.
 
     Zero means rounding, N eps of a spectrum below 2; the third eigenvalue of these trees is above 1e-4.
@@ -93,7 +93,7 @@ def test_the_null_space_is_that_of_similarities_in_p(units) -> None:
         assert np.abs(similar).max() < 1e-12
 
 
-def test_two_units_that_share_one_robot_leave_the_shape_free() -> None:
+def test_one_shared_robot_gives_rate_zero() -> None:
     """The negative control: one of the parts can turn and grow about that robot, so L has one more zero."""
     points = cloud(np.random.default_rng(4), 8)
     sets = [np.arange(5), np.arange(4, 8)]
@@ -101,7 +101,7 @@ def test_two_units_that_share_one_robot_leave_the_shape_free() -> None:
     assert slowest_rate(points, [np.arange(5), np.arange(3, 8)]) > 1e-3
 
 
-def test_the_rate_is_that_of_the_shape_not_of_its_place_or_size() -> None:
+def test_rate_is_invariant_to_similarity_of_template() -> None:
     """Template turned, moved and scaled: the same to N eps times what centring loses, |offset| / size."""
     rng = np.random.default_rng(5)
     for _ in range(50):
@@ -116,7 +116,7 @@ def test_the_rate_is_that_of_the_shape_not_of_its_place_or_size() -> None:
         )
 
 
-def test_a_mirrored_template_has_the_same_rate() -> None:
+def test_rate_is_invariant_to_mirrored_template() -> None:
     """L goes over into its conjugate."""
     rng = np.random.default_rng(6)
     sets = tree_sets(rng, 3)
@@ -124,7 +124,7 @@ def test_a_mirrored_template_has_the_same_rate() -> None:
     assert slowest_rate(points.conj(), sets) == pytest.approx(slowest_rate(points, sets), abs=1e-13)
 
 
-def test_the_goals_of_all_units_add_up_to_minus_l_p(make_detections) -> None:
+def test_sum_of_goals_equals_minus_l_p(make_detections) -> None:
     """`motion_goals` of each unit in its own image, taken back to the ground and summed: exactly -L p.
 
     Cameras differ in scale, heading and place; headings of robots and bearings of goals pass through angles,
@@ -148,7 +148,7 @@ def test_the_goals_of_all_units_add_up_to_minus_l_p(make_detections) -> None:
         np.testing.assert_allclose(total, flow, atol=1e-11)
 
 
-def test_the_gradient_of_v_is_l_p() -> None:
+def test_gradient_of_lyapunov_function_equals_l_p() -> None:
     """V = 1/2 p* L p; central differences of a quadratic are exact but for 1e-16 V / h."""
     rng = np.random.default_rng(8)
     sets = tree_sets(rng, 3)
@@ -165,7 +165,7 @@ def test_the_gradient_of_v_is_l_p() -> None:
         assert slope == pytest.approx((matrix @ p)[robot], abs=1e-10)
 
 
-def test_the_flow_dies_out_at_the_slowest_rate() -> None:
+def test_linear_flow_decays_at_slowest_rate() -> None:
     """exp(-L t) on random starts: late, what is off the shape falls by exp(-λ_3) a unit of time.
 
     The next mode is behind by exp(-(λ_4 - λ_3) t): t is taken for it to be 1e-6 of the first.
@@ -189,7 +189,7 @@ def test_the_flow_dies_out_at_the_slowest_rate() -> None:
         assert fall == pytest.approx(values[2], rel=max(100 * behind, 1e-6))
 
 
-def test_the_firmer_pair_is_the_nearest_that_is_firm_enough_or_the_firmest_there_is() -> None:
+def test_stronger_pair_is_nearest_sufficient_or_strongest() -> None:
     """Against every pair's eigenvalue: units of 3 to 6 robots beside their pair."""
     rng, told = np.random.default_rng(5), {"none": 0, "firm": 0, "firmest": 0}
     for _ in range(200):
@@ -219,7 +219,7 @@ def test_the_firmer_pair_is_the_nearest_that_is_firm_enough_or_the_firmest_there
 
 
 @pytest.mark.parametrize("seed", [pytest.param(4, marks=pytest.mark.slow), 6])
-def test_the_late_slope_of_a_mission_is_that_of_the_slowest_mode(seed) -> None:
+def test_late_mission_error_decays_at_slowest_rate(seed) -> None:
     """Unicycles, two units with their own cameras, points without noise: the error falls as L says.
 
     Commands are held for a step of dt, so that late, with headings aligned, each step multiplies the slowest

@@ -38,7 +38,7 @@ def options(**changed) -> argparse.Namespace:
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_a_random_mission_keeps_its_promises(seed) -> None:
+def test_random_mission_satisfies_its_specification(seed) -> None:
     mission = make_mission(random_mission(seed) | {"perception": "ideal"})
     robots, template = to_complex(mission.positions_m), mission.template.points_px.conj()
     assert 4 * len(mission.scenario.units) <= mission.ids.size <= 64
@@ -53,7 +53,7 @@ def test_a_random_mission_keeps_its_promises(seed) -> None:
     assert not left, "neighbours that see enough in common connect all units"
 
 
-def test_markers_are_legible_at_the_start() -> None:
+def test_random_mission_markers_are_legible_at_start() -> None:
     """Each is LEGIBLE_PX large at least, by the focal length and the height, and none twice as large."""
     world = make_world(make_mission(random_mission(1)))
     for unit, camera in enumerate(world.cameras):
@@ -61,7 +61,7 @@ def test_markers_are_legible_at_the_start() -> None:
         assert LEGIBLE_PX <= side_px < 2 * LEGIBLE_PX
 
 
-def test_the_same_mission_can_be_drawn_and_projected() -> None:
+def test_random_mission_rendered_equals_projected() -> None:
     """Only the perception differs: rendered images show what the projected ones hold, and markers that the
     border cuts."""
     steps = [
@@ -77,7 +77,7 @@ def test_the_same_mission_can_be_drawn_and_projected() -> None:
         assert np.abs(both.centers_px[order[0]] - projected.centers_px[order[1]]).max() < 0.05
 
 
-def test_no_marker_of_a_mission_covers_another() -> None:
+def test_random_mission_markers_do_not_overlap() -> None:
     """Bodies hold a card of a side and a sixth all around, whichever way it is turned, and stay apart."""
     scenario = make_mission(random_mission(1)).scenario
     card = 1 + 2 / 6
@@ -85,7 +85,7 @@ def test_no_marker_of_a_mission_covers_another() -> None:
     assert scenario.robots.body_radius_sides >= card / np.sqrt(2)
 
 
-def test_the_same_seed_is_the_same_mission() -> None:
+def test_random_mission_is_deterministic_in_seed() -> None:
     assert random_mission(4) == random_mission(4) != random_mission(5)
     assert star_mission(4) == star_mission(4) != star_mission(5)
 
@@ -94,7 +94,7 @@ def test_the_same_seed_is_the_same_mission() -> None:
     ("seed", "network"),
     [(0, "perfect"), (38, "lossy"), pytest.param(9, "lossy", marks=pytest.mark.slow)],
 )
-def test_a_few_missions_stay_inside_p_and_reach_their_shape(load_benchmark, seed, network) -> None:
+def test_random_missions_stay_in_p_and_converge(load_benchmark, seed, network) -> None:
     """Two, three and five units; what `benchmarks/topology.py` does a thousand times."""
     row = load_benchmark("topology").run_mission(seed, options(network=network))
     assert row["converged"] and row["p_violation_s"] == 0.0
@@ -102,7 +102,7 @@ def test_a_few_missions_stay_inside_p_and_reach_their_shape(load_benchmark, seed
 
 
 @pytest.mark.parametrize("seed", [14, pytest.param(2, marks=pytest.mark.slow)])
-def test_a_unit_that_dies_is_succeeded(load_benchmark, seed) -> None:
+def test_failed_unit_is_succeeded(load_benchmark, seed) -> None:
     """One of four units with 16 robots, and one of six with 48."""
     row = load_benchmark("topology").run_mission(seed, options(kill=True))
     assert row["converged"]
@@ -118,9 +118,7 @@ def test_a_unit_that_dies_is_succeeded(load_benchmark, seed) -> None:
         pytest.param(0, "star", True, False, marks=pytest.mark.slow),
     ],
 )
-def test_units_that_receive_their_neighbors_alone_stay_inside_p_by_relay(
-    load_benchmark, seed, form, relay, left
-) -> None:
+def test_relay_keeps_units_with_short_range_in_p(load_benchmark, seed, form, relay, left) -> None:
     """Five units whose radio reaches a tenth farther than it must; without relays P is left.
 
     With `left` the mission ends as soon as it is; without, it comes to its shape nevertheless.
@@ -142,7 +140,7 @@ def test_units_that_receive_their_neighbors_alone_stay_inside_p_by_relay(
 
 
 @pytest.mark.parametrize("learns", [True, False])
-def test_units_whose_clocks_differ_stay_inside_p_by_the_teams_time(load_benchmark, learns) -> None:
+def test_team_time_keeps_units_with_different_clocks_in_p(load_benchmark, learns) -> None:
     """Three clocks that are 1.8 to 3.8 s slow, so that the mission begins at negative times, and drift.
 
     Negative control: units that take each other's stamps as they are.
@@ -158,13 +156,13 @@ def test_units_whose_clocks_differ_stay_inside_p_by_the_teams_time(load_benchmar
 
 
 @pytest.mark.parametrize("seed", [2, pytest.param(8, marks=pytest.mark.slow)])
-def test_whoever_is_left_of_a_team_brings_all_its_robots_into_the_shape(load_benchmark, seed) -> None:
+def test_surviving_unit_brings_all_robots_into_shape(load_benchmark, seed) -> None:
     """All units but one die, at one time or one after the other."""
     row = load_benchmark("topology").run_mission(seed, options(survivor=True))
     assert row["units"] >= 4 and row["converged"]
 
 
-def test_the_benchmark_notices_a_topology_that_leaves_p(load_benchmark) -> None:
+def test_benchmark_detects_topology_outside_p(load_benchmark) -> None:
     """Negative control: free overlaps are outside P from the first instant that counts."""
     module = load_benchmark("topology")
     made = module.mission_tree
@@ -176,9 +174,7 @@ def test_the_benchmark_notices_a_topology_that_leaves_p(load_benchmark) -> None:
     assert row["p_violation_s"] > 1.0
 
 
-def test_a_mission_is_given_up_when_it_takes_many_times_as_long_as_its_rival(
-    load_benchmark, tmp_path
-) -> None:
+def test_slow_mission_is_stopped_and_counted_as_lower_bound(load_benchmark, tmp_path) -> None:
     """And is then counted at the time it had, which is a lower bound."""
     rival = tmp_path / "rival.jsonl"
     rival.write_text('{"seed": 0, "time_to_1pct_s": 0.5, "ready_s": 4.0, "simulated_s": 9.0}\n')

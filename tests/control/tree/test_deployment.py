@@ -33,7 +33,7 @@ def founders(step: Step) -> list[int]:
 
 
 @pytest.mark.parametrize("seed", [0, 3])
-def test_units_look_around_before_the_tree_and_hold_their_place_while_it_grows(seed) -> None:
+def test_units_search_before_tree_and_hold_while_it_grows(seed) -> None:
     """It grows in every slot of these two missions; then units move to where their sets want them.
 
     Others hear of the tree with their next image, and robots and cameras move on a step after a command.
@@ -57,7 +57,7 @@ def counts_inside(step: Step, radius: float) -> dict[int, int]:
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_the_unit_that_sees_most_robots_founds_the_tree_and_controls_all_of_them(seed) -> None:
+def test_founder_sees_and_controls_most_robots(seed) -> None:
     """As many as any other said of its image before."""
     mission = make_mission(random_mission(seed) | {"perception": "ideal"})
     radius, before = mission.scenario.selection.radius, {}
@@ -78,7 +78,7 @@ def edge_rate(points: np.ndarray, one: np.ndarray, other: np.ndarray) -> float:
 
 
 @pytest.mark.parametrize("firm", [0.2, 0.0])
-def test_units_that_see_little_in_common_fly_to_see_what_binds_them(firm) -> None:
+def test_units_with_weak_edges_fly_to_stronger_pairs(firm) -> None:
     """Every edge comes to bind firmly, but for the factor that a change must be worth; not with firm = 0."""
     tree = random_mission(3, Crowd(3, 6)) | {"perception": "ideal"}
     tree["selection"]["firm"] = firm
@@ -95,7 +95,7 @@ def test_units_that_see_little_in_common_fly_to_see_what_binds_them(firm) -> Non
     assert (min(rates) >= 0.2 / TreeSettings().gain) == (firm > 0)
 
 
-def test_units_that_share_no_robots_climb_until_they_do() -> None:
+def test_units_without_common_robots_climb() -> None:
     """No unit can ask any other: the tree does not grow for a slot, and they look around again."""
     tree = random_mission(0)
     for unit in tree["units"]:

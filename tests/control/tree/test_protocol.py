@@ -114,7 +114,7 @@ def situation(unit_id: int, time_s: float, reports: list[UnitReport], distances=
 
 
 @pytest.mark.parametrize(("said_s", "kept"), [(8.9, {4, 5}), (9.1, {5})])
-def test_what_a_unit_said_before_this_one_had_a_robot_is_no_claim(said_s, kept) -> None:
+def test_stale_report_is_no_claim(said_s, kept) -> None:
     """Robot 4 went from unit 0 by way of unit 1 to unit 2, at 9 s, which last heard unit 0 before that.
 
     Unit 2 dropped it for unit 0's sake, which no longer had it: nobody did.
@@ -123,7 +123,7 @@ def test_what_a_unit_said_before_this_one_had_a_robot_is_no_claim(said_s, kept) 
     assert yield_claims(state, now)["own"] == kept
 
 
-def test_a_higher_unit_yields_and_a_pair_does_not() -> None:
+def test_higher_unit_yields_claim_and_pair_does_not() -> None:
     """Robot 4 is both units' own: the lower one keeps it. Robot 5 is in a pair elsewhere: an own one goes."""
     claims = {"controlled": {4, 5, 6}, "seen": {}, "pair": (5, 6)}
     low, high = (
@@ -141,7 +141,7 @@ def test_a_higher_unit_yields_and_a_pair_does_not() -> None:
         pytest.param(9.5, (2,), {3}, id="one of them claimed"),
     ],
 )
-def test_only_what_nobody_else_may_have_is_lent(said_s, claimed, offered) -> None:
+def test_only_undisputed_robots_are_offered(said_s, claimed, offered) -> None:
     """Two units adopted robot 2 at once, and each lent it: two pairs had it, and neither ever let it go."""
     reports = [
         member_report(1, 9.8, (), everything(8)),
@@ -153,7 +153,7 @@ def test_only_what_nobody_else_may_have_is_lent(said_s, claimed, offered) -> Non
 
 
 @pytest.mark.parametrize(("said_s", "adopts"), [(7.9, False), (8.0, True)])
-def test_a_robot_is_an_orphan_only_if_all_say_so_of_the_same_slot(said_s, adopts) -> None:
+def test_orphan_needs_reports_of_all_units_in_same_slot(said_s, adopts) -> None:
     """Unit 1 gave robot 4 to unit 2, which took it at 7.95 s, and was last heard before.
 
     At the slot of 10 s a word of the slot from 8 s on tells; an older one does not.
@@ -169,7 +169,7 @@ def test_a_robot_is_an_orphan_only_if_all_say_so_of_the_same_slot(said_s, adopts
 # --- joining ---
 
 
-def test_a_late_grant_answers_a_question_that_is_no_longer_put() -> None:
+def test_late_grant_of_withdrawn_request_is_void() -> None:
     """Unit 1 asks unit 0, sees too few robots for a moment, and asks anew; then the first grant arrives.
 
     Unit 0 had withdrawn it, and lent the robots to somebody else. Turns went apart for good.
@@ -209,7 +209,7 @@ def test_a_late_grant_answers_a_question_that_is_no_longer_put() -> None:
     assert world.in_p() and not world.edge_faults()
 
 
-def test_a_unit_that_asks_gets_both_of_two_robots_in_its_turn() -> None:
+def test_requesting_unit_gets_both_robots_of_pair() -> None:
     """Unit 1 has robots 4 and 5 left, which units 0 and 2 see; unit 0 asks, unit 2 is a neighbour.
 
     Each had one of them in every slot, robot by robot, which makes no pair: unit 0 was never admitted.
@@ -244,7 +244,7 @@ def admitting(unit_id: int, robots: tuple[int, ...]) -> UnitReport:
         "one that has too few by now",
     ],
 )
-def test_a_unit_that_is_not_admitted_asks_one_member_after_the_other(asked, asked_at_s, asks) -> None:
+def test_rejected_unit_asks_members_in_turn(asked, asked_at_s, asks) -> None:
     """At 20 s: unit 0 has three robots in common with it, units 2 and 3 two, unit 1 one. Five slots are 10 s.
 
     In one of a thousand missions a unit asked a member for minutes that had promised all of its robots to
@@ -265,7 +265,7 @@ def test_a_unit_that_is_not_admitted_asks_one_member_after_the_other(asked, aske
     [(9.0, 8, (), True), (11.0, 8, (), False), (9.0, 9, (), False), (9.0, 8, (0, 1), False)],
     ids=["five slots without a pair", "not yet", "not in the other's turn", "with a pair"],
 )
-def test_an_edge_that_gets_no_pair_is_given_up_for_another_member(since_s, turn, pair, gives_up) -> None:
+def test_edge_without_pair_is_replaced_by_other_member(since_s, turn, pair, gives_up) -> None:
     """At 20 s, of unit 4's edge to unit 5, whose turns are odd, and which has no robots left to share."""
     edge = Edge(4, 5, since_s=since_s, turn=turn, pair=frozenset(pair))
     assert edge.is_my_turn == (turn == 8)
@@ -275,13 +275,13 @@ def test_an_edge_that_gets_no_pair_is_given_up_for_another_member(since_s, turn,
     assert dict(changes) == (told if gives_up else {})
 
 
-def test_the_only_member_that_can_admit_a_unit_is_asked_as_long_as_it_takes() -> None:
+def test_only_suitable_member_is_asked_without_limit() -> None:
     reports = [admitting(0, (0, 1)), admitting(1, (2,))]
     state = NodeState(slot=9, asks_id=0, ask_turn=first_turn(0.0, 4, 0))
     assert not join_tree(state, situation(4, 20.0, reports, everything(8)))
 
 
-def test_a_founder_asks_nobody() -> None:
+def test_founder_requests_no_admission() -> None:
     world = ProtocolWorld(2, 5, RULE, [everything(5), everything(5)])
     world.quiet(10.0, STEP_S)
     world.crash(0)
@@ -289,7 +289,7 @@ def test_a_founder_asks_nobody() -> None:
     assert world.nodes[1].state.asks_id == NO_ID
 
 
-def test_the_choice_of_the_founder_stands_while_its_word_is_on_the_way() -> None:
+def test_founder_choice_stays_while_report_is_in_transit() -> None:
     """Unit 0 chose unit 1, which founded the tree and then lost sight of what made it the better one."""
     world = ProtocolWorld(2, 6, RULE, [{4: 0.1, 5: 0.1}, {3: 0.1, 4: 0.1, 5: 0.1}])
     world.image(0)
@@ -317,7 +317,7 @@ def test_the_choice_of_the_founder_stands_while_its_word_is_on_the_way() -> None
 
 @pytest.mark.parametrize("units", [2, 3])
 @pytest.mark.parametrize("when", range(8))
-def test_one_crash_costs_a_silence_and_two_images(units, when) -> None:
+def test_crash_is_repaired_after_silence_and_two_images(units, when) -> None:
     """Any unit, at any image of two dwell times: all else being well, TC1-TC5 hold again that soon, and stay.
 
     The heir takes over all that was the dead unit's at its first image after the silence, and the others turn
@@ -334,7 +334,7 @@ def test_one_crash_costs_a_silence_and_two_images(units, when) -> None:
 
 
 @pytest.mark.parametrize("dead", range(3))
-def test_a_unit_back_before_it_was_missed_is_succeeded_and_admitted(dead) -> None:
+def test_unit_back_before_timeout_is_succeeded_and_admitted(dead) -> None:
     """It knows nothing of its edges. Its neighbours go by its last will, not by what it says now.
 
     They took its pairs as their own, and its neighbours had no edge between them ever after.
@@ -351,7 +351,7 @@ def test_a_unit_back_before_it_was_missed_is_succeeded_and_admitted(dead) -> Non
 
 @pytest.mark.parametrize("one", range(3))
 @pytest.mark.parametrize("both_ways", [True, False])
-def test_parts_that_did_not_hear_each_other_come_together(one, both_ways) -> None:
+def test_partition_is_healed(one, both_ways) -> None:
     """A unit and all others are deaf to each other, or it alone is, for three silences; then all is well.
 
     Each side goes on without the other and both have all robots. They stayed two trees of one number.
@@ -374,7 +374,7 @@ def test_parts_that_did_not_hear_each_other_come_together(one, both_ways) -> Non
         world.quiet(STEP_S, STEP_S)
 
 
-def test_with_a_neighbour_that_has_nothing_left_no_pair_is_weighed() -> None:
+def test_no_pair_is_compared_with_empty_neighbor() -> None:
     """It has left the tree while the turn was here: its empty set is no fit to compare pairs by."""
     world = formed(2, 6)
     node = world.nodes[0]
@@ -404,7 +404,7 @@ def test_with_a_neighbour_that_has_nothing_left_no_pair_is_weighed() -> None:
 
 @pytest.mark.parametrize("seers", [{0}, {2}, {0, 1, 2}])
 @pytest.mark.parametrize("when", range(4))
-def test_a_robot_that_appears_is_one_units_within_a_dwell_time_and_a_half(seers, when) -> None:
+def test_new_robot_is_adopted_within_one_and_a_half_dwell_times(seers, when) -> None:
     """Half a dwell time of nobody's claim, the next slot after that, and an image."""
     world = formed(3, 12)
     for unit in range(3):
@@ -422,7 +422,7 @@ def test_a_robot_that_appears_is_one_units_within_a_dwell_time_and_a_half(seers,
 
 
 @pytest.mark.parametrize("when", range(4))
-def test_a_robot_that_was_carried_off_changes_hands_within_a_silence_and_two_slots(when) -> None:
+def test_moved_robot_is_handed_over_after_silence_and_two_slots(when) -> None:
     """Its unit announces it at the first slot after a silence, and with the next one it is handed over.
 
     All units take their images at the same instants, and at each of these one unit has it: TC1-TC5 hold

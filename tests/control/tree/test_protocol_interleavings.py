@@ -236,22 +236,22 @@ def run(machine: type[Machine], examples: int, steps: int, **extra) -> None:
 
 @pytest.mark.random
 @pytest.mark.parametrize("machine", [Faithful, Faulty])
-def test_any_interleaving(machine) -> None:
+def test_protocol_is_safe_under_interleavings(machine) -> None:
     run(machine, 8, 40)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("machine", [Faithful, Faulty])
-def test_very_many_interleavings(machine) -> None:
+def test_protocol_is_safe_under_many_interleavings(machine) -> None:
     run(machine, 600, 80)
 
 
-def test_without_turns_the_machine_finds_a_violation() -> None:
+def test_machine_detects_missing_turns() -> None:
     with pytest.raises(AssertionError, match=r"share|turn"):
         run(FaithfulHasty, 400, 40, phases=[Phase.generate])
 
 
 @pytest.mark.slow
-def test_with_broken_promises_the_machine_finds_a_violation() -> None:
+def test_machine_detects_broken_promises() -> None:
     with pytest.raises(AssertionError, match=r"share|turn|three"):
         run(FaithfulCareless, 400, 60, phases=[Phase.generate])

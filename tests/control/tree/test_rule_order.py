@@ -52,7 +52,7 @@ def held_for_s(names: Sequence[str]) -> float:
     return still_s - founded_s
 
 
-def test_units_hold_their_place_for_a_slot_after_the_tree_was_founded() -> None:
+def test_units_hold_position_for_a_slot_after_founding() -> None:
     assert held_for_s(NAMES) >= RULE.dwell_s
 
 
@@ -64,12 +64,12 @@ def test_units_hold_their_place_for_a_slot_after_the_tree_was_founded() -> None:
         pytest.param(moved_to_the_end("use_turns"), id="use_turns last"),
     ],
 )
-def test_a_wrong_order_is_noticed(names) -> None:
+def test_wrong_rule_order_is_detected(names) -> None:
     assert held_for_s(names) < RULE.dwell_s
 
 
 @pytest.mark.parametrize("names", [NAMES, NAMES[::-1]], ids=["as it is", "reversed"])
-def test_any_order_keeps_the_conditions(names) -> None:
+def test_any_rule_order_keeps_conditions(names) -> None:
     """Three units that see all of twelve robots: in P once formed, and again after a death and a return."""
     rules = ordered(names)
     views = [{robot: 0.1 + 0.05 * robot for robot in range(12)} for _ in range(3)]
@@ -82,12 +82,12 @@ def test_any_order_keeps_the_conditions(names) -> None:
 
 
 @pytest.mark.parametrize("name", ["receive_turns", "fail_over", "admit", "join_tree", "use_turns"])
-def test_no_rule_can_be_left_out(name) -> None:
+def test_every_rule_is_necessary(name) -> None:
     """Without it the team of the test above is not formed, or not mended."""
     with pytest.raises(AssertionError):
-        test_any_order_keeps_the_conditions([other for other in NAMES if other != name])
+        test_any_rule_order_keeps_conditions([other for other in NAMES if other != name])
 
 
-def test_every_rule_has_its_place_once_and_a_reason() -> None:
+def test_every_rule_occurs_once_with_reason() -> None:
     assert len(set(NAMES)) == len(NAMES)
     assert all(len(reason.split()) > 3 for _, reason in RULES)

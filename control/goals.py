@@ -47,6 +47,7 @@ def motion_goals(
         time_s=seen.time_s,
         ids=ids,
         rho_px=np.abs(rho),
+        # Image angles run clockwise seen from above, bearings counter-clockwise: the only flip of sense.
         bearings_rad=wrap_angle(seen.headings_rad[rows] - np.angle(rho)),
         sides_px=seen.sides_px[rows],
         neighbor_ids=neighbor_ids,

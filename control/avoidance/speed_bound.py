@@ -101,6 +101,7 @@ class AvoidanceRule:
             age_s: (P,) ages of the messages.
         """
         allowed = self.gamma_ps * share_m * np.exp(-self.gamma_ps * (age_s + self.held_s))
+        # The true speed is at most (1 + overshoot) v + creep.
         return np.maximum(allowed - self.creep_mps, 0.0) / (1 + self.overshoot)
 
 

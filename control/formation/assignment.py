@@ -34,7 +34,7 @@ def assign(robots: ComplexArray, points: ComplexArray, rotation: complex, *, cla
         rotation: e^{iφ}; its magnitude has no effect.
         classes: (M,) class of each robot and of the point in the same row; c(i) is of robot i's class.
     """
-    # Imported where it is needed: it takes 0.2 s, and most runs do without.
+    # Imported here, since it takes 0.2 s and most runs do not need it.
     from scipy.optimize import linear_sum_assignment
 
     order = np.arange(robots.size)

@@ -143,7 +143,7 @@ class _Linearization:
         maps = local_maps(unknowns + STEPS, squares.points)
         weights = robust / squares.variances
         shares = weights / weights.sum()
-        # The side on the ground is whatever fits best, so that sides count as they differ from their mean.
+        # The common side is unknown: log sides count relative to their weighted mean.
         sides, scales = squares.log_sides, maps.log_scales()
         predicted, seen = np.zeros((2, 1 + UNKNOWNS, 2 * len(squares))), np.zeros((2, 2 * len(squares)))
         predicted[SIDES, :, ::2], seen[SIDES, ::2] = (
@@ -208,7 +208,7 @@ def fit_ground(
         if np.abs(lines.jacobian @ (unknowns - lines.at)).max() < SETTLED:
             break
         robust = _robust_weights(lines.residuals_at(full), squares.variances, factors)
-    # Of a camera that is not ideal, an unknown that is held at zero may well have another value.
+    # With a real camera an unknown held at zero is still uncertain.
     covariance = everything.estimate().covariance if unknowns.any() else np.zeros((UNKNOWNS, UNKNOWNS))
     return GroundFit(
         ground_map=GroundMap(unknowns, covariance),

@@ -90,14 +90,14 @@ def _raw_maps(unknowns: Array, p: ComplexArray) -> LocalMaps:
     h = unknowns[..., 8] + 1j * unknowns[..., 9]
     away = p - (unknowns[..., 5] + 1j * unknowns[..., 6])
     square = 1 / (1 - np.abs(a) ** 2)
-    # Wirtinger derivatives, `d· = (first) dp + (second) dp̄`, from step to step.
+    # Chain rule of the Wirtinger derivatives, `d· = (first) dp + (second) dp̄`.
     r, r_p, r_c = (away - a * away.conj()) * square, square, -a * square
     rho = r.real**2 + r.imag**2
     bend = np.maximum(1 + rho * (k1 + rho * (k2 + rho * k3)), MIN_FACTOR)
     growth = (k1 + rho * (2 * k2 + 3 * rho * k3)) / bend**2
     s, s_r, s_rc = r / bend, 1 / bend - rho * growth, -r * r * growth
     s_p, s_c = s_r * r_p + s_rc * np.conj(r_c), s_r * r_c + s_rc * np.conj(r_p)
-    # Below a half f² falls exponentially, so that it stays positive and never loses its slope.
+    # Below 1/2, f² is continued by an exponential: it stays positive with a nonzero slope.
     square_focal = np.maximum(1 + unknowns[..., 7], np.exp(np.minimum(2 * unknowns[..., 7] + 1, 0)) / 2)
     focal = USUAL_FOCAL * np.sqrt(square_focal)
     foreshortening = (focal * h / (1 + np.sqrt(1 + (focal * np.abs(h)) ** 2))) ** 2

@@ -113,7 +113,7 @@ class Rectifier:
         self.ground_map = GroundMap() if fit is None else fit.ground_map
         if fit is None:
             return seen
-        # An image may be misread: after the first, an unknown must be significant in two images running.
+        # One image may be an outlier: after the first, an unknown must be significant in two images in a row.
         self._trusted = fit.significant
         if not few:
             fresh = self._fresh(squares)

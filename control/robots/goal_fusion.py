@@ -110,7 +110,7 @@ def scale_ratios(inboxes: GoalInboxes) -> Array:
     total = common.transpose(1, 0, 2)
     sides = inboxes.sides_px
     fallback = sides[:, None, :] / sides[None, :, :]
-    squared = np.divide(common, total, out=fallback**2, where=common > 0)  # then the other sum is as well
+    squared = np.divide(common, total, out=fallback**2, where=common > 0)  # total > 0 as well then
     return np.asarray(np.sqrt(squared))
 
 

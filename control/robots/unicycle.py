@@ -164,6 +164,7 @@ def unicycle_law(rho: ComplexArray, law: RobotLaw) -> tuple[Array, Array]:
     """
     length = np.abs(rho)
     alpha = np.where(length > 0, wrap_angle(np.pi - np.angle(rho)), 0.0)
+    # cos α = -Re ρ / |ρ|, so that -sign(cos α) = sign(Re ρ).
     v_mps = np.sign(rho.real) * law.speed_mps(length)
     return v_mps, law.k_omega * wrap_angle(np.where(rho.real <= 0, 0.0, np.pi) - alpha)
 

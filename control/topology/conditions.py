@@ -51,7 +51,7 @@ def control_matrix(sets: ControlSets, robot_ids: IntArray) -> BoolArray:
     units = [sets[unit] for unit in sorted(sets)]
     robots = np.concatenate([np.zeros(0, dtype=np.int64), *units])
     row = np.repeat(np.arange(len(units)), [members.size for members in units])
-    column = np.searchsorted(robot_ids[:-1], robots)  # never past the end, so that it can be compared below
+    column = np.searchsorted(robot_ids[:-1], robots)  # at most the last column, a valid index below
     known = robot_ids[column] == robots
     matrix = np.zeros((len(units), robot_ids.size), dtype=bool)
     matrix[row[known], column[known]] = True

@@ -59,6 +59,7 @@ def pair_rates(points: ComplexArray, fixed: IntArray, moving: IntArray, pairs: I
     product = theirs @ ours
     half_trace = np.einsum("cii->c", product).real / 2
     determinant = np.linalg.det(product).real
+    # Larger eigenvalue of a 2 x 2 matrix: tr / 2 + sqrt((tr / 2)² - det).
     radius = half_trace + np.sqrt(np.maximum(half_trace**2 - determinant, 0.0))
     return np.asarray(1 - np.sqrt(np.clip(radius, 0.0, 1.0)))
 
@@ -68,7 +69,7 @@ def _complements(points: ComplexArray, rows: IntArray, pairs: IntArray, joining:
 
     `joining` is 2 if the pair is added to the rows, and 0 if the rows contain it.
     """
-    origin = points[pairs].mean()  # near the points, so that sums of squares lose no digits
+    origin = points[pairs].mean()  # near the points, so that sums of squares keep their digits
     z, z_pair = points[rows] - origin, points[pairs] - origin
     count = rows.size + joining
     total, squares = z.sum(), np.vdot(z, z).real

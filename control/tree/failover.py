@@ -24,7 +24,7 @@ def fail_over(state: NodeState, context: Situation) -> Changes:
     """Remove edges to silent neighbours and neighbours that left; rejoin if this unit was declared dead."""
     for neighbor, edge in list(state.edges.items()):
         if state.edges.get(neighbor) is not edge:
-            continue  # what was done about a neighbour before concerned this edge as well
+            continue  # the removal of an earlier neighbour changed this edge as well
         peer = context.peers.newest.get(neighbor)
         last_s = max(edge.since_s, context.heard_s(neighbor))
         if context.time_s - last_s > context.rule.silence_s:

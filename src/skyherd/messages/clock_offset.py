@@ -85,7 +85,7 @@ class ClockOffset:
         self.drift, self.resets = drift, 0
         check_numbers(self, not_negative=("drift",))
         self._at_least = OffsetBound(drift=drift)
-        self._less_at_least = OffsetBound(drift=drift)  # on what ours shows less what theirs shows
+        self._less_at_least = OffsetBound(drift=drift)  # on -θ
 
     def hear(self, their_sent_s: float, our_received_s: float) -> None:
         """Update with the time stamps of a received message: `θ >= sent - received`."""
@@ -97,7 +97,7 @@ class ClockOffset:
 
     def confirm(self, our_sent_s: float, their_received_s: float, now_s: float) -> None:
         """Update with the reported arrival of a message of ours: `θ <= received - sent`."""
-        # The bound is as old as the message; until now it has given way like all others.
+        # The bound is as old as the message, and has decayed since.
         aged_s = self.drift * max(0.0, now_s - our_sent_s)
         now, bound_s = np.array([now_s]), np.array([their_received_s - our_sent_s + aged_s])
         if bound_s < self._at_least.at(now):

@@ -33,7 +33,7 @@ class RoleMap:
     def __post_init__(self) -> None:
         freeze(self, "roles", (None,), integer=True)
         if not np.array_equal(np.sort(self.roles), np.arange(self.roles.size)):
-            raise MessageError(f"RoleMap.roles: no permutation: {self.roles.tolist()}")
+            raise MessageError(f"RoleMap.roles: {self.roles.tolist()}, expected a permutation of 0 to N - 1")
 
     @property
     def precedence(self) -> tuple[int, int]:

@@ -1,4 +1,4 @@
-"""What a unit sends: goals for whom, neighbours to whom, and the view that one robot reads."""
+"""Messages of a unit: goals, distances to neighbours, and the part for one robot."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ def random_scene(seed: int, make_detections, count: int = 12):
 
 @pytest.mark.parametrize("seed", range(10))
 def test_goals_send_shared_and_nearest_neighbors(make_detections, seed) -> None:
-    """Against a plain loop over all pairs; distances to rounding."""
+    """The reference is a plain loop over all pairs; distances agree to rounding."""
     seen, template, place, rng = random_scene(seed, make_detections)
     controlled = rng.permutation(seen.ids)[:7]
     shared = controlled[:2]
@@ -76,7 +76,7 @@ def test_robot_goal_equals_rows_of_arrays(make_detections, seed) -> None:
 
 
 def test_robot_out_of_view_gets_no_goal_and_affects_none(make_detections) -> None:
-    """The goals of those in view are what they would be were the other not in the set."""
+    """The goals of the visible robots are those of the set without the other one."""
     seen, template, _, _ = random_scene(1, make_detections)
     gone = int(np.setdiff1d(np.arange(50), seen.ids)[0])
     wider = Template(np.append(template.ids, gone), np.append(template.points_px, 9 + 9j))
@@ -127,10 +127,10 @@ TRIANGLE = np.exp(2j * np.pi * np.arange(3) / 3)
 
 
 def test_mirrored_team_leaves_singular_arrangement(make_detections) -> None:
-    """Remark 2: no rotation of an equilateral triangle fits its mirror image. It would get no goal for ever.
+    """Remark 2: no rotation of an equilateral triangle fits its mirror image, and it would have no goal.
 
-    Points without limits follow `x' = k ρ`: V falls from first to last. The scale a grows by
-    `a' = k (w e^{-kt} - a)` up to where the fit takes over, at `kt = 1`.
+    Points without limits follow `x' = k ρ`: V falls from first to last. The scale a grows by `a' = k (w
+    e^{-kt} - a)` until the fit takes over, at `kt = 1`.
     """
     template = Template([0, 1, 2], TRIANGLE)
     places = 400 + 400j + 100 * TRIANGLE.conj()

@@ -1,4 +1,4 @@
-"""The team's time: bounded by the leading clock, never behind a message by more than its extra delay."""
+"""The team's time: bounded by the leading clock, behind a message by at most its excess delay."""
 
 from dataclasses import dataclass, field
 
@@ -16,7 +16,7 @@ MIN_S = 0.1
 
 @dataclass
 class Member:
-    """A member of a team with a clock that is off and drifts."""
+    """Member of a team whose clock has an offset and drifts."""
 
     offset_s: float
     rate: float
@@ -35,7 +35,7 @@ MEMBERS = st.lists(st.tuples(st.floats(-20, 20), st.floats(-1e-4, 1e-4)), min_si
 
 @given(clocks=MEMBERS, seed=st.integers(0, 1000))
 def test_team_time_is_bounded_by_leading_clock_and_delay(clocks, seed) -> None:
-    """60 s of messages at random, a third of them lost, each up to 0.3 s later than the fastest."""
+    """60 s of messages at random, with message loss of one third, each up to 0.3 s later than the fastest."""
     rng = np.random.default_rng(seed)
     members = [Member(offset_s, 1 + drift) for offset_s, drift in clocks]
     flying, last_s = [], [-np.inf] * len(members)
@@ -50,7 +50,7 @@ def test_team_time_is_bounded_by_leading_clock_and_delay(clocks, seed) -> None:
         for number, member in enumerate(members):
             team_s = member.team_s(time_s)
             assert team_s <= leading_s + 1e-4 * MIN_S * 300 + 1e-9
-            assert team_s >= last_s[number] + 0.2 * (1 - 1e-4 - DRIFT) - 1e-9, "it never goes back"
+            assert team_s >= last_s[number] + 0.2 * (1 - 1e-4 - DRIFT) - 1e-9, "it is monotonic"
             last_s[number] = team_s
             to = int(rng.integers(len(members)))
             if to != number and rng.random() > 1 / 3:
@@ -58,18 +58,18 @@ def test_team_time_is_bounded_by_leading_clock_and_delay(clocks, seed) -> None:
 
 
 def test_fastest_message_gives_exact_team_time() -> None:
-    """Clocks 7 s apart: after one message that took the least delay both show one time, for good."""
+    """Clocks 7 s apart: after one message with the minimum delay both permanently show one time."""
     ahead, behind = Member(5.0, 1.0), Member(-2.0, 1.0)
     behind.clock.hear(ahead.team_s(3.0), behind.shows(3.0 + MIN_S))
     assert behind.team_s(3.1) == pytest.approx(ahead.team_s(3.1), abs=1e-12)
     behind.clock.hear(ahead.team_s(4.0), behind.shows(4.9))
     assert ahead.team_s(5.0) - 2 * DRIFT <= behind.team_s(5.0) <= ahead.team_s(5.0)
     ahead.clock.hear(behind.team_s(5.0), ahead.shows(5.1))
-    assert ahead.team_s(6.0) == 11.0, "the clock that leads goes by itself"
+    assert ahead.team_s(6.0) == 11.0, "the leading clock runs freely"
 
 
 def test_listener_with_leading_clock_follows_team() -> None:
-    """A robot's clock that is 5 s fast says nothing of the team's time, unless it has heard of no other."""
+    """A robot's clock that is 5 s fast has no effect on the team's time, unless no other clock is known."""
     listening, sending = TeamClock(0.0, 2, listens=True), TeamClock(0.0, 2)
     own_s = np.array([15.0, 5.0])
     assert np.array_equal(listening.time_s(own_s), own_s)
@@ -86,7 +86,7 @@ def test_message_updates_only_its_receivers() -> None:
 
 
 def test_bound_decay_keeps_fast_clock_with_team() -> None:
-    """A listener's clock is 100 parts in a million fast; each second a message tells the time."""
+    """A listener's clock is 100 parts in a million fast; a message arrives every second."""
     clock, rate = TeamClock(0.0, 1, listens=True), 1 + 1e-4
     for time_s in range(1000):
         clock.hear(float(time_s), np.array([rate * time_s]))

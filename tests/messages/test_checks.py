@@ -1,4 +1,4 @@
-"""What the library's constructors are given is checked as scenario files are: one line, our own errors."""
+"""Validation of constructor arguments as of scenario files: one line, with the library's own errors."""
 
 import numpy as np
 import pytest
@@ -52,7 +52,7 @@ CONSTRUCTORS = {
     RoleRule: ({}, ("period_s", "gain", "starts")),
     SizeRule: ({}, ("min_sides", "max_sides")),
 }
-"""Constructors with numbers of 0 or more: what makes one, and the names of those numbers."""
+"""Constructors with numbers of 0 or more: required arguments, and the names of those numbers."""
 
 
 @pytest.mark.parametrize("value", [NAN, -1.0, -1e-320, "x", None, 10**400, 1j, [1.0]])
@@ -226,6 +226,6 @@ def test_template_rejects_non_numeric_points(points):
 @pytest.mark.parametrize("shape", ["star", "word:A"])
 @pytest.mark.parametrize("count", [np.zeros(0), None, -1, 2.5, True, 10_001, 2**63], ids=repr)
 def test_shape_rejects_invalid_robot_count(shape, count):
-    """So many robots that a word would be written for ever are refused as well."""
+    """A count so large that writing a word would not end is rejected as well."""
     with pytest.raises(SkyherdError, match=r"count: .*; a whole number from 0 to 10000"):
         shape_points(shape, count)

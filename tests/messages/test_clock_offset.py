@@ -1,4 +1,4 @@
-"""The offset of another clock: the truth is inside the bounds, and they are as tight as can be."""
+"""Offset of another clock: the true offset is within the bounds, and they are as tight as possible."""
 
 import math
 
@@ -12,7 +12,7 @@ from skyherd.messages.clock_offset import DRIFT, ClockOffset
 
 
 class Exchange:
-    """Two clocks and a line between them, in true time; ours is the true time."""
+    """Two clocks and a channel between them, in true time; ours is the true time."""
 
     def __init__(self, offset_s: float, drift: float = 0.0) -> None:
         self.offset_s, self.drift, self.compared = offset_s, drift, ClockOffset()
@@ -24,7 +24,7 @@ class Exchange:
         self.compared.hear(self.theirs(sent_s), sent_s + delay_s)
 
     def both(self, sent_s: float, there_s: float, back_s: float) -> float:
-        """Our message takes `there_s`, their answer `back_s`; the time at which it is here."""
+        """Exchange a message and its answer with delays `there_s` and `back_s`; return its arrival time."""
         arrived_s = sent_s + there_s
         now_s = arrived_s + back_s
         self.compared.hear(self.theirs(arrived_s), now_s)

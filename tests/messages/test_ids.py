@@ -1,4 +1,4 @@
-"""Rows of ids: the search that every array over robots rests on."""
+"""Rows of ids: the search behind every array over robots."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ def test_rows_of_returns_positions_of_ids() -> None:
 
 
 def test_find_rows_of_any_shape_marks_absent_ids() -> None:
-    """As a walk through the list finds them; the rows of absent ids are indices as well."""
+    """The reference is a linear search; the rows of absent ids are valid indices as well."""
     wanted = np.array([[9, 1, 5], [3, 10, 2]])
     rows, found = find_rows(IDS, wanted)
     assert found.tolist() == [[wish in IDS.tolist() for wish in line] for line in wanted.tolist()]

@@ -1,4 +1,4 @@
-"""What a unit reports of the tree: lists that belong together fit each other, and ids occur once."""
+"""Tree status of a unit: lists that belong together are consistent, and ids occur once."""
 
 import pytest
 
@@ -7,7 +7,7 @@ from skyherd.messages import NO_SLOT, TreeStatus
 
 
 def status(**changes):
-    """Two edges, and two robots that are handed over."""
+    """Return a status of two edges, and two robots that are handed over."""
     fields = {
         "tree_id": 0,
         "asks_id": -1,
@@ -49,6 +49,6 @@ def test_tree_status_accepts_consistent_lists() -> None:
     ids=str,
 )
 def test_tree_status_rejects_inconsistent_lists(changes) -> None:
-    """They come by radio: a unit that read on would fail in the middle of a decision."""
+    """The lists arrive by radio: an inconsistent one would fail in the middle of a decision."""
     with pytest.raises(MessageError):
         status(**changes)

@@ -1,4 +1,4 @@
-"""Three cheap, swaying cameras: the scenario, with rectification and without, and how its video shows it."""
+"""Three cheap, swaying cameras: the scenario with and without rectification, and its video."""
 
 from dataclasses import replace
 
@@ -23,7 +23,7 @@ def flight(request: pytest.FixtureRequest) -> tuple[bool, list[Step]]:
 
 
 def test_handheld_star_forms_only_with_rectification(flight):
-    """A thousandth against some per cent: the negative control is the same flight without rectification."""
+    """0.1 % against some per cent: the negative control is the same flight without rectification."""
     rectified, steps = flight
     error = max(step.metrics.shape.error for step in steps[-20:])
     assert error < 1e-3 if rectified else error > 0.02
@@ -61,8 +61,10 @@ def test_video_has_raw_and_rectified_panels():
 
 @pytest.mark.parametrize("flight", [True], indirect=True)
 def test_rectified_panel_is_image_under_estimated_map(flight):
-    """A ramp along u in place of the image: each pixel of the panel shows the ramp where the map has it. Two
-    grey levels: rounding, and a map that is linear over 8 px."""
+    """A ramp along u replaces the image: each pixel of the panel shows the ramp at its mapped position.
+
+    The tolerance is two grey levels: rounding, and a map that is linear over 8 px.
+    """
     frame = flight[1][-1].frames[2]
     assert not frame.decision.ground_map.ideal
     width, height = 800, 600

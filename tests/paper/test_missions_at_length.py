@@ -1,4 +1,4 @@
-"""The built-in missions as they are, with all of their images."""
+"""The unmodified built-in missions, with all of their images."""
 
 import pytest
 from mission_checks import (
@@ -19,7 +19,7 @@ def test_long_mission_forms_shape_from_pixels(name):
 
 @pytest.mark.parametrize(("name", "seconds"), {"triangle": 70, "star": 40, "grid": 40, "circle": 30}.items())
 def test_long_noisy_mission_forms_shape_with_all_robots(name, seconds):
-    """Until the shape has been held for long enough."""
+    """The run lasts until the shape has been held for long enough."""
     check_noisy_mission(name, f"duration_s={seconds}")
 
 
@@ -30,5 +30,5 @@ def test_long_tree_mission_forms_shape_from_pixels(name):
 
 @pytest.mark.parametrize("name", TREES)
 def test_long_noisy_mission_keeps_tree(name):
-    """Of `failure`, the unit returns at 65 s, and is to be in the tree at the end."""
+    """In `failure`, the unit returns at 65 s, and must be in the tree at the end."""
     check_tree_mission(name, "noisy")

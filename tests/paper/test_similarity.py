@@ -1,4 +1,4 @@
-"""Algorithm 1's similarity: exact, equivariant, equal to an independent least-squares solution."""
+"""Similarity of Algorithm 1: exact, equivariant, equal to an independent least-squares solution."""
 
 import numpy as np
 import pytest
@@ -10,8 +10,8 @@ from skyherd.control import Similarity, desired_points, fit_similarities, fit_si
 from skyherd.errors import DegenerateSetError
 
 TIGHT = 1e-10
-"""Relative to the points' size: the fit divides by the template's spread, which the strategies keep above a
-hundredth of its size squared, so that 1e-16 of rounding grows to 1e-12 at most for 12 points."""
+"""Relative to the points' size: the fit divides by the template's spread, which the strategies keep above 1 %
+of its size squared. A rounding of 1e-16 thus grows to at most 1e-12 for 12 points."""
 
 coordinate = st.floats(-10, 10, allow_subnormal=False)
 point = st.builds(complex, coordinate, coordinate)
@@ -90,7 +90,7 @@ def test_fit_is_equivariant_to_current_points(sets, similarity) -> None:
 @suite
 @given(sets=two_sets(), similarity=similarities())
 def test_fit_is_invariant_to_template_frame(sets, similarity) -> None:
-    """fit(G T, x) (G T) = fit(T, x) (T): scale, turn and origin of the template image are arbitrary."""
+    """fit(G T, x) (G T) = fit(T, x) (T): scale, rotation and origin of the template image are arbitrary."""
     (template, current), (a, b) = sets, similarity
     same = desired_points(a * template + b, current)
     digits = TIGHT * (1 + abs(b) / abs(a)) ** 2
@@ -100,7 +100,7 @@ def test_fit_is_invariant_to_template_frame(sets, similarity) -> None:
 @suite
 @given(sets=two_sets())
 def test_desired_points_are_projection_with_same_centroid(sets) -> None:
-    """Desired points are the best of their kind: the residual is at right angles to all similarities of T."""
+    """Desired points are optimal: the residual is orthogonal to all similarities of T."""
     template, current = sets
     desired = desired_points(template, current)
     residual = current - desired
@@ -147,7 +147,7 @@ def test_fit_rejects_degenerate_sets(template, current) -> None:
 
 
 def test_fit_similarities_equals_single_fits() -> None:
-    """Groups of any size, in any order of points; those without a similarity have none, as when asked alone.
+    """Groups of any size, in any order of points; those without a similarity have none, as in single fits.
 
     Both sum a few dozen products of numbers of order one, in other orders.
     """

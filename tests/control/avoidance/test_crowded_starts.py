@@ -1,4 +1,4 @@
-"""Crowded starts with random roles: nobody touches, and the shape comes; with the parts off they do touch."""
+"""Crowded starts with random roles: no collisions and convergence; without the measures robots collide."""
 
 import argparse
 
@@ -7,7 +7,7 @@ import pytest
 
 @pytest.fixture(scope="module")
 def benchmark(load_benchmark):
-    """`benchmarks/bodies.py` as a module."""
+    """Return `benchmarks/bodies.py` as a module."""
     return load_benchmark("bodies")
 
 
@@ -25,7 +25,7 @@ def options(**changed) -> argparse.Namespace:
 
 @pytest.mark.parametrize("seed", [0, 13, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (3, 6))])
 def test_crowd_reaches_shape_without_collision(benchmark, seed) -> None:
-    """One to three units; what the benchmark does a thousand times. 1.5 is beyond its 99 % quantile."""
+    """One to three units, as in the benchmark's thousand runs. 1.5 is beyond its 99 % quantile."""
     row = benchmark.run_mission(seed, options())
     assert row["converged"] and row["collisions"] == 0
     assert row["min_gap_sides"] > 0.2, "the margin"
@@ -47,6 +47,6 @@ def test_crowd_with_fixed_roles_is_slower_but_safe(benchmark) -> None:
 
 @pytest.mark.parametrize("seed", [0, pytest.param(4, marks=pytest.mark.slow)])
 def test_point_robots_with_fixed_roles_collide(benchmark, seed) -> None:
-    """Negative control: what the parts are for."""
+    """Negative control: the purpose of the measures."""
     row = benchmark.run_mission(seed, options(without=["roles", "size", "avoidance"]))
     assert row["collisions"] > 0 and row["min_gap_sides"] < -1

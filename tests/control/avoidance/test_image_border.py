@@ -37,7 +37,7 @@ SIDE_PX = 20.0
 BODIES = BodyRule(radius_sides=1.0, margin_sides=0.0)
 TEAM = np.array([0, 1, 2])
 GOAL_TIMEOUT_S = 2.0
-"""A robot that no image has shown for so long has no goal left, and stands."""
+"""Time after which an unseen robot has only stale goals and is static."""
 
 
 def map_with(squeeze=0.0, horizon=0.0, lens=0.0) -> GroundMap:
@@ -49,13 +49,13 @@ def map_with(squeeze=0.0, horizon=0.0, lens=0.0) -> GroundMap:
 
 
 def margins_px(points: np.ndarray) -> np.ndarray:
-    """Least distances (N,) of image points from the four sides, up to pixels' outer edges."""
+    """Return minimum distances (N,) of image points from the four sides, up to the outer edges of pixels."""
     u, v = points.real, points.imag
     return np.min([u + 0.5, v + 0.5, SIZE[0] - 0.5 - u, SIZE[1] - 0.5 - v], axis=0)
 
 
 def image_points(seed: int, count: int = 400) -> np.ndarray:
-    """Points all over the image and a fifth of it around."""
+    """Return points all over the image and a fifth of it around."""
     rng = np.random.default_rng(seed)
     low, high = -0.2 * SIZE, 1.2 * SIZE
     return to_complex(rng.uniform(low, high, (count, 2)))
@@ -74,7 +74,10 @@ def test_border_depths_equal_distances_from_sides() -> None:
     seed=st.integers(0, 2**31),
 )
 def test_border_under_tilt_and_anisotropy_contains_exact_image(squeeze, horizon, seed) -> None:
-    """Both ways, since lines stay lines; the truth is the camera's own pixels, not the rectified ones."""
+    """The equivalence holds in both directions, since lines stay lines.
+
+    The reference is the camera's own pixels, not the rectified ones.
+    """
     ground_map = map_with(squeeze, horizon)
     raw = image_points(seed)
     margins = margins_px(raw)
@@ -89,7 +92,7 @@ def test_border_under_tilt_and_anisotropy_contains_exact_image(squeeze, horizon,
 def test_border_under_lens_touches_innermost_point_of_side(lens) -> None:
     """Barrel and pincushion, tilted: no point of a side lies farther inside, and one lies on the line.
 
-    To 1 % of the bend, which is what the 17 points of a side leave of an arc: (1 / 16)² at the most.
+    The tolerance is 1 % of the bend: 17 points per side leave at most (1 / 16)² of an arc.
     """
     ground_map = map_with(horizon=0.1 - 0.05j, lens=lens)
     border = ImageBorder.of(SIZE, ground_map)
@@ -106,7 +109,7 @@ def test_border_under_lens_touches_innermost_point_of_side(lens) -> None:
 @pytest.mark.parametrize("heading", [0.0, 2.0])
 @pytest.mark.parametrize("side", range(4))
 def test_border_side_equals_robot_at_nearest_hidden_point(make_detections, side, heading) -> None:
-    """The same gap, bearing and share as an obstacle's that is drawn there."""
+    """Gap, bearing and share are equal to those of an obstacle drawn there."""
     robot, border = 60 + 70j, ImageBorder.of(SIZE, GroundMap())
     depth = border.depths_px(np.array([robot]))[0, side]
     there = robot - border.normals[side] * (depth - HIDDEN_SIDES * SIDE_PX)
@@ -124,7 +127,7 @@ def test_border_side_equals_robot_at_nearest_hidden_point(make_detections, side,
 def test_border_gap_of_robot_beyond_line_is_zero(
     make_detections,
 ) -> None:
-    """A robot beyond the line is at no distance from it, however far."""
+    """A robot beyond the line has distance 0 from it, at any depth."""
     straight = ImageBorder.of(SIZE, GroundMap())
     border = ImageBorder(straight.normals, straight.offsets_px + np.array([0, 0, 0, 200.0]))
     seen = make_detections([0], [50 + 240j], sides=[SIDE_PX], size=SIZE)
@@ -144,7 +147,7 @@ def test_border_is_reported_to_concerned_robots_in_horizon(make_detections) -> N
 
 
 def test_robot_is_hidden_after_a_second_unseen_by_all_units(make_detections, make_report) -> None:
-    """By own image and by others' reports, which count from when their images were taken."""
+    """Own images and other units' reports count, from the times of their images."""
     hidden = HiddenRobots(TEAM)
 
     def beyond(time_s: float, ids: list[int], *reports) -> HiddenBeyond | None:
@@ -162,7 +165,7 @@ def test_robot_is_hidden_after_a_second_unseen_by_all_units(make_detections, mak
     assert found.concerned_ids.tolist() == [0, 1, 2]
     assert beyond(6.8, [0, 1], other(6.7, [2])) is None, "the other unit has it again"
     found = beyond(8.0, [0, 1], other(7.9, [1]))
-    assert found is not None and found.concerned_ids.tolist() == [0, 2], "1 is in the other unit's image"
+    assert found is not None and found.concerned_ids.tolist() == [0, 2], "the other unit sees 1"
     assert beyond(8.2, [2], other(8.1, [0, 1])) is None
     assert AvoidanceRule.lifetime_s > UNSEEN_S, "the border takes over before robots forget"
 
@@ -184,9 +187,9 @@ def test_border_is_removed_by_next_image_without_border(make_detections) -> None
 
 @dataclass
 class LoneUnit:
-    """One unit's image over ground 100 px a metre, which moves, and a robot that wants out of it.
+    """Image of one unit over ground, 100 px per metre, which moves, and a robot that tries to leave it.
 
-    Robot 0 is seen; robot 1 stands where the image does not show the whole of its marker, and never moves.
+    Robot 0 is visible. The marker of robot 1 is not completely in the image, and robot 1 never moves.
     """
 
     rng: np.random.Generator
@@ -200,7 +203,7 @@ class LoneUnit:
     )
 
     def min_gap_m(self, make_detections, ticks: int = 150) -> float:
-        """The least gap between the two bodies while robot 0 drives at robot 1 as well as it can."""
+        """Return the minimum gap between the two bodies while robot 0 drives at robot 1 as well as it can."""
         position_m = complex(*self.rng.uniform(-0.8, 0.8, 2))
         heading = self.rng.uniform(-np.pi, np.pi, 1)
         along = self.rng.uniform(-1.0, 1.0)
@@ -231,7 +234,7 @@ class LoneUnit:
         return min_m - 2 * BODIES.radius_sides * 0.2
 
     def _tell(self, memory: NeighborMemory, make_detections, places_m, heading, now_s: float) -> None:
-        """An image 100 px a metre, v down; its message arrives at once."""
+        """Send the message of an image of 100 px per metre, v down; it arrives at once."""
         points = 100 * places_m.conj() + complex(*(SIZE - 1) / 2)
         ids = np.flatnonzero(margins_px(points) > HIDDEN_SIDES * SIDE_PX)
         headings = np.array([-heading[0], 0.0])[ids]
@@ -245,7 +248,7 @@ class LoneUnit:
 
 @pytest.mark.parametrize("camera_mps", [0.0, 0.1 + 0.1j, -0.15j])
 def test_lone_unit_keeps_robots_off_hidden_robot(make_detections, camera_mps) -> None:
-    """At full speed at it, from anywhere, on each of the four sides, under a unit that stands or flies."""
+    """Full speed towards the robot, from anywhere, on each of the four sides, under any unit motion."""
     for seed in range(12):
         unit = LoneUnit(np.random.default_rng(seed), reports_border=True, camera_mps=camera_mps)
         assert unit.min_gap_m(make_detections) > 0, seed
@@ -261,7 +264,7 @@ def test_lone_unit_without_border_allows_collision(make_detections) -> None:
 
 @dataclass
 class KnownCamera:
-    """Stands for a rectifier that knows its camera, and is given detections that are rectified already."""
+    """Stand-in for a rectifier with a known camera, which receives rectified detections."""
 
     ground_map: GroundMap
 
@@ -271,7 +274,7 @@ class KnownCamera:
 
 @pytest.mark.parametrize("ground_map", [GroundMap(), map_with(horizon=0.1)])
 def test_unit_reports_border_while_robot_is_missing(make_detections, make_report, ground_map) -> None:
-    """As far off as it is in the rectified image; and not while another unit has the robot."""
+    """The border has its rectified distance; it is not reported while another unit sees the robot."""
     template = Template(TEAM, np.array([0, 100, 100j]))
     policy, near_only = SafetyRadius(radius=1.5), BodyRule(1.0, margin_sides=0.0, horizon_sides=4.0)
     unit = AerialController(template, policy, Hover(), rectifier=KnownCamera(ground_map), bodies=near_only)

@@ -1,4 +1,4 @@
-"""Roles: the best map is found, whatever the similarity, and straight ways under it do not cross."""
+"""Role assignment: the best map is found under any similarity, and straight paths under it do not cross."""
 
 from itertools import permutations
 
@@ -25,7 +25,7 @@ def test_assignment_is_best_of_all_maps(seed) -> None:
 
 @pytest.mark.parametrize("seed", range(20))
 def test_assignment_never_increases_residual(seed) -> None:
-    """From the present map alone, without other starts."""
+    """The search starts from the present map alone."""
     robots, points = draw(seed, 30)
     found = best_assignment(robots, points, np.zeros(30, dtype=int))
     assert abs(correlation(robots, points[found])) >= abs(correlation(robots, points))
@@ -50,9 +50,11 @@ def test_assignment_keeps_classes() -> None:
 
 @pytest.mark.parametrize("seed", range(10))
 def test_assigned_straight_paths_keep_distance(seed) -> None:
-    """Under a best assignment (Δx, Δd) >= 0 for every two robots, so that all the way from start x to goal d
+    """Under a best assignment (Δx, Δd) >= 0 for every two robots. From start x to goal d
 
-    |Δ(t)|² >= (1-t)² |Δx|² + t² |Δd|², and the least distance is at least min(|Δx|, |Δd|) / sqrt(2).
+        |Δ(t)|² >= (1-t)² |Δx|² + t² |Δd|²,
+
+    so the minimum distance is at least min(|Δx|, |Δd|) / sqrt(2).
     """
     robots, points = draw(seed, 12)
     points = points[best_assignment(robots, points, np.zeros(12, dtype=int), starts=24)]

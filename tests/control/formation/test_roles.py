@@ -1,4 +1,4 @@
-"""Roles as units exchange them: one map at a time, through losses, deaths and newcomers."""
+"""Exchange of roles between units: one map at a time, under message loss, failures and newcomers."""
 
 from dataclasses import replace
 
@@ -28,7 +28,7 @@ def whole(points) -> Registration:
 
 
 class Agents:
-    """Units that see all robots from anywhere, and hear each other's last report with some luck."""
+    """Units that see all robots from anywhere, and receive each other's last report at random."""
 
     def __init__(self, make_report, units=3, loss=0.0, seed=0) -> None:
         self.rng, self.loss = np.random.default_rng([seed, 2]), loss
@@ -56,7 +56,7 @@ class Agents:
 @pytest.mark.parametrize("seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (2, 3, 4))])
 @pytest.mark.parametrize(("loss", "longest"), [(0.0, 1), (0.3, 10), (0.8, 60)])
 def test_roles_converge_to_one_map(make_report, seed, loss, longest) -> None:
-    """Two units differ for as long as the newest map is not heard: `loss^longest` is below 1e-5."""
+    """Two units differ until the newest map is received: `loss^longest` is below 1e-5."""
     agents = Agents(make_report, loss=loss, seed=seed)
     robots = agents.rng.normal(size=N) + 1j * agents.rng.normal(size=N)
     before = residual(robots, TEMPLATE.points_px)
@@ -70,7 +70,7 @@ def test_roles_converge_to_one_map(make_report, seed, loss, longest) -> None:
     assert len(set(after)) == 1 and after[0] < before and name[0] >= 1
     for tick in range(400, 500):
         agents.step(0.2 * tick, robots)
-    assert agents.maps() == {name}, "what cannot be improved is left alone"
+    assert agents.maps() == {name}, "an optimal map is unchanged"
 
 
 def test_role_exchange_lowers_residual_by_gain(make_report) -> None:
@@ -135,12 +135,12 @@ def test_robots_with_unknown_position_keep_roles() -> None:
 
 
 def test_role_map_rejects_non_permutation() -> None:
-    with pytest.raises(MessageError, match="no permutation"):
+    with pytest.raises(MessageError, match="expected a permutation"):
         RoleMap(0, 0, np.array([0, 0, 1]))
 
 
 def test_registration_follows_chain_of_views(make_detections, make_report) -> None:
-    """Unit 0 sees robots 0-4, unit 1 sees 3-8, unit 2 sees 7-11: two in common tell each next similarity."""
+    """Unit 0 sees robots 0-4, unit 1 sees 3-8, unit 2 sees 7-11: two common robots give each similarity."""
     rng = np.random.default_rng(6)
     ground = 300 * (rng.normal(size=N) + 1j * rng.normal(size=N))
     views = [slice(0, 5), slice(3, 9), slice(7, 12)]
@@ -157,7 +157,7 @@ def test_registration_follows_chain_of_views(make_detections, make_report) -> No
 
 
 def test_role_exchange_needs_own_slot_and_common_map(make_report) -> None:
-    """Slots of a second go round: unit 0 has the even ones. Either condition alone is not enough."""
+    """Slots of a second alternate: unit 0 has the even ones. Either condition alone is not sufficient."""
 
     def report(role_map: RoleMap | None):
         return replace(make_report(1, [], [], []), roles=role_map)

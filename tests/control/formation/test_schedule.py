@@ -1,4 +1,4 @@
-"""One shape after another: who forms what when, in the file, in the loop and in the recording."""
+"""Sequence of shapes: the present shape in the file, in the loop and in the recording."""
 
 import numpy as np
 import pytest
@@ -51,7 +51,7 @@ def test_schedule_error_for_wrong_shape_names_key(scenario_tree) -> None:
 
 @pytest.fixture(scope="module")
 def two_shapes():
-    """One unit, a dozen robots or so in a crowd: 15 s for each of two shapes; its mission and steps."""
+    """Return mission and steps of one unit and about a dozen robots in a crowd: two shapes, 15 s each."""
     tree = crowded_mission(4) | {"perception": "ideal", "duration_s": 30.0}
     tree["template"]["then"] = [{"at_s": 15.0, "shape": "circle"}]
     mission = make_mission(tree)
@@ -73,7 +73,7 @@ def test_team_forms_scheduled_shapes_in_order(two_shapes) -> None:
 
 
 def test_recording_contains_roles_and_all_shapes(two_shapes, tmp_path) -> None:
-    """Read back, the run is the same, to its summary: what is drawn later knows who went where."""
+    """The run read back is identical, including its summary: later drawings know the roles."""
     mission, steps = two_shapes
     with McapRecorder(tmp_path / "run.mcap", mission) as recorder:
         for step in steps:

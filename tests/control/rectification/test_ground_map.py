@@ -50,9 +50,12 @@ def test_map_fixes_center_and_circle_radius(seed):
 
 
 def true_unknowns(view: View) -> np.ndarray:
-    """α, f and λ from the camera's matrix and its rotation. With `p = A z + B z̄` from rays z to points,
-    α = B / Ā and f = |A|; the ground's rays have no component along its normal n, which is the horizon's line
-    `Re(λ̄_z z) = 1`, λ_z = -(n_x + i n_y) / n_z, and λ = λ_z / Ā."""
+    """Return α, f and λ from the camera's matrix and its rotation.
+
+    With `p = A z + B z̄` from rays z to points, α = B / Ā and f = |A|. The ground's rays have no component
+    along its normal n. That is the horizon's line `Re(λ̄_z z) = 1` with λ_z = -(n_x + i n_y) / n_z, and λ =
+    λ_z / Ā.
+    """
     half = view.camera.size_px[0] / 2
     f, aspect, skew = view.camera.focal_px * view.zoom / half, view.camera.aspect, view.camera.skew
     a, b = f * (1 + aspect - 1j * skew) / 2, f * (1 - aspect + 1j * skew) / 2
@@ -68,7 +71,7 @@ def true_unknowns(view: View) -> np.ndarray:
 @pytest.mark.parametrize("tilt_deg", [(0.0, 0.0), (12.0, -9.0), (-25.0, 3.0)])
 @pytest.mark.parametrize(("aspect", "skew"), [(1.0, 0.0), (0.75, 0.0), (1.2, -0.1)])
 def test_map_with_true_unknowns_equals_camera_projection(tilt_deg, aspect, skew):
-    """Exact projective geometry on both sides: 1e-6 is what the truth's own finite differences leave, px."""
+    """Both sides are exact projective geometry; the reference's own finite differences leave 1e-6 px."""
     view = View(Camera((800, 800), FOCAL_PX, aspect=aspect, skew=skew), tilt_deg)
     image_px = 400 * np.column_stack([POINTS.real, POINTS.imag]) + 399.5
     ours = GroundMap(true_unknowns(view)).rectified_px(image_px, np.array([800, 800]))
@@ -76,7 +79,7 @@ def test_map_with_true_unknowns_equals_camera_projection(tilt_deg, aspect, skew)
 
 
 def test_square_images_match_predicted_anisotropy_and_size():
-    """Small squares; the corners' affine part leaves the third derivative times the side squared, 1e-6."""
+    """For small squares the corners' affine part leaves the third derivative times the side squared, 1e-6."""
     view = View(Camera((800, 800), FOCAL_PX, aspect=1.2, skew=0.05), (10.0, -6.0), sigma_px=0.0)
     rng = np.random.default_rng(1)
     positions, headings = random_robots(rng, 12)
@@ -93,7 +96,7 @@ def test_square_images_match_predicted_anisotropy_and_size():
 
 @pytest.mark.parametrize("seed", range(6))
 def test_map_inverse_recovers_points(seed):
-    """Newton's method, quadratic: to rounding of 1e3 px."""
+    """Newton's method is quadratic: the error is the rounding of 1e3 px."""
     ground_map, size = GroundMap(random_unknowns(seed)), np.array([800, 600])
     points_px = np.random.default_rng(seed).uniform(100, 500, (30, 2))
     there = ground_map.rectified_px(points_px, size)
@@ -125,8 +128,10 @@ BROWN = [
     ids=lambda value: value if isinstance(value, str) else "",
 )
 def test_three_lens_coefficients_fit_all_lens_models(lens, reach, name):
-    """A fit of κ to the lens's own curve leaves 2e-4 of the image's radius at most, and one coefficient five
-    times as much or more."""
+    """A fit of κ to the lens's own curve leaves at most 2e-4 of the image's radius.
+
+    One coefficient leaves at least five times as much.
+    """
     rays = np.linspace(0.01, reach, 200)
     seen = lens(rays)
     radius = seen / seen.max()
@@ -145,7 +150,7 @@ def test_three_lens_coefficients_fit_all_lens_models(lens, reach, name):
 
 
 def test_focal_length_stays_positive_with_nonzero_slope():
-    """Wherever its unknown goes, the map answers to it: an unknown without slope would claim to be known."""
+    """The map depends on the unknown at any value: an unknown without slope would seem to be certain."""
     points = np.array([0.3 + 0.1j, -0.2 + 0.4j])
     for focal in (-3.0, -1.0, -0.95, -0.5, 0.0, 2.0):
         unknowns = np.zeros(UNKNOWNS)

@@ -1,4 +1,4 @@
-"""Information as a quadratic form, against least squares done directly."""
+"""Information as a quadratic form, against direct least squares."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ GROUPS = {"a": [0, 1], "b": [2], "c": [3, 4, 5]}
 
 
 def lines(seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Equations (20, 6) and values (20,)."""
+    """Return equations (20, 6) and values (20,)."""
     rng = np.random.default_rng(seed)
     return rng.standard_normal((20, N)), rng.standard_normal(20)
 
@@ -47,7 +47,7 @@ def test_information_of_two_images_is_additive(seed):
 
 @pytest.mark.parametrize("count", [1, 4])
 def test_marginal_equals_block_of_joint_estimate(count):
-    """Of a Gaussian, the mean and covariance of some unknowns are parts of those of all."""
+    """Mean and covariance of some unknowns of a Gaussian are parts of those of all."""
     all_, some = information(1), information(1).marginal(count)
     np.testing.assert_allclose(
         some.estimate().covariance, all_.estimate().covariance[:count, :count], atol=1e-12
@@ -79,7 +79,7 @@ def test_joined_information_is_block_diagonal():
 @pytest.mark.parametrize("seed", range(8))
 @pytest.mark.parametrize("least", [0.5, 2.0, 6.0])
 def test_significant_groups_match_greedy_chi_squared(seed, least):
-    """The greedy choice done over again with a fit for each question."""
+    """The reference is the greedy choice with a separate fit for each question."""
     free: list[int] = []
     waiting = dict(GROUPS)
     while waiting:
@@ -92,7 +92,7 @@ def test_significant_groups_match_greedy_chi_squared(seed, least):
 
 
 def test_significant_group_requires_its_predecessor():
-    """`b` would explain much, but means nothing without `a`, which explains nothing."""
+    """`b` would explain much, but requires `a`, which explains nothing."""
     known = Information(np.eye(N), np.array([0, 0, 10.0, 0, 0, 0]))
     assert known.significant(GROUPS, after={}, threshold=20.0) == [2]
     assert known.significant(GROUPS, after={"b": "a"}, threshold=20.0) == []

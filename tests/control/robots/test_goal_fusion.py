@@ -1,4 +1,4 @@
-"""Equations 4-6: goals of several units on one scale; and what a robot's inbox keeps."""
+"""Equations 4-6: fusion of the goals of several units on one scale, and the content of a robot's inbox."""
 
 import numpy as np
 import pytest
@@ -45,7 +45,7 @@ class Scene:
             self.inboxes.receive(type(goals)(**{**vars(goals), "unit_id": unit}), 0.0)
 
     def metric_sum(self) -> np.ndarray:
-        """Σ_j (x^{d,j} - x), in each robot's frame, from the ground alone."""
+        """Return Σ_j (x^{d,j} - x), in each robot's frame, from the ground alone."""
         total = np.zeros(self.ids.size, dtype=complex)
         for members in self.sets:
             t, x = self.template[members], self.positions[members]
@@ -75,7 +75,7 @@ def test_fuse_marker_sides_equals_metric_sum(make_detections, seed) -> None:
 
 @pytest.mark.parametrize("seed", range(5))
 def test_scale_ratios_match_ground_truth(make_detections, seed) -> None:
-    """r_kj = r_k / r_j for every robot that both units address, and r_kj r_jk = 1 exactly enough."""
+    """r_kj = r_k / r_j for every robot with goals of both units, and r_kj r_jk = 1 to rounding."""
     scene = Scene(seed, make_detections)
     ratios = scale_ratios(scene.inboxes)
     for k, ours in enumerate(scene.sets):
@@ -86,7 +86,7 @@ def test_scale_ratios_match_ground_truth(make_detections, seed) -> None:
 
 
 def two_units(make_goals, near_0: dict, near_1: dict, sides=(20.0, 50.0)) -> GoalInboxes:
-    """Robot 1 of four, told of its neighbours by two units."""
+    """Return inboxes with goals of two units for robot 1 of four, with distances to its neighbours."""
     inboxes = GoalInboxes(np.arange(4), np.array([0, 1]), 1.0)
     inboxes.receive(make_goals(0, [1], [3 + 4j], sides=[sides[0]], neighbors=[near_0]), 0.0)
     inboxes.receive(make_goals(1, [1], [1 - 2j], sides=[sides[1]], neighbors=[near_1]), 0.0)
@@ -94,13 +94,13 @@ def two_units(make_goals, near_0: dict, near_1: dict, sides=(20.0, 50.0)) -> Goa
 
 
 def test_scale_ratios_use_only_common_neighbors(make_goals) -> None:
-    """Robot 0 is told of by both: 10 px and 30 px. What only one tells, however wild, does not count."""
+    """Both units send robot 0: 10 px and 30 px. A neighbour of only one unit has no effect."""
     inboxes = two_units(make_goals, {0: 10.0, 2: 777.0}, {0: 30.0, 3: 0.1})
     assert scale_ratios(inboxes)[1, 0, 1] == pytest.approx(3.0, rel=1e-14)
 
 
 def test_scale_ratios_are_least_squares_over_neighbors(make_goals) -> None:
-    """Inconsistent distances, errors in both: the ratio of root mean squares, and still r_kj r_jk = 1."""
+    """Inconsistent distances with errors in both: the ratio of root mean squares, and still r_kj r_jk = 1."""
     inboxes = two_units(make_goals, {0: 10.0, 2: 20.0, 3: 5.0}, {0: 21.0, 2: 39.0, 3: 11.0})
     expected = np.sqrt((21**2 + 39**2 + 11**2) / (10**2 + 20**2 + 5**2))
     ratios = scale_ratios(inboxes)
@@ -116,7 +116,7 @@ def test_scale_ratios_without_neighbors_use_marker_sides(make_goals) -> None:
 
 
 def test_scale_ratios_accept_distances_below_one_pixel(make_goals) -> None:
-    """Squares of distances below 1 px² are as good as others."""
+    """Squares of distances below 1 px² are as valid as others."""
     ratios = scale_ratios(two_units(make_goals, {0: 0.5}, {0: 0.25}))
     assert (ratios[1, 0, 1], ratios[0, 1, 1]) == (0.5, 2.0)
 
@@ -149,7 +149,7 @@ def test_inbox_under_message_loss_updates_only_receivers(make_goals) -> None:
 
 
 def test_goal_is_stale_after_lifetime(make_goals) -> None:
-    """Counted from when it was received: a late message is still followed for the whole time."""
+    """The lifetime starts at reception: a late message is still followed for the whole time."""
     inboxes = GoalInboxes(np.arange(2), np.array([0]), lifetime_s=0.5)
     inboxes.receive(make_goals(0, [0], [7 + 0j], time_s=0.0), 0.3)
     assert fuse_pixels(inboxes, 0.8)[0] == 7
@@ -159,7 +159,7 @@ def test_goal_is_stale_after_lifetime(make_goals) -> None:
 
 
 def test_goal_is_fresh_up_to_end_of_lifetime(make_goals) -> None:
-    """The tolerance of times belongs to it, to the last bit."""
+    """The lifetime includes the tolerance of times, to the last bit."""
     inboxes = GoalInboxes(np.arange(1), np.array([0]), lifetime_s=0.5)
     last_s = 1.0 - 0.5 - TIME_TOLERANCE_S
     inboxes.receive(make_goals(0, [0], [7 + 0j], time_s=0.0), last_s)
@@ -168,7 +168,7 @@ def test_goal_is_fresh_up_to_end_of_lifetime(make_goals) -> None:
 
 
 def test_fusion_excludes_unit_with_stale_goals(make_goals) -> None:
-    """After unit 0 falls silent the fusion is unit 1's alone: card(C_i) counts units received."""
+    """After unit 0 falls silent the fusion is unit 1's alone: card(C_i) counts received units."""
     inboxes = GoalInboxes(np.arange(4), np.array([0, 1]), lifetime_s=0.5)
     inboxes.receive(make_goals(0, [1], [3 + 4j], neighbors=[{0: 10.0}]), 0.0)
     inboxes.receive(make_goals(1, [1], [1 - 2j], neighbors=[{0: 30.0}]), 0.4)

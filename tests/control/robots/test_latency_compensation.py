@@ -1,4 +1,4 @@
-"""A late goal, less what the robot has driven since its image, is the goal of an image taken now."""
+"""Latency compensation: a late goal minus the robot's motion since its image equals a present goal."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ SIDE_M, STEP_S, ROBOTS = 0.3, 0.1, 5
 
 
 def goals_at(make_goals, axles, headings, targets, sides, offset_m, time_s):
-    """Goals of one unit for fixed ground targets, as an image of this instant would give them."""
+    """Return goals of one unit for fixed ground targets, as from an image at this time."""
     markers = axles + offset_m * np.exp(1j * headings)
     rho_m = (targets - markers) * np.exp(-1j * headings)
     return make_goals(0, range(ROBOTS), rho_m * sides / SIDE_M, sides=sides, time_s=time_s)
@@ -25,8 +25,10 @@ def goals_at(make_goals, axles, headings, targets, sides, offset_m, time_s):
 @pytest.mark.parametrize("delay_steps", [0, 3])
 @pytest.mark.parametrize(("age_steps", "lead_s"), [(0, 0.0), (1, 0.0), (7, 0.0), (7, 4.0)])
 def test_late_goal_becomes_present_goal(make_goals, age_steps, lead_s, delay_steps, offset_m) -> None:
-    """The drives are the simulator's exact arcs, and obey each command `delay_steps` late; images may be
-    stamped by a clock that is ahead."""
+    """The drives are the simulator's exact arcs, and obey each command `delay_steps` late.
+
+    The stamping clock may be ahead.
+    """
     rng = np.random.default_rng(11)
     steps = 25
     commands = rng.normal(0, 1, (steps, 2, ROBOTS))

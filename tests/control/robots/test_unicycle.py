@@ -1,4 +1,4 @@
-"""Equations 2-3 and 6-8 against the paper's literal formulas, in words of its own coordinates."""
+"""Equations 2-3 and 6-8 against the paper's literal formulas, in its own coordinates."""
 
 import numpy as np
 import pytest
@@ -16,29 +16,29 @@ from skyherd.control.robots.unicycle import unicycle_law, wheel_law
 from skyherd.geometry import wrap_angle
 
 ROUNDING = 1e-12
-"""Angles of order 1 through two transcendental functions: 1e-15, with room."""
+"""Angles of order 1 through two transcendental functions: 1e-15, with a margin."""
 
 
 def in_half_open(angle: float) -> float:
-    """The paper's `Angles are taken in [-pi, pi)`."""
+    """Return the angle wrapped to the paper's interval [-pi, pi)."""
     return (angle + np.pi) % (2 * np.pi) - np.pi
 
 
 def paper_alpha(rho: np.ndarray, y: np.ndarray) -> float:
-    """Equation 3: `atan2(-[(rho; 0) x (y; 0)]_z, -rho^T y)`, in axes with z up, towards the camera."""
+    """Return equation 3: `atan2(-[(rho; 0) x (y; 0)]_z, -rho^T y)`, in axes with z up, towards the camera."""
     rho_hat = rho / np.linalg.norm(rho)
     cross_z = np.cross([*rho_hat, 0.0], [*y, 0.0])[2]
     return in_half_open(np.arctan2(-cross_z, -rho_hat @ y))
 
 
 def paper_law(rho: float, alpha: float, k: float, k_omega: float) -> tuple[float, float]:
-    """Equations 7-8."""
+    """Return the speeds of equations 7-8."""
     alpha_d = 0.0 if abs(alpha) <= np.pi / 2 else np.pi
     return -k * np.sign(np.cos(alpha)) * rho, k_omega * in_half_open(alpha_d - alpha)
 
 
 def one_inbox(rho: np.ndarray) -> GoalInboxes:
-    """Robots that heard vectors `rho` in their own frames from one unit, with marker sides of 20 px."""
+    """Return inboxes of robots with vectors `rho` in their own frames from one unit; sides are 20 px."""
     inboxes = GoalInboxes(np.arange(rho.size), np.array([0]), 1.0)
     inboxes.rho_px[0] = rho
     inboxes.sides_px[0] = 20.0
@@ -70,10 +70,10 @@ def test_bearing_equals_angle_of_paper(make_detections) -> None:
     ("error_px", "drives_forwards"), [(-40 + 30j, True), (40 + 30j, False)], ids=["ahead", "behind"]
 )
 def test_goal_on_left_gives_positive_bearing_and_turn(make_detections, error_px, drives_forwards) -> None:
-    """The one flip of sense. Seen from above, robot 0 faces image right (+u); its left is image up (-v).
+    """The only flip of sense. Seen from above, robot 0 faces image right (+u); its left is image up (-v).
 
-    Robot 0 stands 30 px below its place, and 40 px behind it or beyond it: the goal is well off the bearing
-    of pi/2 at which the law changes from driving forwards to backwards, so that no rounding decides the case.
+    Robot 0 is 30 px below its desired point, and 40 px behind it or beyond it. The goal is well off the
+    bearing of pi/2, at which the law changes from forwards to backwards, so that rounding has no effect.
     """
     template = Template(np.arange(3), np.array([-1 - 1j, 1 + 0j, -1 + 1j]))
     points = 400 + 400j + 100 * template.points_px + np.array([error_px, 0, 0])
@@ -104,7 +104,7 @@ def test_goal_on_left_gives_positive_bearing_and_turn(make_detections, error_px,
     ],
 )
 def test_unicycle_law_signs_in_all_quadrants(bearing_deg, drives, turns) -> None:
-    """Goal ahead left: forward, left. Behind left: backwards, tail towards it, so to the right. And so on."""
+    """Goal ahead left: forward, left. Goal behind left: backwards, tail first, so to the right; and so on."""
     rho = np.array([0.8 * np.exp(1j * np.radians(bearing_deg))])
     v, omega = unicycle_law(rho, MarkerGains(0.5, 2.0, 0.0, 0.25))
     assert (np.sign(v[0]), np.sign(np.round(omega[0], 12))) == (drives, turns)
@@ -185,7 +185,7 @@ def test_wrap_angle_is_half_open() -> None:
 
 @pytest.mark.parametrize("rho", [30 + 5j, 5 + 30j, -20 - 20j, 0.1 + 0.1j])
 def test_offset_law_drives_marker_straight_at_limits(rho) -> None:
-    """Its centre moves at `v + i l ω`: that is along ρ, and within both limits with one of them reached."""
+    """Its centre moves at `v + i l ω`, along ρ and within both limits; one of them is reached."""
     gains, wheels = MarkerGains(0.5, 1.0, 0.0, side_m=0.3), Wheels(0.4, 2.0, axis_offset_m=0.1)
     (v,), (omega,) = wheel_law(np.array([rho]), gains, wheels)
     motion, wanted = v + 1j * wheels.axis_offset_m * omega, 0.5 * 0.3 * rho

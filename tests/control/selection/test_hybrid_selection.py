@@ -1,4 +1,4 @@
-"""Free overlaps with a way back: the tree is built when they have failed, and not before."""
+"""Overlapping sets with a fallback: the tree starts after they have failed, and not before."""
 
 from dataclasses import replace
 
@@ -16,9 +16,9 @@ TEMPLATE = Template.from_image_points([0, 1, 2, 3], [[0, 0], [1, 0], [1, 1], [0,
 
 @pytest.fixture
 def one_unit(make_report, make_detections):
-    """A unit that controls these robots and reports a cost, at 1 Hz: when a tree begins, s, or None.
+    """Return the start time of the tree, s, or None, of a unit that reports Lyapunov terms at 1 Hz.
 
-    It begins with the image after the report that shows the failure, one second later.
+    The tree starts with the image after the report that shows the failure, one second later.
     """
 
     def run(cost, controlled=(0, 1, 2, 3), until_s: int = 40) -> int | None:
@@ -73,7 +73,7 @@ def test_lyapunov_term_is_half_squares_in_marker_sides(make_goals) -> None:
 
 
 def test_tree_saves_mission_lost_by_overlapping_sets() -> None:
-    """Hovering units with a small radius lose robots: the shape never comes, until the tree is built."""
+    """Hovering units with a small radius lose robots: the shape is reached only with the tree."""
     errors = {}
     for kind in ("radius", "radius-then-tree"):
         tree = random_mission(3) | {"perception": "ideal", "duration_s": 60.0}

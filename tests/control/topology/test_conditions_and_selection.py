@@ -64,7 +64,7 @@ def test_conditions_of_known_topologies(sets, robots, expected) -> None:
 
 
 def test_conditions_match_definitions_of_paper() -> None:
-    """Random topologies, each condition written out over sets as Section II has it."""
+    """Random topologies; each condition is written out over sets as in Section II."""
     rng = np.random.default_rng(1)
     seen = set()
     for _ in range(2000):
@@ -106,9 +106,9 @@ def test_graph_edges_need_two_shared_robots() -> None:
     ],
 )
 def test_single_unit_cannot_change_set_size_within_p(sets) -> None:
-    """Every other set that a unit could have beside the others' present ones: inside P they are as large.
+    """All other sets of a unit beside the others' present ones have equal size if they are in P.
 
-    Exhaustive, up to 128 sets a unit. There are exchanges, so that the statement is not empty.
+    The search is exhaustive, up to 128 sets per unit. Exchanges exist, so that the statement is not empty.
     """
     robots = max(map(max, sets)) + 1
     topology = np.array([[robot in members for robot in range(robots)] for members in sets])
@@ -128,7 +128,7 @@ def test_single_unit_cannot_change_set_size_within_p(sets) -> None:
 
 
 def at_radius(make_detections, radii: dict[int, float], time_s: float = 0.0, size=(800, 600)):
-    """Robots at the given distances from the image centre, in halves of the shorter side."""
+    """Return robots at the given distances from the image centre, in halves of the shorter side."""
     centre = complex((size[0] - 1) / 2, (size[1] - 1) / 2)
     points = [centre + min(size) / 2 * r * np.exp(1j * robot) for robot, r in radii.items()]
     return make_detections(list(radii), points, size=size, time_s=time_s)
@@ -138,7 +138,7 @@ TEAM = Template(np.arange(10), np.exp(2j * np.pi * np.arange(10) / 10))
 
 
 class OneUnit:
-    """A unit that selects by a safety radius of 0.8, which it may leave at 0.88, in slots of 2 s."""
+    """Unit that selects by a safety radius of 0.8, with a leaving radius of 0.88, in slots of 2 s."""
 
     def __init__(self):
         self.policy = SafetyRadius(radius=0.8, hysteresis=0.1, dwell_s=2.0)
@@ -150,13 +150,13 @@ class OneUnit:
 
 @pytest.mark.parametrize("size", [(800, 600), (640, 640), (480, 1920)])
 def test_centre_distances_are_in_halves_of_shorter_side(make_detections, size) -> None:
-    """From the middle of the pixel grid, (width - 1) / 2: exact to rounding, the same for all sizes."""
+    """The origin is the middle of the pixel grid, (width - 1) / 2: exact to rounding for all sizes."""
     seen = at_radius(make_detections, {1: 0.0, 2: 0.5, 3: 1.0}, size=size)
     np.testing.assert_allclose(centre_distances(seen), [0, 0.5, 1.0], atol=1e-12)
 
 
 def test_safety_radius_has_hysteresis(make_detections, make_report) -> None:
-    """In at 0.8, out at 0.88, when another unit holds them; in between as they were."""
+    """A robot enters at 0.8 and leaves at 0.88 if another unit holds it; in between nothing changes."""
     control = OneUnit()
     other = make_report(1, [1, 2, 3], [0, 0, 0], [1, 2, 3], secure=[1, 2, 3])
     # (radius of robot 1, radius of robot 2) and who is controlled: once every dwell slot of 2 s
@@ -174,7 +174,7 @@ def test_safety_radius_has_hysteresis(make_detections, make_report) -> None:
 
 
 def test_safety_radius_set_changes_once_per_slot(make_detections, make_report) -> None:
-    """Robots that jump in and out at every image: changes only at multiples of 2 s, on the common clock."""
+    """Robots enter and leave at every image: sets change only at multiples of 2 s, on the common clock."""
     rng = np.random.default_rng(2)
     control = OneUnit()
     other = make_report(1, range(6), np.zeros(6), range(6), secure=range(6))
@@ -190,7 +190,7 @@ def test_safety_radius_set_changes_once_per_slot(make_detections, make_report) -
 
 
 def test_safety_radius_keeps_robot_until_secured_by_other(make_detections, make_report) -> None:
-    """Far out, and even out of view (a lost detection), until a report names it secure."""
+    """The robot is far out or out of view (a missed detection), until a report contains it as secure."""
     control = OneUnit()
     control.update(at_radius(make_detections, {1: 0.2, 2: 0.2}), [])
     far = {1: 1.1, 2: 0.2}
@@ -235,7 +235,7 @@ def test_shared_ids_are_own_robots_controlled_by_others(make_report) -> None:
 
 
 def scaled(seen, factor: float, size: tuple[int, int]):
-    """The same view through another sensor: `factor` times the pixels."""
+    """Return the same view through another sensor, with `factor` times the pixels."""
     return replace(
         seen,
         image_size_px=np.array(size),
@@ -254,7 +254,7 @@ FLIGHTS = {
 
 @pytest.mark.parametrize("name", FLIGHTS)
 def test_flight_command_is_independent_of_pixel_size(make_detections, name) -> None:
-    """Twice the pixels, the same scene: command to rounding."""
+    """Twice the pixels, the same scene: equal commands to rounding."""
     rng = np.random.default_rng(3)
     seen = at_radius(make_detections, dict(enumerate(rng.uniform(0.1, 0.9, 6))), size=(600, 600))
     commands = [
@@ -271,14 +271,14 @@ def test_flight_command_is_independent_of_pixel_size(make_detections, name) -> N
     ("farthest", "climb"), [(0.9, 0.2 - 0.05), (0.5, -0.2 + 0.05), (0.73, 0.0), (0.66, 0.0)]
 )
 def test_follow_climbs_for_robot_beyond_desired_radius(make_detections, farthest, climb) -> None:
-    """In proportion to the excess over 0.7 beyond a dead band of 0.05, either way."""
+    """The climb is proportional to the excess over 0.7 beyond a dead band of 0.05, in both directions."""
     seen = at_radius(make_detections, {1: 0.1, 2: farthest, 3: 0.3})
     command = Follow(0.7, climb_gain_mps=2.0, dead_band=0.05).command(seen, FlightTask(seen.ids), [])
     assert command.climb_mps == pytest.approx(2 * climb, abs=1e-12)
 
 
 def test_follow_flies_towards_centroid_of_kept_robots(make_detections) -> None:
-    """Robots at +u, +v of the centre, others' robots not counted: speed in proportion to the distance."""
+    """Robots at +u, +v of the centre, without others' robots: speed proportional to the distance."""
     half, centre = 400, 399.5 + 399.5j
     seen = make_detections([1, 2, 3], centre + half * np.array([0.2 + 0.4j, 0.4 + 0j, -0.9 - 0.9j]))
     command = Follow(0.7, lateral_gain_mps=0.5).command(seen, FlightTask(np.array([1, 2])), [])
@@ -286,7 +286,7 @@ def test_follow_flies_towards_centroid_of_kept_robots(make_detections) -> None:
 
 
 def test_follow_keeps_two_common_robots_nearest_to_center(make_detections, make_report) -> None:
-    """A neighbour has all of 1-4 nearer to its own centre: of these, 3 and 1 are kept; 5 is ours."""
+    """A neighbour has 1-4 nearer to its own centre: of these, 3 and 1 are kept; 5 is the unit's own."""
     seen = at_radius(make_detections, {1: 0.3, 2: 0.6, 3: 0.2, 4: 0.8, 5: 0.4})
     centre = complex(399.5, 299.5)
     theirs = make_report(1, [1, 2, 3, 4], [centre] * 4, [1, 2, 3, 4], size=(800, 600))
@@ -298,7 +298,7 @@ def test_follow_keeps_two_common_robots_nearest_to_center(make_detections, make_
 
 
 def test_follow_keeps_pairs_only_for_initial_neighbors(make_detections, make_report) -> None:
-    """A unit that shared one robot at the start is no neighbour: later it may take the pair, unkept."""
+    """A unit that shared one robot at the start is not a neighbour: later it may take the pair."""
     centre = complex(399.5, 299.5)
     flight = Follow(0.7, dead_band=0.0)
     seen = at_radius(make_detections, {1: 0.3, 2: 0.6, 3: 0.5})
@@ -314,7 +314,7 @@ def test_follow_keeps_pairs_only_for_initial_neighbors(make_detections, make_rep
 
 
 def test_follow_assigns_shared_robot_to_exactly_one_unit(make_detections, make_report) -> None:
-    """Robots 1 and 2 seen by both, at the same distance or not: the charges of the two part them."""
+    """Both units see robots 1 and 2, at equal distance or not: their responsibilities are disjoint."""
     rng = np.random.default_rng(4)
     for _ in range(50):
         views = []
@@ -339,7 +339,7 @@ def test_flight_laws_without_detections_hover(make_detections, name) -> None:
 
 
 def test_perimeter_flies_along_and_towards_hull(make_detections) -> None:
-    """A square around the centre, its nearest edge at +u: along that edge, and pulled out to it."""
+    """A square around the centre, its nearest edge at +u: along that edge, with a pull towards it."""
     half, centre = 400, 399.5 + 399.5j
     corners = np.array([0.3 - 0.5j, 0.3 + 0.5j, -0.7 + 0.5j, -0.7 - 0.5j])
     seen = make_detections([1, 2, 3, 4, 5], centre + half * np.append(corners, 0.01))
@@ -352,7 +352,7 @@ def test_perimeter_flies_along_and_towards_hull(make_detections) -> None:
 
 
 def test_perimeter_circles_hull_in_one_sense(make_detections) -> None:
-    """Flown in a simple world, it circles the robots' hull: the angle about their centre is monotonic."""
+    """In a simple world the unit circles the robots' hull: the angle about their centre is monotonic."""
     robots = np.array([2 + 0j, 1.5j, -2 + 0j, -1.5j])
     at, angles = complex(1.0, 0.4), []
     flight = Perimeter(0.9, speed_mps=0.5, lateral_gain_mps=2.0)

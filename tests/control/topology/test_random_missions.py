@@ -1,4 +1,4 @@
-"""Random missions keep what they promise, and a few of them keep TC1-TC5 and reach their shape."""
+"""Random missions satisfy their specification; some of them keep TC1-TC5 and reach their shape."""
 
 import argparse
 
@@ -50,11 +50,11 @@ def test_random_mission_satisfies_its_specification(seed) -> None:
     reached, left = {0}, set(range(1, len(seen)))
     while left and (more := {u for u in left if any(len(seen[u] & seen[k]) >= IN_COMMON for k in reached)}):
         reached, left = reached | more, left - more
-    assert not left, "neighbours that see enough in common connect all units"
+    assert not left, "neighbours with enough common robots connect all units"
 
 
 def test_random_mission_markers_are_legible_at_start() -> None:
-    """Each is LEGIBLE_PX large at least, by the focal length and the height, and none twice as large."""
+    """Each is at least LEGIBLE_PX large, by the focal length and the height, and none twice as large."""
     world = make_world(make_mission(random_mission(1)))
     for unit, camera in enumerate(world.cameras):
         side_px = camera.focal_px * SIDE_M / world.fleet.pose(unit).height_m
@@ -62,8 +62,7 @@ def test_random_mission_markers_are_legible_at_start() -> None:
 
 
 def test_random_mission_rendered_equals_projected() -> None:
-    """Only the perception differs: rendered images show what the projected ones hold, and markers that the
-    border cuts."""
+    """Only the perception differs: rendered images also show markers that the border cuts."""
     steps = [
         next(iter(run_steps(make_mission(random_mission(0) | {"perception": perception}))))
         for perception in ("noisy", "rendered")
@@ -78,7 +77,7 @@ def test_random_mission_rendered_equals_projected() -> None:
 
 
 def test_random_mission_markers_do_not_overlap() -> None:
-    """Bodies hold a card of a side and a sixth all around, whichever way it is turned, and stay apart."""
+    """Bodies contain a card of a side plus a sixth on all sides in any rotation, and do not touch."""
     scenario = make_mission(random_mission(1)).scenario
     card = 1 + 2 / 6
     assert scenario.avoidance.on
@@ -95,7 +94,7 @@ def test_random_mission_is_deterministic_in_seed() -> None:
     [(0, "perfect"), (38, "lossy"), pytest.param(9, "lossy", marks=pytest.mark.slow)],
 )
 def test_random_missions_stay_in_p_and_converge(load_benchmark, seed, network) -> None:
-    """Two, three and five units; what `benchmarks/topology.py` does a thousand times."""
+    """Two, three and five units, as in a thousand runs of `benchmarks/topology.py`."""
     row = load_benchmark("topology").run_mission(seed, options(network=network))
     assert row["converged"] and row["p_violation_s"] == 0.0
     assert row["time_to_1pct_s"] < 1.5 * row["predicted_s"]
@@ -119,9 +118,9 @@ def test_failed_unit_is_succeeded(load_benchmark, seed) -> None:
     ],
 )
 def test_relay_keeps_units_with_short_range_in_p(load_benchmark, seed, form, relay, left) -> None:
-    """Five units whose radio reaches a tenth farther than it must; without relays P is left.
+    """Five units with a radio range a tenth above the minimum; without relays they leave P.
 
-    With `left` the mission ends as soon as it is; without, it comes to its shape nevertheless.
+    With `left` the mission ends at that time; without it the shape is reached nevertheless.
     """
     module = load_benchmark("topology")
     made = module.mission_tree
@@ -141,9 +140,9 @@ def test_relay_keeps_units_with_short_range_in_p(load_benchmark, seed, form, rel
 
 @pytest.mark.parametrize("learns", [True, False])
 def test_team_time_keeps_units_with_different_clocks_in_p(load_benchmark, learns) -> None:
-    """Three clocks that are 1.8 to 3.8 s slow, so that the mission begins at negative times, and drift.
+    """Three clocks that are 1.8 to 3.8 s slow, so that the mission starts at negative times, and drift.
 
-    Negative control: units that take each other's stamps as they are.
+    Negative control: units that use each other's stamps unchanged.
     """
     module = load_benchmark("topology")
     with pytest.MonkeyPatch.context() as patch:
@@ -157,13 +156,13 @@ def test_team_time_keeps_units_with_different_clocks_in_p(load_benchmark, learns
 
 @pytest.mark.parametrize("seed", [2, pytest.param(8, marks=pytest.mark.slow)])
 def test_surviving_unit_brings_all_robots_into_shape(load_benchmark, seed) -> None:
-    """All units but one die, at one time or one after the other."""
+    """All units except one fail, at one time or one after the other."""
     row = load_benchmark("topology").run_mission(seed, options(survivor=True))
     assert row["units"] >= 4 and row["converged"]
 
 
 def test_benchmark_detects_topology_outside_p(load_benchmark) -> None:
-    """Negative control: free overlaps are outside P from the first instant that counts."""
+    """Negative control: overlapping sets are outside P from the first evaluated instant."""
     module = load_benchmark("topology")
     made = module.mission_tree
     module.mission_tree = lambda seed, chosen: made(seed, chosen) | {"selection": {"kind": "radius"}}
@@ -175,7 +174,7 @@ def test_benchmark_detects_topology_outside_p(load_benchmark) -> None:
 
 
 def test_slow_mission_is_stopped_and_counted_as_lower_bound(load_benchmark, tmp_path) -> None:
-    """And is then counted at the time it had, which is a lower bound."""
+    """A mission that takes many times as long as its rival counts with its elapsed time, a lower bound."""
     rival = tmp_path / "rival.jsonl"
     rival.write_text('{"seed": 0, "time_to_1pct_s": 0.5, "ready_s": 4.0, "simulated_s": 9.0}\n')
     module = load_benchmark("topology")

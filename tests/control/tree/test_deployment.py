@@ -1,4 +1,4 @@
-"""Before the tree is complete: units look around, hold their place while it grows, search if it stalls."""
+"""Before the tree is complete: units search, hold their position while it grows, search if it stalls."""
 
 from itertools import combinations
 from typing import Any
@@ -34,9 +34,9 @@ def founders(step: Step) -> list[int]:
 
 @pytest.mark.parametrize("seed", [0, 3])
 def test_units_search_before_tree_and_hold_while_it_grows(seed) -> None:
-    """It grows in every slot of these two missions; then units move to where their sets want them.
+    """The tree grows in every slot of these two missions; then units move to their sets.
 
-    Others hear of the tree with their next image, and robots and cameras move on a step after a command.
+    Others receive the founder's report with their next image, and cameras move a step after a command.
     """
     *before, at_once = until_ready(random_mission(seed), 20.0)
     assert is_ready(at_once)
@@ -58,7 +58,7 @@ def counts_inside(step: Step, radius: float) -> dict[int, int]:
 
 @pytest.mark.parametrize("seed", range(6))
 def test_founder_sees_and_controls_most_robots(seed) -> None:
-    """As many as any other said of its image before."""
+    """At least as many as any other unit reported of its image before."""
     mission = make_mission(random_mission(seed) | {"perception": "ideal"})
     radius, before = mission.scenario.selection.radius, {}
     for step in run_steps(mission):
@@ -72,14 +72,14 @@ def test_founder_sees_and_controls_most_robots(seed) -> None:
 
 
 def edge_rate(points: np.ndarray, one: np.ndarray, other: np.ndarray) -> float:
-    """The rate at which two units agree, by themselves."""
+    """Return the rate at which two units agree by themselves."""
     both = np.union1d(one, other)
     return slowest_rate(points[both], [np.searchsorted(both, rows) for rows in (one, other)])
 
 
 @pytest.mark.parametrize("firm", [0.2, 0.0])
 def test_units_with_weak_edges_fly_to_stronger_pairs(firm) -> None:
-    """Every edge comes to bind firmly, but for the factor that a change must be worth; not with firm = 0."""
+    """Every edge becomes strong, up to the gain that a change requires; not with firm = 0."""
     tree = random_mission(3, Crowd(3, 6)) | {"perception": "ideal"}
     tree["selection"]["firm"] = firm
     mission, ready_s = make_mission(tree), np.inf
@@ -96,7 +96,7 @@ def test_units_with_weak_edges_fly_to_stronger_pairs(firm) -> None:
 
 
 def test_units_without_common_robots_climb() -> None:
-    """No unit can ask any other: the tree does not grow for a slot, and they look around again."""
+    """No unit can ask another one: the tree does not grow for a slot, and they search again."""
     tree = random_mission(0)
     for unit in tree["units"]:
         unit["height_m"] = 0.5 * unit["height_m"]

@@ -1,4 +1,4 @@
-"""One edge of the tree: turns alternate, whatever becomes of the reports that hand them over."""
+"""One edge of the tree: turns alternate under any fate of the reports that hand them over."""
 
 from dataclasses import replace
 
@@ -14,7 +14,7 @@ NONE = np.array([], dtype=np.int64)
 
 
 def report_of(edge: Edge, time_s: float = 0.0) -> UnitReport:
-    """What the unit at this end reports, of this edge alone."""
+    """Return the report of the unit at this end, with this edge alone."""
     offered, to_release = sorted(edge.offered), sorted(edge.releasing & edge.offered)
     status = TreeStatus(
         tree_id=0,
@@ -50,7 +50,7 @@ def test_each_turn_belongs_to_exactly_one_end() -> None:
 
 @pytest.mark.parametrize("holder", [3, 7])
 def test_new_edge_starts_beyond_turns_of_former_edge(holder) -> None:
-    """A turn an image, at 500 images a second: after 60 s the old edge is behind where a new one starts."""
+    """A turn per image, at 500 images a second: after 60 s the old edge is behind the start of a new one."""
     other = 10 - holder
     start = first_turn(1.0, holder, other)
     assert has_turn(start, holder, other) and not has_turn(start, other, holder)
@@ -69,7 +69,7 @@ def test_received_turn_contains_pair_and_offers() -> None:
     assert one.is_my_turn and not two.is_my_turn
     one = replace(one, pair=frozenset({1, 5}))
     one = one.handed_over(offered=frozenset({8, 9}), releasing=frozenset({9, 4}))
-    assert not one.is_my_turn and not two.is_my_turn, "on its way nobody has it"
+    assert not one.is_my_turn and not two.is_my_turn, "in transit no end has it"
     two = two.received(report_of(one))
     assert two.is_my_turn and (two.turn, two.pair) == (1, {1, 5})
     assert two.reach == {8, 9} and two.to_release == {9}, "only what is offered can be released"
@@ -106,9 +106,9 @@ def test_end_without_turn_accepts_first_report() -> None:
 
 @pytest.mark.parametrize("turn", [4, 5])
 def test_abandoned_end_changes_to_new_edge(turn) -> None:
-    """Unit 3 buried unit 7 and then found it again, as the heir of another one: two edges of one name.
+    """Unit 3 declared unit 7 dead and then found it again, as the heir of another one: two edges of one name.
 
-    Unit 7 waited for the next turn of the first one for good, whether that was its own or not.
+    Without the rule unit 7 waits forever for the next turn of the first edge, whether its own or not.
     """
     old = Edge(7, 3, 0.0, turn, frozenset({1, 2}), offered=frozenset({8}))
     new = Edge(3, 7, 32.0, first_turn(32.0, 3, 7), frozenset({4, 5}))
@@ -130,9 +130,9 @@ def test_report_on_other_edges_changes_nothing() -> None:
 @settings(max_examples=60)
 @given(st.lists(st.tuples(st.sampled_from("ab"), st.integers(0, 200), st.booleans()), max_size=60))
 def test_turns_of_both_ends_differ_by_at_most_one(story) -> None:
-    """Each end reports at will and receives any ever sent, in any order: one turn, one pair, one holder.
+    """Each end reports at any time and receives any report in any order: one turn, one pair, one holder.
 
-    `pair` stands for what the holder changed, a fresh number each time: ends at the same turn have the same.
+    `pair` represents the holder's change, a new number each time: ends at the same turn have the same.
     """
     edges = dict(zip("ab", ends(), strict=True))
     sent: dict[str, list[UnitReport]] = {name: [report_of(edge)] for name, edge in edges.items()}

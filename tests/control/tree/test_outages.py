@@ -1,4 +1,4 @@
-"""A unit that is dead for a while, in the whole loop; and a lens that its unit zooms itself."""
+"""Temporary failure of a unit in the whole loop, and a lens that its unit zooms itself."""
 
 from typing import Any
 
@@ -17,7 +17,7 @@ TIMEOUT_S = 0.4
 
 @pytest.fixture
 def tree_of(scenario_tree) -> Any:
-    """The triangle under two units at one place, both with all robots in view, 10 images a second."""
+    """Return the triangle under two units at one position that see all robots, 10 images a second."""
 
     def make(*units: dict[str, Any]) -> dict[str, Any]:
         tree = scenario_tree("triangle") | {"perception": "ideal", "duration_s": 3.0, "step_s": 0.1}
@@ -35,7 +35,7 @@ def between(steps: list[Step], start_s: float, end_s: float) -> list[Step]:
 
 
 def test_dead_unit_has_no_image_no_set_and_no_motion(tree_of) -> None:
-    """Drifting before and after; nothing in between, and the conditions are judged without it."""
+    """The unit drifts before and after, but not in between; the conditions are evaluated without it."""
     drifting = {"flight": {"kind": "perimeter", "speed_mps": 0.5}, "outages": [[DIES_S, RETURNS_S]]}
     mission = make_mission(tree_of({}, drifting))
     steps = list(run_steps(mission))
@@ -51,7 +51,7 @@ def test_dead_unit_has_no_image_no_set_and_no_motion(tree_of) -> None:
 
 
 def test_watchdog_stops_robots_after_goal_timeout(tree_of) -> None:
-    """The only unit dies: goals of the image before last for, in fact, the time-out; then nobody moves."""
+    """The only unit fails: robots follow the goals of the image before last for the timeout, then stop."""
     mission = make_mission(tree_of({"outages": [[DIES_S, RETURNS_S]]}))
     steps = list(run_steps(mission))
     last_image_s = DIES_S - 0.1
@@ -62,7 +62,7 @@ def test_watchdog_stops_robots_after_goal_timeout(tree_of) -> None:
 
 
 def test_restarted_unit_has_no_state(tree_of) -> None:
-    """Its set begins anew, from the robots inside its radius now; else it would have kept others."""
+    """Its set starts from the robots inside its radius now; with its memory it would have kept others."""
     tree = tree_of({"outages": [[DIES_S, RETURNS_S]]})
     tree["selection"] = {"radius": 0.35}
     mission = make_mission(tree)
@@ -84,7 +84,7 @@ def test_outages_of_several_units_overlap(tree_of) -> None:
 
 
 def zoom_for(world: World, rate_ps: float, seconds: float, start_s: float = 0.0) -> float:
-    """The first unit's zoom after it asked for a relative change for some time."""
+    """Return the first unit's zoom after a commanded relative change for some time."""
     rest = VelocityCommand(world.ids, np.zeros(world.ids.size), np.zeros(world.ids.size))
     world.fly(FlightCommand(0, np.zeros(2), 0.0, 0.0, rate_ps))
     for tick in range(round(10 * seconds)):
@@ -123,7 +123,7 @@ def test_robots_out_of_view_are_taken_over() -> None:
     heights_m, ceiling_m = step.fleet.heights_m, mission.scenario.autopilot.max_height_m
     assert heights_m.max() == ceiling_m
     ready = next(row for row, yes in enumerate(covered) if yes)
-    assert not all(covered[ready:]), "it has lost some on the way"
+    assert not all(covered[ready:]), "it loses some during the run"
     assert all(covered[-50:])
     assert step.metrics.conditions.in_p
     assert step.metrics.shape.error < 0.01

@@ -1,9 +1,8 @@
-"""The order of the protocol's rules: what it gives, and that wrong orders are noticed.
+"""The order of the protocol's rules: its effect, and the detection of wrong orders.
 
-Each rule is safe by itself: in any order TC3-TC5 hold, which the tests of the protocol show with the rules
-reversed as well. What the order gives is that a unit reacts in the image in which it learns of something.
-Where it does not, the units of a tree that was just founded begin to look around before it had a slot to grow
-in, and move while others count on what they see.
+Each rule is safe by itself: TC3-TC5 hold in any order, as the tests of the protocol show with reversed rules.
+The order makes a unit react in the image in which it receives information. In a wrong order the units of a
+new tree search before it had a slot to grow in, and move while others rely on their views.
 """
 
 from collections.abc import Sequence
@@ -31,7 +30,7 @@ def moved_to_the_end(name: str) -> list[str]:
 
 
 def held_for_s(names: Sequence[str]) -> float:
-    """How long all units hold their place after the founding of a tree, while none shares robots."""
+    """Return the time for which all units hold their position after the founding, without shared robots."""
     rules = ordered(names)
     tree = random_mission(0) | {"perception": "ideal", "duration_s": 8.0}
     for unit in tree["units"]:
@@ -70,7 +69,7 @@ def test_wrong_rule_order_is_detected(names) -> None:
 
 @pytest.mark.parametrize("names", [NAMES, NAMES[::-1]], ids=["as it is", "reversed"])
 def test_any_rule_order_keeps_conditions(names) -> None:
-    """Three units that see all of twelve robots: in P once formed, and again after a death and a return."""
+    """Three units that see all of twelve robots: in P once formed, and again after a failure and a return."""
     rules = ordered(names)
     views = [{robot: 0.1 + 0.05 * robot for robot in range(12)} for _ in range(3)]
     world = ProtocolWorld(3, 12, RULE, views, make=lambda rule: TreeProtocol(rule, rules=rules))
@@ -83,7 +82,7 @@ def test_any_rule_order_keeps_conditions(names) -> None:
 
 @pytest.mark.parametrize("name", ["receive_turns", "fail_over", "admit", "join_tree", "use_turns"])
 def test_every_rule_is_necessary(name) -> None:
-    """Without it the team of the test above is not formed, or not mended."""
+    """Without it the team of the test above is not formed, or not repaired."""
     with pytest.raises(AssertionError):
         test_any_rule_order_keeps_conditions([other for other in NAMES if other != name])
 

@@ -1,4 +1,4 @@
-"""Single rules of the tree protocol, each in a situation in which one condition of it decides."""
+"""Single rules of the tree protocol, each in a context in which one of its conditions decides."""
 
 from dataclasses import replace
 
@@ -39,7 +39,7 @@ def report(
     handed=None,
     accepts=(),
 ):
-    """A report: what the unit sees by distance in half images, its edges as (neighbour, turn, pair)."""
+    """Return a report: visible robots by distance in half images, edges as (neighbour, turn, pair)."""
     sees, handed = sees or {}, handed or {}
     points = np.array([(799 / 2 + 400 * at, 799 / 2) for at in sees.values()]).reshape(-1, 2)
     tree = TreeStatus(
@@ -73,7 +73,7 @@ def report(
 
 
 def situation(unit, reports, *, time_s=10.0, sees=None, at_slot=True):
-    """What a unit goes by at an image in slot 5, by default the first one."""
+    """Return the context of a unit at an image in slot 5, by default the first one."""
     peers = PeerReports()
     news = peers.take(reports)
     return Situation(
@@ -94,7 +94,7 @@ def robots(*ids):
 
 
 def out_of_view(*ids, **fields):
-    """A member's state whose own robots, these ones, went out of its view at 5 s."""
+    """Return a member's state whose own robots, these ones, left its view at 5 s."""
     times = {"seen_s": dict.fromkeys(ids, 5.0), "held_s": dict.fromkeys(ids, 1.0)}
     return NodeState(own=robots(*ids), tree_id=0, **times, **fields)
 
@@ -103,24 +103,24 @@ def test_lost_robot_goes_to_nearest_member_inside_radius():
     reports = [report(7, 10.0, sees={1: 0.3, 2: 0.9}), report(9, 10.0, sees={1: 0.2, 3: 0.2})]
     changed = give(out_of_view(1, 2, 3), situation(0, reports))
     assert changed["giving"] == {1: HandOver(9), 3: HandOver(9)}
-    assert changed["own"] == robots(1, 2, 3), "announced is not yet given"
+    assert changed["own"] == robots(1, 2, 3), "announced robots are still its own"
 
 
 def test_promised_robot_is_not_handed_over():
-    """Robots 1 and 2 went out of view and unit 9 sees both; 1 is offered to unit 7."""
+    """Robots 1 and 2 left the view and unit 9 sees both; 1 is offered to unit 7."""
     edge = Edge(0, 7, 0.0, turn=1, pair=robots(3, 4), offered=robots(1))
     now = situation(0, [report(9, 10.0, sees={1: 0.1, 2: 0.1})])
     assert give(out_of_view(1, 2, edges={7: edge}), now)["giving"].keys() == {2}
 
 
 def test_disputed_robot_is_not_handed_over():
-    """Of robots 1 and 2, which unit 9 sees, unit 7 claims 1: whose it is must be settled first."""
+    """Of robots 1 and 2, which unit 9 sees, unit 7 claims 1: that dispute must be settled first."""
     reports = [report(7, 10.0, controls=[1]), report(9, 10.0, sees={1: 0.1, 2: 0.1})]
     assert give(out_of_view(1, 2), situation(0, reports))["giving"].keys() == {2}
 
 
 def test_settled_hand_over_keeps_its_receiver():
-    """Unit 7 sees the robot nearer by now, but unit 9 counts on it."""
+    """Unit 7 sees the robot nearer by now, but unit 9 relies on it."""
     now = situation(0, [report(7, 10.0, sees={1: 0.1}), report(9, 10.0, sees={1: 0.3})])
     assert give(out_of_view(1, giving={1: HandOver(9, 6)}), now)["giving"] == {1: HandOver(9, 6)}
 
@@ -140,7 +140,7 @@ def test_accepted_hand_over_is_settled_half_a_slot_ahead(time_s, slot):
 
 @pytest.mark.parametrize("at_slot", [True, False])
 def test_unaccepted_hand_over_is_withdrawn(at_slot):
-    """Unit 9 no longer sees the robot: at a slot the unit looks for another taker, which there is not."""
+    """Unit 9 no longer sees the robot: at a slot the unit searches for another receiver, without success."""
     now = situation(0, [report(9, 10.0, sees={2: 0.1}, accepts=[2])], at_slot=at_slot)
     changed = give(out_of_view(1, giving={1: HandOver(9)}), now)
     assert changed["own"] == robots(1) and changed["giving"] == ({} if at_slot else {1: HandOver(9)})
@@ -148,7 +148,7 @@ def test_unaccepted_hand_over_is_withdrawn(at_slot):
 
 @pytest.mark.parametrize(("slot", "own"), [(5, ()), (6, (1,)), (NO_SLOT, (1,))])
 def test_settled_robot_is_dropped_exactly_in_its_slot(slot, own):
-    """Also if the unit has seen it again meanwhile: the other one counts on it."""
+    """This holds even if the unit has seen it again meanwhile: the other one relies on it."""
     now = situation(0, [report(9, 10.0)], sees={1: 0.1}, at_slot=False)
     state = NodeState(own=robots(1), tree_id=0, giving={1: HandOver(9, slot)}, seen_s={1: 10.0})
     changed = give(state, now)
@@ -181,14 +181,14 @@ def test_visible_handed_robots_are_accepted(handed, sees, accepted):
     ],
 )
 def test_settled_robot_is_taken_in_its_slot(slot, third, own, taking):
-    """Also if it is out of view by then: the unit that had it does not wait."""
+    """This holds even if it is out of view by then: the former unit does not wait."""
     reports = [report(0, 9.9, controls=[5], handed={5: (1, slot)}), report(2, 9.9, controls=third)]
     changed = take(NodeState(tree_id=0), situation(1, reports))
     assert changed["own"] == robots(*own) and changed["taking"] == taking
 
 
 def test_stale_report_does_not_repeat_hand_over():
-    """The newest report of unit 0 is the one by which robot 5 was taken; nothing has come since."""
+    """The newest report of unit 0 is the one by which robot 5 was taken."""
     now = situation(1, [report(0, 9.9, controls=[5], handed={5: (1, 5)})])
     changed = take(NodeState(tree_id=0, accepted=robots(5)), replace(now, news=()))
     assert changed["own"] == robots() and not changed["taking"]
@@ -200,7 +200,7 @@ def test_withdrawn_hand_over_is_not_accepted():
 
 
 def test_unit_leaving_tree_clears_hand_overs():
-    """A lower tree is heard of; none of the robots that were agreed on is the unit's in the new one."""
+    """A lower tree exists; none of the agreed robots is the unit's in the new one."""
     state = out_of_view(1, giving={1: HandOver(9, 6)}, taking={2: (9, 6)}, accepted=robots(3))
     state = replace(replace(state, tree_id=4), **leave_for_lower_tree(state, situation(5, [])))
     state = replace(state, **leave_for_lower_tree(replace(state, tree_id=4), situation(5, [report(0, 10.0)])))
@@ -243,7 +243,7 @@ def test_heir_opens_edges_of_dead_unit_to_living_units():
 
 @pytest.mark.parametrize(("since_s", "stays"), [(9.5, True), (0.0, False)])
 def test_new_edge_survives_one_silence_timeout(since_s, stays):
-    """The neighbour was heard long ago; an edge that is younger than a silence says nothing against it."""
+    """A stale report of the neighbour is no evidence against an edge younger than a silence timeout."""
     old = report(1, 0.0, controls=[1, 2], edges=[(0, 4, [1, 2])], heir=0)
     state = NodeState(edges={1: Edge(0, 1, since_s, turn=4, pair=robots(1, 2))}, tree_id=0)
     assert (1 in fail_over(state, situation(0, [old]))["edges"]) == stays
@@ -258,9 +258,9 @@ def test_edge_is_granted_only_with_two_robots(own, granted):
 
 
 def test_own_robots_do_not_enter_pair():
-    """Robot 3 is offered by unit 1 and claimed by unit 0 at once, as two units may adopt it at the same time.
+    """Robot 3 is offered by unit 1 and claimed by unit 0, since two units may adopt it at the same time.
 
-    Taken into the pair it would be shared, and yet unit 0's own: its edge to a third unit could have it too.
+    In the pair it would be shared and still unit 0's own: its edge to a third unit could contain it too.
     """
     sees = {1: 0.5, 2: 0.6, 3: 0.01, 4: 0.05}
     peer = report(1, 10.0, controls=[1, 2, 3, 4], sees=sees, edges=[(0, 4, [1, 2])])
@@ -271,7 +271,7 @@ def test_own_robots_do_not_enter_pair():
 
 
 def test_unit_without_change_hands_turn_over_at_once():
-    """Between two slots, the pair it shares being the best there is; another one in reach makes it wait."""
+    """Between two slots, with the best pair already shared; another one in reach makes it wait."""
     for reach, turn in ((robots(), 5), (robots(3, 4), 4)):
         sees = {1: 0.1, 2: 0.2, 3: 0.01, 4: 0.05}
         peer = report(1, 10.0, controls=[1, 2, *reach], sees=sees, edges=[(0, 4, [1, 2])])
@@ -301,7 +301,7 @@ def test_tree_with_lower_number_remains(tree_id, leaves):
 
 @pytest.mark.parametrize("since_s", [3.0, 10.0 - RULE.silence_s, 10.0 - RULE.silence_s + 0.1, 10.0])
 def test_smaller_part_of_tree_resigns_after_silence_timeout(since_s):
-    """Units 0 and 1 name an edge between them; unit 5 has none. At a silence to the second it leaves."""
+    """Units 0 and 1 report an edge between them; unit 5 has none. It resigns exactly at the timeout."""
     others = [report(0, 10.0, edges=[(1, 4, [1, 2])]), report(1, 10.0, edges=[(0, 4, [1, 2])])]
     changed = heal_partition(NodeState(tree_id=0, minority_s=since_s), situation(5, others))
     if 10.0 - since_s >= RULE.silence_s:
@@ -321,13 +321,13 @@ def test_larger_part_of_tree_remains_with_ties_to_lowest_unit():
 
 
 def test_unseen_time_of_robot():
-    """Since it was seen last; if it never was, since it was first missed; else not at all."""
+    """The time counts from the last sighting; if never seen, from the first miss; otherwise it is zero."""
     state = NodeState(seen_s={1: 4.0}, missed_since_s={1: 1.0, 2: 7.0})
     assert [state.unseen_s(robot, 10.0) for robot in (1, 2, 3)] == [6.0, 3.0, 0.0]
 
 
 def test_unchanged_state_is_identical_object():
-    """What was computed of the old state, such as the robots controlled, is not taken over by the new one."""
+    """Cached values of the old state, such as the controlled robots, are not copied to a changed one."""
     edge = Edge(1, 2, 0.0, pair=robots(4, 5))
     state = NodeState(own=robots(1), edges={2: edge}, held_s={1: 3.0})
     assert state.controlled == robots(1, 4, 5)
@@ -339,7 +339,7 @@ def test_unchanged_state_is_identical_object():
 
 
 def test_controlled_or_claimed_robot_is_no_orphan():
-    """Robots 1 and 2 are in a pair, 3 is the unit's own, 4 is another's: 5 alone is nobody's."""
+    """Robots 1 and 2 are in a pair, 3 is the unit's own, 4 is another's: only 5 is uncontrolled."""
     edge = Edge(0, 7, 0.0, turn=1, pair=robots(1, 2))
     sees = dict.fromkeys(range(1, 6), 0.2)
     waited = dict.fromkeys(range(1, 6), 0.0)
@@ -349,7 +349,7 @@ def test_controlled_or_claimed_robot_is_no_orphan():
 
 
 def test_common_robots_are_offered_in_pairs_by_slot():
-    """In every second slot the other one's: robots 0 and 1 to unit 7 at even slots, 2 and 3 at odd ones."""
+    """Slots alternate: robots 0 and 1 to unit 7 at even slots, 2 and 3 at odd ones."""
     sees = dict.fromkeys(range(4), 0.2)
     edges = {unit: Edge(0, unit, 0.0, turn=1, pair=robots(unit, unit + 10)) for unit in (7, 8)}
     state = NodeState(own=robots(*sees), edges=edges, tree_id=0, seen_s=dict.fromkeys(sees, 10.0))
@@ -369,7 +369,7 @@ def test_heir_needs_pair_and_report(pair, heard, heir):
 
 
 def test_settings_defaults_equal_scenario_defaults():
-    """Lengths, times and shares have their defaults in two places, which must not part."""
+    """Lengths, times and shares have their defaults in two places, which must be equal."""
     tree, roles, bodies = SelectionModel(), RolesModel(), AvoidanceModel()
     for rule, model in ((TreeSettings(), tree), (RoleRule(), roles), (BodyRule(1.0), bodies)):
         both = vars(rule).keys() & type(model).model_fields.keys() - {"classes"}
@@ -379,7 +379,7 @@ def test_settings_defaults_equal_scenario_defaults():
 
 @pytest.mark.parametrize(("free", "released"), [((5, 6), robots(2)), ((5,), robots())])
 def test_leaving_robot_is_released_if_two_can_return(free, released):
-    """Leaving begins at the radius and its hysteresis, 0.85 * 1.06 = 0.901: robot 1 is this side of it."""
+    """Leaving begins at the radius with its hysteresis, 0.85 * 1.06 = 0.901: robot 1 is below it."""
     peer = report(1, 10.0, controls=free, sees=dict.fromkeys((1, 2, 5, 6), 0.1))
     now = situation(0, [peer], sees={1: 0.89, 2: 0.91, 5: 0.5, 6: 0.5})
     edge = Edge(0, 1, 0.0, turn=4, pair=robots(3, 4))
@@ -403,7 +403,7 @@ def test_edge_to_silent_neighbor_is_removed_after_timeout(since_s, stays):
 
 
 def test_successor_without_heir_is_lowest_living_neighbor() -> None:
-    """Units 2 and its heir 1 fell silent at one time; 2 had pairs with 1, 3 and 5. The living name unit 3."""
+    """Unit 2 and its heir 1 fell silent at one time; 2 had pairs with 1, 3 and 5. Unit 3 succeeds."""
     gone = report(
         2, 6.9, controls=[0, 1, 2, 3, 4, 5], heir=1, edges=[(1, 4, (0, 1)), (3, 5, (2, 3)), (5, 5, (4, 5))]
     )
@@ -414,11 +414,11 @@ def test_successor_without_heir_is_lowest_living_neighbor() -> None:
     alive = situation(5, [gone, replace(heir, time_s=9.0), report(3, 9.8)])
     assert successor_of(alive.peers.newest[2], alive) == 1, "the heir, if it lives"
     alone = situation(5, [gone, heir, report(3, 7.0)])
-    assert successor_of(alone.peers.newest[2], alone) == 5, "whoever is left"
+    assert successor_of(alone.peers.newest[2], alone) == 5, "the surviving unit"
 
 
 def test_two_waiting_ends_start_with_lower_unit() -> None:
-    """Units 1 and 4 both took themselves for the successor of a unit between them, with other pairs."""
+    """Units 1 and 4 both considered themselves the successor of a unit between them, with different pairs."""
     ends = {
         unit: NodeState(
             tree_id=0, own=frozenset(own), edges={other: Edge(unit, other, 9.0, pair=frozenset(pair))}
@@ -447,7 +447,7 @@ def test_two_waiting_ends_start_with_lower_unit() -> None:
     ("ready", "living", "sought"), [(True, 9.5, {7}), (True, 6.0, {6, 7}), (False, 9.5, set())]
 )
 def test_uncontrolled_robots_are_sought(ready, living, sought):
-    """Robots 0 to 5 are the unit's, 6 another's, who may have fallen silent, and 7 nobody's."""
+    """Robots 0 to 5 are the unit's, 6 another's, which may be silent, and 7 is uncontrolled."""
     state = NodeState(own=robots(0, 1, 2, 3, 4, 5), tree_id=0, ready=ready)
     now = situation(0, [report(1, living, controls=[6])])
     assert seek_robots(state, now)["sought"] == sought
@@ -455,6 +455,6 @@ def test_uncontrolled_robots_are_sought(ready, living, sought):
 
 @pytest.mark.parametrize(("imaged_s", "since_s"), [(9.8, 1.0), (7.1, 1.0), (6.9, 10.0), (-np.inf, 10.0)])
 def test_unit_searches_again_after_silence_or_clock_change(imaged_s, since_s):
-    """It counts its time from the image at 10 s if the one before is more than a silence (3 s) ago."""
+    """Its time counts from the image at 10 s if the one before is more than a silence timeout (3 s) ago."""
     noted = note_view(NodeState(imaged_s=imaged_s, since_s=1.0), situation(0, []))
     assert (noted["since_s"], noted["imaged_s"]) == (since_s, 10.0)

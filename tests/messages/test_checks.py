@@ -81,41 +81,6 @@ def test_limits_may_be_infinite():
 
 
 @pytest.mark.parametrize(
-    ("ids", "points"),
-    [
-        ([0, 1], [[0, 0], [NAN, 0]]),
-        ([0, 1], [[0, 0], [INF, 0]]),
-        ([0, 1], [[0, 0], [1e300, 0]]),
-        ([0, -1], PAIR),
-        ([0, 0.5], PAIR),
-        ([0, NAN], PAIR),
-        ([0, 2**70], PAIR),
-        (["a", "b"], PAIR),
-        (None, PAIR),
-        ([[0, 1]], PAIR),
-        ([0, 0], PAIR),
-        ([0, 1], None),
-        ([0, 1], 3.0),
-        ([0, 1], "xy"),
-        ([0, 1], [[1, 2, 3], [4, 5, 6]]),
-        ([0, 1], [[1, 2], [3]]),
-        ([0, 1], [[1, 1], [1, 1]]),
-        ([], []),
-        (list(range(3000)), PAIR),
-    ],
-)
-def test_template_rejects_invalid_input(ids, points):
-    for make in (Template.from_ground_points, Template.from_image_points):
-        with pytest.raises(SkyherdError) as refusal:
-            make(ids, points)
-        assert len(str(refusal.value)) < 300 and "\n" not in str(refusal.value)
-
-
-def test_template_accepts_integral_float_ids():
-    assert Template.from_ground_points([1.0, 0.0], PAIR).ids.tolist() == [0, 1]
-
-
-@pytest.mark.parametrize(
     "given",
     [
         ([0, 1], [0], NAN),
@@ -198,29 +163,63 @@ def test_messages_reject_invalid_time():
             make(NAN)
 
 
-@pytest.mark.parametrize("flag", ["corrected", "inverted", "repeats"])
-@pytest.mark.parametrize("value", [np.zeros(0), np.ones(2), None, "no", 1], ids=repr)
-def test_detector_rejects_non_boolean_flags(flag, value):
-    assert create_detector("photometric", **{flag: np.True_})
-    with pytest.raises(SkyherdError, match=f"create_detector: {flag}: .*; True or False"):
-        create_detector("photometric", **{flag: value})
+class TestDetector:
+    @pytest.mark.parametrize("flag", ["corrected", "inverted", "repeats"])
+    @pytest.mark.parametrize("value", [np.zeros(0), np.ones(2), None, "no", 1], ids=repr)
+    def test_rejects_non_boolean_flags(self, flag, value):
+        assert create_detector("photometric", **{flag: np.True_})
+        with pytest.raises(SkyherdError, match=f"create_detector: {flag}: .*; True or False"):
+            create_detector("photometric", **{flag: value})
+
+    @pytest.mark.parametrize(
+        "image", [None, 3, "image.png", [[1, 2]], np.zeros((3, 3)), np.zeros((3, 3, 3), np.uint8)]
+    )
+    def test_rejects_non_grey_image(self, image):
+        for name in ("tracking", "photometric", "opencv"):
+            with pytest.raises(SkyherdError, match=r"image: .*grey, \(height, width\), uint8"):
+                create_detector(name).detect(image)
 
 
-@pytest.mark.parametrize(
-    "image", [None, 3, "image.png", [[1, 2]], np.zeros((3, 3)), np.zeros((3, 3, 3), np.uint8)]
-)
-def test_detector_rejects_non_grey_image(image):
-    for name in ("tracking", "photometric", "opencv"):
-        with pytest.raises(SkyherdError, match=r"image: .*grey, \(height, width\), uint8"):
-            create_detector(name).detect(image)
+class TestTemplate:
+    @pytest.mark.parametrize(
+        ("ids", "points"),
+        [
+            ([0, 1], [[0, 0], [NAN, 0]]),
+            ([0, 1], [[0, 0], [INF, 0]]),
+            ([0, 1], [[0, 0], [1e300, 0]]),
+            ([0, -1], PAIR),
+            ([0, 0.5], PAIR),
+            ([0, NAN], PAIR),
+            ([0, 2**70], PAIR),
+            (["a", "b"], PAIR),
+            (None, PAIR),
+            ([[0, 1]], PAIR),
+            ([0, 0], PAIR),
+            ([0, 1], None),
+            ([0, 1], 3.0),
+            ([0, 1], "xy"),
+            ([0, 1], [[1, 2, 3], [4, 5, 6]]),
+            ([0, 1], [[1, 2], [3]]),
+            ([0, 1], [[1, 1], [1, 1]]),
+            ([], []),
+            (list(range(3000)), PAIR),
+        ],
+    )
+    def test_rejects_invalid_input(self, ids, points):
+        for make in (Template.from_ground_points, Template.from_image_points):
+            with pytest.raises(SkyherdError) as refusal:
+                make(ids, points)
+            assert len(str(refusal.value)) < 300 and "\n" not in str(refusal.value)
 
+    def test_accepts_integral_float_ids(self):
+        assert Template.from_ground_points([1.0, 0.0], PAIR).ids.tolist() == [0, 1]
 
-@pytest.mark.parametrize(
-    "points", ["", "xy", ["1", "j x"], [10**400, 0]], ids=["empty", "text", "texts", "huge"]
-)
-def test_template_rejects_non_numeric_points(points):
-    with pytest.raises(SkyherdError, match="template"):
-        Template([0, 1], points)
+    @pytest.mark.parametrize(
+        "points", ["", "xy", ["1", "j x"], [10**400, 0]], ids=["empty", "text", "texts", "huge"]
+    )
+    def test_rejects_non_numeric_points(self, points):
+        with pytest.raises(SkyherdError, match="template"):
+            Template([0, 1], points)
 
 
 @pytest.mark.parametrize("shape", ["star", "word:A"])

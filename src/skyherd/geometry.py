@@ -22,6 +22,12 @@ IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
 """An array of booleans, mostly a mask."""
 
+Image = npt.NDArray[np.uint8]
+"""A grey image (height, width), row 0 at the top; (u, v) = (0, 0) is the centre of the first pixel."""
+
+RgbImage = npt.NDArray[np.uint8]
+"""An RGB image (height, width, 3), with the pixel coordinates of `Image`."""
+
 UNIFORM_VARIANCE = 1.0 / 12.0
 """Variance of a uniform distribution on an interval of length 1, such as rounding (grey levels squared) or a
 pixel along one axis (px²). Derived: `∫ x² dx` from -1/2 to 1/2."""

@@ -10,7 +10,7 @@ Clocks run at slightly different rates, so a bound decays with its age (`OffsetB
 clock does not. Let δ be the minimum delay and δ + d the delay of a message. A member's time never runs ahead
 of the leading clock. Right after the message it lags behind the sender's by at most d. The age that a member
 computes for a message is too small by at most d, plus `2 DRIFT` times the age of the fastest recent one. Only
-a member that starts, or that hears of a clock farther ahead, sees a jump.
+a member that starts, or that receives the stamp of a clock farther ahead, sees a jump.
 """
 
 import numpy as np

@@ -18,8 +18,8 @@ class ImageMemory:
 
     Two robots that two units see determine the similarity between their images. It gives the positions in
     this unit's image of all robots that the other unit sees, inside the frame or not. Two robots located in
-    this way do the same for a unit without common robots. The similarity between this unit's last image and
-    the present one, fitted to the robots in both, moves the points of robots that no unit sees now.
+    this way do the same for a unit without common robots. Robots that no unit sees now are moved by the
+    similarity between this unit's last and present image, fitted to the robots in both.
 
     Attributes:
         template: template with the ids of the team.

@@ -5,8 +5,8 @@ the newest map that it has received. Therefore
 
 - no unit ever assigns one point to two robots, since every map is a permutation;
 - message loss only costs time, and a failed unit takes no information with it;
-- no acknowledgement is needed. If two units had to agree on each exchange, message loss half-way would leave
-  them in disagreement, and a robot could only pass from neighbour to neighbour.
+- no acknowledgement is needed. If two units had to agree on each exchange, message loss could leave them in
+  disagreement. A robot could then only pass from neighbour to neighbour.
 
 Only one unit at a time may create a newer map. It is the unit with the current slot of the team's time among
 the units with received reports. All of these must have reported the map from which it starts. It creates the

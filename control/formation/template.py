@@ -31,8 +31,8 @@ class Template:
         points_px: (N,) their points in the template image as `u + iv`, in the order of `ids`.
 
     Raises:
-        InputError: the numbers of ids and points differ, there are fewer than two, an id is repeated,
-            negative or not an integer, or a point is not finite.
+        InputError: the numbers of ids and points differ, or are below two. An id is repeated, negative or not
+            an integer, or a point is not finite.
         DegenerateSetError: all points coincide.
     """
 

@@ -64,8 +64,8 @@ STEPS: Array = np.concatenate([np.zeros((1, UNKNOWNS)), DIFFERENCE * np.eye(UNKN
 """Steps (11, 10) for numerical derivatives: no step, and one of each unknown."""
 
 LIMIT = 5.0
-"""Gate of the fit: maximum value of an unknown, in standard deviations of `PRIOR`. Chosen: beyond any camera;
-a fit outside the gate is of invalid squares and is rejected."""
+"""Gating threshold of the fit: maximum of an unknown, in standard deviations of `PRIOR`. Chosen: beyond any
+camera; a fit outside the gate is of invalid squares and is rejected."""
 
 MIN_VARIANCE_FACTOR = 1e-8
 """Minimum variance factor without reported covariances. Chosen: corners of 1e-5 px; it avoids a division by

@@ -17,12 +17,12 @@ assignment (docs/topology.md has the proofs). The assignment changes only
 - by repair (`orphans`, `partition`): a robot that two units claim loses one of them. Of two trees, or two
   parts of one, all units except those of one leave and rejoin.
 
-Turns and joining are safe under any message loss, delay, repetition and reordering while every two units
-receive a report of each other once per silence timeout. The protocol assumes that every unit can receive
-reports of every other one, directly or by relay. Failover, hand-over and adoption depend on the received
-reports. If two units hold one robot as their own, the higher one drops it. If the robot is in the pair of
-another edge, the unit that holds it as its own drops it. Neither offers it before that is settled. A unit
-that was declared dead rejoins, and so does the smaller of two separated parts of the tree (`partition`).
+Turns and joining are safe under any message loss, delay, repetition and reordering. The condition is that
+every two units receive a report of each other once per silence timeout. The protocol assumes that every unit
+can receive reports of every other one, directly or by relay. Failover, hand-over and adoption depend on the
+received reports. If two units hold one robot as their own, the higher one drops it. If the robot is in the
+pair of another edge, the unit that holds it as its own drops it. Neither offers it before that is settled. A
+unit that was declared dead rejoins, and so does the smaller of two separated parts of the tree (`partition`).
 
 A unit's state is one value (`NodeState`). Each rule reads it and the unit's context (time, view, reports),
 and returns its changes. `TreeProtocol.choose` applies the rules in the order of `RULES`.
@@ -98,7 +98,7 @@ RULES: tuple[tuple[Transition, str], ...] = (
 """All rules in the order of application, each with the reason for its place.
 
 Each rule is safe by itself, so that TC3-TC5 hold in any order. The order makes a unit react in the image in
-which it receives information (tests/control/tree/test_rule_order.py shows the effect of other orders).
+which it receives information. tests/control/tree/test_rule_order.py shows the effect of other orders.
 """
 
 

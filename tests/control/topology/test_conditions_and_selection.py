@@ -56,7 +56,7 @@ class TestConditions:
                 (1, 1, 0, 0, 1),
                 id="not TC4: a robot of three on a tree (nor TC3)",
             ),
-            pytest.param([[], []], 2, (0, 0, 1, 1, 0), id="nobody holds anything"),
+            pytest.param([[], []], 2, (0, 0, 1, 1, 0), id="no robot is controlled"),
         ],
     )
     def test_of_known_topologies(self, sets, robots, expected) -> None:

@@ -19,8 +19,8 @@ report of the lower one that it receives (a silence timeout, and its own next im
 `Faulty`: units crash, return without memory, and do not receive each other for any time. Once all messages
 arrive and every unit sees all robots, TC1-TC5 hold after `healing_s`, and from then on. This time is two
 silence timeouts, plus one until a unit that was declared dead, or that belongs to the smaller part, has
-resigned. For each unit, since they may have to join one by one, it adds a slot for its first turn and one for
-the adoption of its robots.
+resigned. Units may have to join one by one. The time therefore adds, for each unit, a slot for its first turn
+and one for the adoption of its robots.
 """
 
 from dataclasses import replace
@@ -123,7 +123,7 @@ class Faithful(Machine):
         world.image(unit)
         after = world.holders()
         lost = before.keys() - after.keys()
-        assert not lost, f"at {world.time_s} s nobody controls {sorted(lost)} any more"
+        assert not lost, f"at {world.time_s} s uncontrolled: {sorted(lost)}"
         self.adopted_s |= dict.fromkeys(after.keys() - before.keys(), world.time_s)
         young = {r for r, since_s in self.adopted_s.items() if world.time_s - since_s <= SETTLING_S}
         assert not world.edge_faults(but=young), f"at {world.time_s} s {world.edge_faults(but=young)}"

@@ -33,11 +33,11 @@ from typing import Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 from scale import swarm
 
 from skyherd.datasets import Mission, make_mission
 from skyherd.drawing.palette import INK, UNIT_COLORS
+from skyherd.geometry import Image
 from skyherd.loop import run_steps
 from skyherd.plots.style import drawing_style, new_figure
 from skyherd.render import Camera, CameraPose, Ground, Renderer, Sensor
@@ -58,7 +58,6 @@ WARM_UP = 12
 PEERS = {"apriltag3": "pupil_apriltags", "locus-tag": "locus"}
 """Detectors of other libraries, and the module that each needs."""
 
-Image = npt.NDArray[np.uint8]
 Row = dict[str, Any]
 
 

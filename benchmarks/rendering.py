@@ -22,7 +22,7 @@ DICTIONARY, MARKERS, SIDE_PX = "4X4_50", 16, 30.0
 HEIGHT_M = 10.0
 INSTANT = Shutter()
 LENS = Distortion(k1=-0.2, k2=0.05, p1=0.001)
-Frame = Callable[[int], object]
+DrawFrame = Callable[[int], object]
 
 
 def scene(size_px: tuple[int, int], frames: int) -> tuple[np.ndarray, np.ndarray]:
@@ -42,7 +42,7 @@ def pose_at(frame: int, *, moves: bool = True, tilt_deg: float = 0.0) -> CameraP
     return CameraPose((step, -0.7 * step), HEIGHT_M + 0.1 * step, 0.05 * step, (np.radians(tilt_deg), 0.0))
 
 
-def make_frames(size_px: tuple[int, int], frames: int) -> dict[str, Frame]:
+def make_frames(size_px: tuple[int, int], frames: int) -> dict[str, DrawFrame]:
     """What is timed, by name: each draws the frame of a number."""
     positions, headings = scene(size_px, frames)
     ids = np.arange(MARKERS)
@@ -50,7 +50,7 @@ def make_frames(size_px: tuple[int, int], frames: int) -> dict[str, Frame]:
     lens = Camera(size_px, focal_px=HEIGHT_M * SIDE_PX, distortion=LENS)
     motion = Motion(camera_mps=(1.0, 0.5, 0.0))
 
-    def draws(camera: Camera, renderer: Renderer, **pose: float) -> Frame:
+    def draws(camera: Camera, renderer: Renderer, **pose: float) -> DrawFrame:
         still = bool(pose.pop("still", False))
         return lambda n: renderer.render(
             camera,

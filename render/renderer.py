@@ -8,9 +8,8 @@ from collections.abc import Sequence
 from itertools import product
 
 import numpy as np
-import numpy.typing as npt
 
-from skyherd.geometry import Array, IntArray, apply_homography, inverse
+from skyherd.geometry import Array, Image, IntArray, apply_homography, inverse
 from skyherd.markers.dictionary import card_side, cells_per_side, marker_cells
 from skyherd.render.camera.camera import Camera, CameraPose
 from skyherd.render.camera.lens_blur import SHARP, LensBlur, Ray
@@ -22,9 +21,6 @@ from skyherd.render.scene.occluders import Disc, Occluder, Quad, quads_square
 from skyherd.render.sensor import Sensor
 from skyherd.render.truth import FrameTruth, moving_markers, project_markers
 from skyherd.render.view import View
-
-Image = npt.NDArray[np.uint8]
-"""Grey levels (height, width)."""
 
 Light = Float
 """What falls on the sensor, in grey levels, (height, width)."""

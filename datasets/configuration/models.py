@@ -103,9 +103,9 @@ class ControlModel(Model):
     b_th: NotNegative = Field(
         0.01, description="marker sides, or px with pixel gains; robots nearer to their goal than this stop"
     )
-    compensate: bool = Field(
+    latency_compensation: bool = Field(
         False,
-        description="whether robots take off their goals what they have driven since the image was taken",
+        description="whether robots subtract their own motion since the image from each goal",
     )
     rectify: bool = Field(
         True, description="whether units learn tilt and lens of their cameras from the markers, and undo them"

@@ -1,4 +1,4 @@
-"""Parts of one's own, given as `module:factory`: imported from the working directory too."""
+"""Plugins of the user, given as `module:factory`; the working directory is part of the import path."""
 
 import logging
 import os
@@ -13,16 +13,16 @@ _log = logging.getLogger(__name__)
 
 
 def import_factory(name: str, where: str, allowed: str) -> Callable[..., Any]:
-    """The callable that `module:factory` names, imported from the working directory too.
+    """Import the callable given as `module:factory`, also from the working directory.
 
     Args:
         name: `module:factory`.
-        where: what a complaint calls it, such as `detector own:Square`.
-        allowed: what the factory has to be, in words.
+        where: its name in an error, such as `detector own:Square`.
+        allowed: description of an allowed factory.
 
     Raises:
-        InputError: the name lacks a part, the module cannot be imported, has no such attribute, or that
-            cannot be called.
+        InputError: the name lacks a part, the module cannot be imported, has no such attribute, or the
+            attribute is not callable.
     """
     module_name, _, factory_name = name.partition(":")
     if not module_name or not factory_name:

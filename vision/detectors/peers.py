@@ -144,11 +144,11 @@ def headings_in_plane(corners_px: Array) -> Array:
     squares = fit_squares(to_complex(corners_px))
     if len(corners_px) < TILT_MIN_MARKERS:
         return squares.headings_rad()
-    away = (squares.centers - squares.centers.mean()) / np.abs(squares.arms).max()
+    away = (squares.centers - squares.centers.mean()) / np.abs(squares.similarities).max()
     design = squeeze_design_matrix(away)
-    relative = squares.squeezes / squares.arms.conj()
-    squeezes = design @ np.linalg.lstsq(design, relative, rcond=None)[0] * squares.arms.conj()
-    return np.asarray(np.angle(-1j * (squares.arms - squeezes)))
+    relative = squares.anisotropies / squares.similarities.conj()
+    squeezes = design @ np.linalg.lstsq(design, relative, rcond=None)[0] * squares.similarities.conj()
+    return np.asarray(np.angle(-1j * (squares.similarities - squeezes)))
 
 
 def _largest_of_each(ids: IntArray, corners: Array) -> tuple[IntArray, Array]:

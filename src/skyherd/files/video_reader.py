@@ -60,7 +60,7 @@ GIVE_A_VIDEO = "give one that plays, such as an MP4"
 
 
 @dataclass(frozen=True)
-class Frame:
+class ClipFrame:
     """A picture of a video.
 
     Attributes:
@@ -194,7 +194,7 @@ def _check_size(path: Path, width: int, height: int) -> None:
         raise InputError(str(path), what, f"at most {MAX_PIXELS / 1e6:.0f} megapixels can be read")
 
 
-def read_clip(clip: Clip) -> Generator[Frame]:
+def read_clip(clip: Clip) -> Generator[ClipFrame]:
     """Read the frames of a video, one at a time, as far as they can be read.
 
     Warns with `InputWarning` at the end if the video is damaged, or shorter than its file says.
@@ -214,7 +214,7 @@ def read_clip(clip: Clip) -> Generator[Frame]:
             elif index:
                 time_s += frame_s
             first_s = first_s if index else time_s
-            yield Frame(index, time_s, grey.of(picture))
+            yield ClipFrame(index, time_s, grey.of(picture))
             index += 1
     if not index:
         raise _unreadable(clip.path, damage.error)

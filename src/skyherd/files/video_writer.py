@@ -15,13 +15,10 @@ from typing import Self
 import av
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from skyherd.errors import OutputError
 from skyherd.files.atomic import part_of
-
-Image = npt.NDArray[np.uint8]
-"""RGB image (height, width, 3)."""
+from skyherd.geometry import RgbImage
 
 QUALITY = {"crf": "23", "preset": "veryfast", "x264-params": "subme=1:analyse=none:b-adapt=0"}
 """Settings of libx264: constant quality, and fast enough to keep up with the loop. *Measured* on 101 frames
@@ -94,7 +91,7 @@ class VideoSink:
         self._stream = self._add_stream()
         self._open = True
 
-    def write(self, frame: Image, time_s: float = 0.0) -> None:
+    def write(self, frame: RgbImage, time_s: float = 0.0) -> None:
         """Append one frame, (height, width, 3) uint8 RGB; the array may be changed afterwards.
 
         Args:
@@ -221,7 +218,7 @@ def count_frames(path: str | os.PathLike[str]) -> int:
         return sum(1 for packet in container.demux(video=0) if packet.size)
 
 
-def read_frames(path: str | os.PathLike[str]) -> Iterator[Image]:
+def read_frames(path: str | os.PathLike[str]) -> Iterator[RgbImage]:
     """Read the frames of a video file, one at a time: (height, width, 3) uint8 RGB.
 
     Raises:

@@ -22,9 +22,9 @@ import numpy as np
 
 from skyherd.control import (
     AvoidanceRule,
-    DeadReckoning,
     GoalFollowers,
     GoalInboxes,
+    LatencyCompensation,
     NeighborMemory,
     RobotLaw,
     Wheels,
@@ -299,7 +299,7 @@ class RobotCore:
         inboxes = GoalInboxes(
             ids, np.array(self._units), self.limits.goal_timeout_s, distances=self._law.needs_distances
         )
-        self._motion = DeadReckoning(
+        self._motion = LatencyCompensation(
             1,
             self._side_m,
             axis_offset_m=self._wheels.axis_offset_m,
@@ -319,7 +319,7 @@ class RobotCore:
             self._wheels,
             neighbors=neighbors,
             avoidance=self._avoidance,
-            motion=self._motion,
+            latency_compensation=self._motion,
         )
 
 

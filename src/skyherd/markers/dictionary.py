@@ -164,7 +164,7 @@ def pose_of_corners(corners_px: npt.ArrayLike) -> tuple[Array, Array, Array]:
     `arg(-i arm)`.
     """
     squares = fit_squares(to_complex(np.asarray(corners_px, dtype=float).reshape(-1, 4, 2)))
-    return to_points(squares.centers), squares.headings_rad(), np.abs(squares.arms)
+    return to_points(squares.centers), squares.headings_rad(), np.abs(squares.similarities)
 
 
 def headings_of_corners(centers_px: Array, corners_px: Array) -> Array:

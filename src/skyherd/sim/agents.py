@@ -24,7 +24,7 @@ from skyherd.control import (
     TeamClock,
     Template,
     TreeProtocol,
-    TreeRule,
+    TreeSettings,
     newest_roles,
 )
 from skyherd.datasets import (
@@ -75,7 +75,7 @@ def make_flight(model: FlightModel, template: Template) -> FlightLaw:
 def make_selection(model: SelectionModel) -> SelectionPolicy:
     """A new policy for one unit, by which it chooses the robots that it controls."""
     overlapping = SafetyRadius(radius=model.radius, hysteresis=model.hysteresis, dwell_s=model.dwell_s)
-    tree_rule = TreeRule(
+    tree_settings = TreeSettings(
         share=model.share,
         radius=model.radius,
         hysteresis=model.hysteresis,
@@ -86,8 +86,8 @@ def make_selection(model: SelectionModel) -> SelectionPolicy:
     if model.kind == "radius":
         return overlapping
     if model.kind == "tree":
-        return TreeProtocol(tree_rule)
-    return HybridSelection(overlapping, tree_rule)
+        return TreeProtocol(tree_settings)
+    return HybridSelection(overlapping, tree_settings)
 
 
 def make_controller(mission: Mission, unit: int) -> AerialController:

@@ -7,9 +7,9 @@ import numpy as np
 
 from skyherd.control import (
     AvoidanceRule,
-    DeadReckoning,
     GoalFollowers,
     GoalInboxes,
+    LatencyCompensation,
     MarkerGains,
     NeighborMemory,
     PixelGains,
@@ -51,10 +51,10 @@ def make_team(mission: Mission, world: World) -> RobotTeam:
         return _make_oracle_team(mission, world, gains, wheels)
     units = np.arange(len(scenario.units))
     inboxes = GoalInboxes(mission.ids, units, scenario.robots.timeout_s, distances=gains.needs_distances)
-    motion = make_dead_reckoning(scenario, mission.ids.size)
+    compensation = make_latency_compensation(scenario, mission.ids.size)
     clocks = make_clocks(scenario, mission.ids.size)
     if not scenario.avoidance.on:
-        return GoalFollowers(inboxes, gains, wheels, motion=motion, clocks=clocks)
+        return GoalFollowers(inboxes, gains, wheels, latency_compensation=compensation, clocks=clocks)
     bodies = np.union1d(mission.ids, mission.obstacle_ids)
     neighbors = NeighborMemory(mission.ids, bodies, scenario.avoidance.lifetime_s)
     return GoalFollowers(
@@ -63,7 +63,7 @@ def make_team(mission: Mission, world: World) -> RobotTeam:
         wheels,
         neighbors=neighbors,
         avoidance=make_avoidance(scenario),
-        motion=motion,
+        latency_compensation=compensation,
         clocks=clocks,
     )
 
@@ -82,7 +82,7 @@ def _make_oracle_team(mission: Mission, world: World, gains: RobotLaw, wheels: W
         noise_m=scenario.control.told_noise_m,
         loss=scenario.network.message_loss,
         lifetime_s=scenario.robots.timeout_s,
-        rng=generator(scenario.seed, RunStream.TOLD_POSITIONS),
+        rng=generator(scenario.seed, RunStream.REPORTED_POSITIONS),
     )
     return OracleTeam(world, found.make(shape_m(mission), scenario.control.k), gains, wheels, news)
 
@@ -110,13 +110,13 @@ def make_clock_margin_s(scenario: Scenario) -> float:
     return max_message_delay_s(scenario) - min_message_delay_s(scenario)
 
 
-def make_dead_reckoning(scenario: Scenario, count: int) -> DeadReckoning | None:
+def make_latency_compensation(scenario: Scenario, count: int) -> LatencyCompensation | None:
     """What `count` robots know of their own motion; None where they follow goals as they come."""
-    if not scenario.control.compensate:
+    if not scenario.control.latency_compensation:
         return None
     drive = scenario.robots.drive
     slowest_s = max(model.latency_s for model in scenario.units)
-    return DeadReckoning(
+    return LatencyCompensation(
         count,
         scenario.marker.side_m,
         axis_offset_m=drive.axis_offset_m,

@@ -23,9 +23,10 @@ from typing import Self
 import numpy as np
 
 from skyherd.errors import OutputError
+from skyherd.geometry import Image
 from skyherd.jobs.helpers import Helper, can_help, one_thread
 from skyherd.sim.perception import RenderedPerception, Scene
-from skyherd.sim.sight import Image, Perception, Sight
+from skyherd.sim.sight import Perception, Sight
 from skyherd.sim.world import World
 
 GONE = OutputError(
@@ -43,7 +44,7 @@ and to read what another drew."""
 
 
 @dataclass(frozen=True)
-class Share:
+class HelperTasks:
     """What one helper does in a run.
 
     Attributes:
@@ -55,7 +56,7 @@ class Share:
     reads: frozenset[int]
 
 
-def deal(units: int, helpers: int) -> list[Share]:
+def deal(units: int, helpers: int) -> list[HelperTasks]:
     """Deal the cameras of some units to as many helpers, or fewer, so that all have about as much to do.
 
     Cameras are read by one helper after the other in turn. Each draws what it reads, but for this: the one
@@ -67,7 +68,7 @@ def deal(units: int, helpers: int) -> list[Share]:
         work = [DRAWING * len(drawn) + READING * len(read) for drawn, read in zip(draws, reads, strict=True)]
         most, least = work.index(max(work)), work.index(min(work))
         if work[least] + DRAWING >= work[most]:
-            return [Share(frozenset(d), frozenset(r)) for d, r in zip(draws, reads, strict=True)]
+            return [HelperTasks(frozenset(d), frozenset(r)) for d, r in zip(draws, reads, strict=True)]
         unit = max(draws[most])
         draws[most].remove(unit)
         draws[least].add(unit)
@@ -86,7 +87,7 @@ class SideBySide(Perception):
 
     def __init__(self, perception: Perception, jobs: int) -> None:
         self._perception, self._jobs = perception, jobs
-        self._stack, self._helpers, self._shares = ExitStack(), list[Helper](), list[Share]()
+        self._stack, self._helpers, self._shares = ExitStack(), list[Helper](), list[HelperTasks]()
         self._images: dict[int, Image] = {}
         self._begun = False
         self._spreads = jobs > 1 and can_help()
@@ -162,7 +163,7 @@ class _Photographer:
         images: where the image of each unit is drawn, (height, width), memory that is shared.
     """
 
-    def __init__(self, perception: RenderedPerception, share: Share, images: dict[int, Image]) -> None:
+    def __init__(self, perception: RenderedPerception, share: HelperTasks, images: dict[int, Image]) -> None:
         self._perception, self._share, self._images = perception, share, images
 
     def serve(self, request: Scene | AbstractSet[int]) -> dict[int, Sight]:

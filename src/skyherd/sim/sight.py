@@ -4,15 +4,9 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-import numpy as np
-import numpy.typing as npt
-
-from skyherd.geometry import IntArray
+from skyherd.geometry import Image, IntArray
 from skyherd.messages import Detections
 from skyherd.sim.world import World
-
-Image = npt.NDArray[np.uint8]
-"""Grey levels (height, width)."""
 
 
 @dataclass(frozen=True)

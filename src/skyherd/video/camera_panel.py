@@ -8,7 +8,6 @@ from skyherd.control import ControlSets, owners_by_robot
 from skyherd.drawing.canvas import (
     Box,
     Color,
-    Image,
     circle_dashes,
     draw_arrows,
     draw_circle,
@@ -20,7 +19,7 @@ from skyherd.drawing.canvas import (
     text_width,
 )
 from skyherd.drawing.palette import INK, MUTED, PAPER, TEMPLATE_COLOR, rgb, unit_rgb
-from skyherd.geometry import Array, BoolArray, to_points
+from skyherd.geometry import Array, BoolArray, RgbImage, to_points
 from skyherd.loop import UnitFrame
 from skyherd.messages import NO_ID, Detections
 from skyherd.messages.tree_status import TreeStatus
@@ -60,7 +59,7 @@ def _tree_text(tree: TreeStatus | None) -> str:
     return "" if tree.heir_id == NO_ID else f" · heir {tree.heir_id}"
 
 
-def brightened(image: Image) -> Image:
+def brightened(image: RgbImage) -> RgbImage:
     """A grey camera image with the display curve of exponent `LIFT` applied."""
     return np.asarray(cv2.LUT(image, _CURVE), dtype=np.uint8)
 
@@ -79,7 +78,7 @@ class CameraPanel:
     def __init__(
         self,
         unit: int,
-        cell: Image,
+        cell: RgbImage,
         image_size_px: tuple[int, int],
         radius: float,
         bodies: BodySizes | None = None,

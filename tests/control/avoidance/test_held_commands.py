@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from skyherd.control import AvoidanceRule, BodyRule, DeadReckoning, MarkerGains, NeighborMemory, Wheels
+from skyherd.control import AvoidanceRule, BodyRule, LatencyCompensation, MarkerGains, NeighborMemory, Wheels
 from skyherd.control.avoidance.proximity import proximity
 from skyherd.control.avoidance.speed_bound import avoiding_law, closing_bounds
 from skyherd.geometry import to_complex
@@ -36,7 +36,7 @@ class Robot:
     due_s: float
 
     def __post_init__(self) -> None:
-        self.motion = DeadReckoning(1, SIDE_M, memory_s=2.0, hold_s=LIFE_S)
+        self.motion = LatencyCompensation(1, SIDE_M, memory_s=2.0, hold_s=LIFE_S)
         ids = np.arange(ROBOTS)
         self.memory = NeighborMemory(ids[[self.row]], ids, self.rule.lifetime_s, self.motion)
         self.told, self.told_s = (0.0, 0.0), -np.inf

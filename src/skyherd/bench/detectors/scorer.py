@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skyherd.bench.detectors.frames import Frame
+from skyherd.bench.detectors.frames import LabelledFrame
 from skyherd.geometry import Array, IntArray, wrap_angle
 from skyherd.messages import Detections
 
@@ -65,7 +65,7 @@ class Scorer:
         self._variances: list[Array] = []
         self._missed: list[Array] = []
 
-    def add(self, frame: Frame, detections: Detections) -> None:
+    def add(self, frame: LabelledFrame, detections: Detections) -> None:
         """Compare the detections of one frame with its truth, and count them in."""
         answers, rows = match(frame, detections)
         wanted = frame.whole[rows]
@@ -110,7 +110,7 @@ class Scorer:
         )
 
 
-def match(frame: Frame, detections: Detections) -> tuple[IntArray, IntArray]:
+def match(frame: LabelledFrame, detections: Detections) -> tuple[IntArray, IntArray]:
     """Rows (K,) of the detections that are right, and rows (K,) of the markers that they are of.
 
     Of several detections of one marker the nearest is right, and the others are false positives.

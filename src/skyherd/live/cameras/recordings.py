@@ -10,8 +10,7 @@ from typing import Literal
 from skyherd.errors import InputError
 from skyherd.files.images import SUFFIXES, read_grey
 from skyherd.files.reading import is_regular
-from skyherd.files.video_reader import Frame as Clipped
-from skyherd.files.video_reader import open_clip, read_clip
+from skyherd.files.video_reader import ClipFrame, open_clip, read_clip
 from skyherd.live.cameras.frame import Picture
 
 POLL_S = 0.02
@@ -42,7 +41,7 @@ class VideoFile:
         with closing(read_clip(open_clip(self._path))) as frames:
             yield self._pictures(frames)
 
-    def _pictures(self, frames: Iterator[Clipped]) -> Iterator[Picture]:
+    def _pictures(self, frames: Iterator[ClipFrame]) -> Iterator[Picture]:
         first_s: float | None = None
         for frame in frames:
             first_s = frame.time_s if first_s is None else first_s

@@ -6,6 +6,7 @@ from pydantic import Field, model_validator
 
 from skyherd.control import Detour
 from skyherd.datasets.configuration.fields import MAX_ROBOTS, Model, NotNegative, Positive
+from skyherd.errors import InputError
 
 
 class RolesModel(Model):
@@ -43,7 +44,7 @@ class SizeModel(Model):
     @model_validator(mode="after")
     def _one(self) -> Self:
         if sum(value is not None for value in (self.spacing_sides, self.unit_m)) > 1:
-            raise ValueError("give one of spacing_sides and unit_m")
+            raise InputError("", "spacing_sides and unit_m given", "at most one of the two")
         return self
 
 

@@ -13,6 +13,7 @@ from skyherd.datasets.configuration.fields import (
     Fraction,
     Height,
     Model,
+    Name,
     NotNegative,
     Point,
     Positive,
@@ -21,6 +22,8 @@ from skyherd.datasets.configuration.fields import (
 from skyherd.datasets.configuration.robot_models import MarkerModel, ObstacleModel, RobotsModel
 from skyherd.datasets.configuration.scene_models import GroundModel, OccluderModel, SensorModel
 from skyherd.datasets.configuration.unit_models import UnitModel
+from skyherd.datasets.configuration.validation import did_you_mean, shown
+from skyherd.errors import InputError, join_errors
 
 RATE_ROUNDING = 1e-9
 """By how much images a time step may exceed 1. *Chosen*: rounding of `frame_rate_hz * step_s`, such as 10
@@ -42,8 +45,10 @@ class ShapeModel(Model):
 
     @model_validator(mode="after")
     def _one(self) -> Self:
-        if sum(value is not None for value in (self.points, self.shape, self.image)) != 1:
-            raise ValueError("give exactly one of points, shape and image")
+        given = [key for key in ("points", "shape", "image") if getattr(self, key) is not None]
+        if len(given) != 1:
+            what = f"{' and '.join(given)} given" if given else "no shape given"
+            raise InputError("", what, "exactly one of points, shape and image")
         return self
 
 
@@ -77,7 +82,9 @@ OWN_METHOD = ":"
 
 def _check_method(method: str) -> str:
     if method not in METHODS and OWN_METHOD not in method:
-        raise ValueError(f"no law {method!r}; one of {', '.join(METHODS)}, or module:factory")
+        meant = did_you_mean(method, METHODS)
+        allowed = f"{meant} " * bool(meant) + f"one of {', '.join(METHODS)}, or module:factory"
+        raise InputError("", f"no law {shown(method)}", allowed)
     return method
 
 
@@ -158,7 +165,8 @@ class AutopilotModel(Model):
     @model_validator(mode="after")
     def _room(self) -> Self:
         if self.min_height_m >= self.max_height_m:
-            raise ValueError("min_height_m must be below max_height_m")
+            what = f"{self.min_height_m:g}, with max_height_m {self.max_height_m:g}"
+            raise InputError("min_height_m", what, "less than max_height_m")
         return self
 
 
@@ -206,9 +214,7 @@ class Scenario(Model):
         off = ((unit.clock_offset_s, unit.clock_drift_ppm) for unit in self.units)
         return any(map(any, off)) or bool(self.robots.clock_offset_s or self.robots.clock_drift_ppm)
 
-    name: str = Field(
-        pattern=r"^\w[\w .-]{0,99}$", description="name of the scenario, and of its output folder"
-    )
+    name: Name = Field(description="name of the scenario, and of its output folder")
     description: str = Field("", description="what it shows, for people")
     seed: Seed = Field(1, description="seed of all random draws; same seed, same run")
     duration_s: Annotated[FiniteFloat, Field(ge=0.0001, le=86400)] = Field(description="s; simulated time")
@@ -262,9 +268,13 @@ class Scenario(Model):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        for number, unit in enumerate(self.units):
-            for complaint in self._complaints(unit):
-                raise ValueError(f"unit {number}: {complaint}")
+        problems = [
+            problem.within_key(f"units.{number}")
+            for number, unit in enumerate(self.units)
+            for problem in self._unit_problems(unit)
+        ]
+        if problems:
+            raise join_errors(problems)
         return self
 
     @model_validator(mode="after")
@@ -274,19 +284,26 @@ class Scenario(Model):
             "roles.exchange": self.roles.exchange,
             "avoidance.on": self.avoidance.on,
             "template.then": self.template.then,
-            "control.gains of pixels": self.control.gains == "pixel",
+            "control.gains": self.control.gains == "pixel",
         }
         if self.control.method != "similarity" and (given := [name for name, on in parts.items() if on]):
-            raise ValueError(f"control.method {self.control.method} knows no {given[0]}: leave it out")
+            what = f"not supported by control.method {self.control.method}"
+            raise join_errors(
+                [InputError(key, what, "leave it out, or use the method similarity") for key in given]
+            )
         return self
 
-    def _complaints(self, unit: UnitModel) -> Iterator[str]:
+    def _unit_problems(self, unit: UnitModel) -> Iterator[InputError]:
         low, high = self.autopilot.min_height_m, self.autopilot.max_height_m
         rate = unit.frame_rate_hz
         if not low <= unit.height_m <= high:
-            yield f"height_m {unit.height_m:g} is outside the autopilot's {low:g} to {high:g} m"
+            what = f"{unit.height_m:g} is outside the autopilot's limits"
+            yield InputError(
+                "height_m", what, f"from autopilot.min_height_m to max_height_m: {low:g} to {high:g}"
+            )
         if rate * self.step_s > 1 + RATE_ROUNDING:
-            yield f"frame_rate_hz {rate:g} is more than one image a step_s of {self.step_s:g}"
-        complaints = (unit.camera.lens_complaint(zoom) for zoom in unit.zooms())
-        if complaint := next(filter(None, complaints), None):
-            yield complaint
+            what = f"{rate:g} is more than one image in each step_s of {self.step_s:g}"
+            yield InputError("frame_rate_hz", what, f"at most {1 / self.step_s:g}, or a smaller step_s")
+        problems = (unit.camera.lens_problem(zoom) for zoom in unit.zooms())
+        if problem := next(filter(None, problems), None):
+            yield problem.within_key("camera")

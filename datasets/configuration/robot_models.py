@@ -9,6 +9,7 @@ from skyherd.datasets.configuration.fields import (
     Angle,
     ClockDrift,
     ClockOffset,
+    DictionaryName,
     Fraction,
     Model,
     NotNegative,
@@ -109,7 +110,9 @@ class RobotsModel(Model):
 class MarkerModel(Model):
     """The markers on robots and obstacles."""
 
-    dictionary: str = Field("4X4_50", description="marker dictionary, named as in `skyherd markers --help`")
+    dictionary: DictionaryName = Field(
+        "4X4_50", description="marker dictionary, named as in `skyherd markers --help` or in OpenCV"
+    )
     side_m: Annotated[FiniteFloat, Field(ge=0.001, le=1000)] = Field(
         description="m; side of the black square"
     )

@@ -20,6 +20,7 @@ from skyherd.datasets.configuration.fields import (
     TurnRate,
     Zoom,
 )
+from skyherd.errors import InputError, join_errors
 
 LENS_CHECKS = 5
 """Zooms at which a lens is checked, from the least to the greatest. *Chosen*: what a lens does changes
@@ -123,12 +124,18 @@ class UnitModel(Model):
         return [float(z) for z in np.geomspace(min(scripted) * low, max(scripted) * high, LENS_CHECKS)]
 
     @model_validator(mode="after")
-    def _zoom_in_order(self) -> Self:
+    def _in_order(self) -> Self:
+        problems = []
         times = [time for time, _ in self.zoom]
         if times != sorted(times):
-            raise ValueError("zoom: times must ascend")
-        if self.zoom_range[0] > self.zoom_range[1]:
-            raise ValueError("zoom_range: the least factor comes first")
-        if any(start >= end for start, end in self.outages):
-            raise ValueError("outages: each must end after it begins")
+            problems.append(InputError("zoom", f"times {times}", "times that ascend"))
+        low, high = self.zoom_range
+        if low > high:
+            problems.append(InputError("zoom_range", f"[{low:g}, {high:g}]", "the smaller factor first"))
+        for number, (start, end) in enumerate(self.outages):
+            if start >= end:
+                what = f"[{start:g}, {end:g}]"
+                problems.append(InputError(f"outages.{number}", what, "an end after the start"))
+        if problems:
+            raise join_errors(problems)
         return self

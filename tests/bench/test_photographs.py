@@ -180,7 +180,7 @@ def test_the_command_leaves_all_it_promises(folder, tmp_path, capsys):
         ("[desk]\nfiles = ['*.png']", ["[desk]: dictionary", "missing"]),
         ("[desk]\nfiles = []\ndictionary = '4X4_50'", ["files"]),
         ("[desk]\nfiles = ['*.png']\ndictionary = '4X4_50'\nborder = 2", ["border", "unknown key"]),
-        ("desk = 3", ["no table"]),
+        ("desk = 3", ["is not a table"]),
         ("[desk", ["malformed TOML"]),
         ("[desk]\nfiles = ['*.bmp']\ndictionary = '4X4_50'", ["no image of the sets"]),
         (None, ["photographs.toml"]),

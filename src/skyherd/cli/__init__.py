@@ -114,7 +114,8 @@ def main(arguments: list[str] | None = None) -> None:
         complain(f"{cast(Any, error).format_message()}; see `{verb} --help`")
         code = 2
     except SkyherdError as error:
-        complain(str(error))
+        for line in error.lines if isinstance(error, InputError) else [str(error)]:
+            complain(line)
         code = error.exit_code
     except OSError as error:
         complain(f"{error.filename or 'output'}: {error.strerror or error}; nothing after this was written")

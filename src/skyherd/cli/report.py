@@ -19,6 +19,7 @@ def report(
 
     The video of a simulated run is made again too if the recording has images.
     """
+    from skyherd.datasets import refuse_configuration
     from skyherd.files.output_folder import is_directory
     from skyherd.jobs.helpers import cores
     from skyherd.live.review import make_live_report, recorded_files
@@ -28,6 +29,11 @@ def report(
     is_simulated = os.path.lexists(folder / RECORDING)
     allowed = "the output folder of `skyherd run` or `skyherd live run`"
     if not is_directory(folder):
+        refuse_configuration(folder, "run")
+        if folder.name == RECORDING and is_directory(folder.parent):
+            raise InputError(
+                str(folder), "is a recording", f"give its folder: `skyherd report {folder.parent}`"
+            )
         what = "is a file" if os.path.lexists(folder) else "no such folder"
         raise InputError(str(folder), what, allowed)
     if not is_simulated and not recorded_files(folder):

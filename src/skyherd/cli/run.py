@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from skyherd.cli.choices import complete_perception, complete_scenario
+from skyherd.cli.choices import PERCEPTIONS, complete_perception, complete_scenario
 from skyherd.cli.console import ProgressReporter, say, warn
 from skyherd.cli.interrupts import NOTHING_LEFT, telling_of_interrupts
 from skyherd.errors import InputError
@@ -53,6 +53,8 @@ def run(
 
     if jobs is not None and jobs < 1:
         raise InputError("--jobs", str(jobs), "1 or more")
+    if perception is not None and perception not in PERCEPTIONS:
+        raise InputError("--perception", f"{perception!r}", f"one of {', '.join(PERCEPTIONS)}")
     chosen = [*(settings or []), *([f"perception={perception}"] if perception else [])]
     mission = load_mission(scenario, chosen, seed=seed)
     folder = out_dir or Path("runs") / mission.scenario.name

@@ -6,6 +6,7 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from skyherd.datasets import Model
 from skyherd.datasets.configuration.fields import Coordinate, Positive, Seed
+from skyherd.errors import InputError, join_errors
 
 
 def _keys(tree: Any) -> Any:
@@ -43,10 +44,11 @@ class DrawModel(Model):
     def _one(self) -> Self:
         given = [value for value in (self.uniform, self.log, self.whole, self.choice) if value is not None]
         if len(given) != 1:
-            raise ValueError("give [least, greatest], or exactly one of log, whole and choice")
+            what = f"{len(given)} kinds of draw given"
+            raise InputError("", what, "[least, greatest], or exactly one of log, whole and choice")
         for span in (self.uniform, self.log, self.whole):
             if span is not None and span[0] > span[1]:
-                raise ValueError(f"a range goes from least to greatest, not from {span[0]} to {span[1]}")
+                raise InputError("", f"[{span[0]:g}, {span[1]:g}]", "a range with the smaller number first")
         return self
 
 
@@ -77,7 +79,11 @@ class Parts(Model):
     @model_validator(mode="after")
     def _once(self) -> Self:
         if twice := sorted({key for key in self.keys if self.keys.count(key) > 1}):
-            raise ValueError(f"{', '.join(twice)}: give each key once, in set, grid or random.draw")
+            problems = [
+                InputError("", f"{key} is given twice", "each key once, in set, grid or random.draw")
+                for key in twice
+            ]
+            raise join_errors(problems)
         return self
 
 

@@ -175,7 +175,7 @@ def study_source(study: Study) -> ScenarioSource:
     try:
         return read_scenario(str(beside) if name.endswith(".toml") or is_regular(beside) else name)
     except InputError as error:
-        raise InputError(f"{study.where}: scenario: {error.where}", error.what, error.allowed) from None
+        raise error.within(f"{study.where}: scenario") from None
 
 
 def _mission(source: ScenarioSource, settings: Settings, where: str) -> Mission:

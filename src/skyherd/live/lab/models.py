@@ -5,7 +5,7 @@ from typing import Annotated
 
 from pydantic import Field, FiniteFloat
 
-from skyherd.datasets import FlightModel, Model, Point, SelectionModel, SizeModel
+from skyherd.datasets import DictionaryName, FlightModel, Model, Point, SelectionModel, SizeModel
 from skyherd.errors import InputError
 
 MAX_ROBOTS = 1000
@@ -40,7 +40,9 @@ class LabShape(Model):
 class LabMarkers(Model):
     """The printed markers."""
 
-    dictionary: str = Field("4X4_50", description="marker dictionary, as in `skyherd markers --help`")
+    dictionary: DictionaryName = Field(
+        "4X4_50", description="marker dictionary, named as in `skyherd markers --help` or in OpenCV"
+    )
     side_m: Annotated[FiniteFloat, Field(ge=0.001, le=10)] = Field(
         description="m; side of the black square, measured on the print"
     )

@@ -27,6 +27,9 @@ RENAMED_BEGINNINGS = {"least_": "min_", "smallest_": "min_", "most_": "max_", "l
 RENAMED_KEYS: Mapping[str, str] = {}
 """Other keys of earlier versions and their names now."""
 
+MAX_EXACT = 1e15
+"""Bounds below this are written exactly by 15 digits."""
+
 Schema = dict[str, Any]
 """A JSON schema, or a part of one."""
 
@@ -106,7 +109,7 @@ def locate(where: str, key: str, origins: Mapping[str, str], *, unknown: bool = 
         unknown: whether there is no such key, so that an option that leads through it is named.
     """
     parts = key.split(".")
-    for given, option in reversed(origins.items()):
+    for given, option in reversed(list(origins.items())):
         wanted = given.split(".")
         same = all(one in ("*", other) for one, other in zip(wanted, parts, strict=False))
         if same and len(parts) >= len(wanted):
@@ -195,7 +198,7 @@ def _range(schema: Schema) -> str:
 
 
 def _number(bound: float) -> str:
-    return f"{bound:.15g}" if isinstance(bound, float) else str(bound)
+    return f"{bound:.15g}" if abs(bound) < MAX_EXACT else str(int(bound))
 
 
 def _problems(detail: ErrorDetails, top: Schema) -> Iterator[tuple[str, str, str]]:

@@ -155,7 +155,11 @@ def test_the_built_in_study_has_every_robot_in_view_and_markers_of_14_px() -> No
     ("old", "new", "words"),
     [
         ('name = "reference"', 'name = "references"', "'references': has not one parameter in its grid"),
-        ('perception = ["ideal", "noisy"]', 'perception = ["noisy"]', "no sweep 'reference' with ideal perception"),
+        (
+            'perception = ["ideal", "noisy"]',
+            'perception = ["noisy"]',
+            "no sweep 'reference' with ideal perception",
+        ),
         ('"goal_error_m", ', "", "keep: lacks goal_error_m, which pages"),
         ("control.rectify = [false, true]\n", "", "control.rectify is missing in the grid"),
         ("[0.8, 1.25] }", '[0.8], "units.0.height_m" = [9, 10] }', "has not one parameter in its grid"),

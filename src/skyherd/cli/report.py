@@ -12,12 +12,13 @@ from skyherd.errors import InputError
 
 def report(
     folder: Annotated[
-        Path, typer.Argument(metavar="DIR", help="Output folder of `skyherd run` or `skyherd live run`.")
+        Path, typer.Argument(metavar="DIR", help="A folder of `skyherd run` or `skyherd live run`.")
     ],
 ) -> int:
-    """Make figures, summary and page again from a run's recording, or of a live run from its processes'.
+    """Make figures, summary and page again from a recorded run.
 
-    The video of a simulated run is made again too if the recording has images.
+    A simulated run has one recording, a live run one for each process. The video of a simulated run is made
+    again, too, if the recording has images.
     """
     from skyherd.datasets import refuse_configuration
     from skyherd.files.output_folder import is_directory

@@ -8,6 +8,7 @@ import typer
 from skyherd.cli.choices import PERCEPTIONS, complete_perception, complete_scenario
 from skyherd.cli.console import ProgressReporter, say, warn
 from skyherd.cli.interrupts import NOTHING_LEFT, telling_of_interrupts
+from skyherd.cli.options import ForceFolder, ScenarioSettings
 from skyherd.errors import InputError
 
 if TYPE_CHECKING:
@@ -17,33 +18,41 @@ if TYPE_CHECKING:
 
 def run(
     scenario: Annotated[
-        str, typer.Argument(help="A built-in scenario or a TOML file.", autocompletion=complete_scenario)
+        str,
+        typer.Argument(
+            metavar="SCENARIO", help="A built-in scenario or a TOML file.", autocompletion=complete_scenario
+        ),
     ],
     out_dir: Annotated[
-        Path | None, typer.Option("--out", help="Folder to make; runs/NAME if left out.")
+        Path | None,
+        typer.Option(
+            "--out", metavar="DIR", show_default="runs/NAME", help="Write the results into this new folder."
+        ),
     ] = None,
-    seed: Annotated[int | None, typer.Option(help="Seed of every random draw.")] = None,
-    settings: Annotated[
-        list[str] | None,
-        typer.Option("--set", help="key=value put over the scenario, such as control.k=0.2."),
+    seed: Annotated[
+        int | None, typer.Option(metavar="N", help="Replace the scenario's seed of all random draws.")
     ] = None,
+    settings: ScenarioSettings = None,
     perception: Annotated[
         str | None,
         typer.Option(
-            help="rendered, ideal, or noisy: ideal with the detector's measured noise.",
+            metavar="KIND",
+            help="How markers are detected: rendered (in drawn images), ideal (exactly), or noisy (exactly, "
+            "with the detector's measured noise).",
             autocompletion=complete_perception,
         ),
     ] = None,
-    no_video: Annotated[bool, typer.Option("--no-video", help="Make no video.")] = False,
+    no_video: Annotated[bool, typer.Option("--no-video", help="Do not make a video.")] = False,
     record_images: Annotated[
         bool, typer.Option("--record-images", help="Keep the cameras' images in the recording, as JPEG.")
     ] = False,
     jobs: Annotated[
-        int | None, typer.Option(help="Cores to use; all if left out. Results are the same.")
+        int | None,
+        typer.Option(metavar="N", help="Use this many cores instead of all. Results are the same."),
     ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Write an existing folder anew.")] = False,
+    force: ForceFolder = False,
 ) -> int:
-    """Run a scenario, and leave recording, video, figures, summary and page.
+    """Run a scenario; write its recording, video, figures and page.
 
     Exit code 0 if the shape was reached, 1 if not, 2 for bad input.
     """

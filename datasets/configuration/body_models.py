@@ -17,7 +17,7 @@ class RolesModel(Model):
         description="whether units exchange the robots' places in the shape, so that their ways are shorter",
     )
     period_s: Positive = Field(
-        1.0, description="s; the units take turns to exchange places, one at a time, each for so long"
+        1.0, description="s; length of the time slot in which one unit at a time exchanges places"
     )
     gain: Annotated[float, Field(ge=0, lt=1)] = Field(
         0.05, description="least share of V, the cost of the fit, by which an exchange has to lower it"
@@ -64,5 +64,5 @@ class AvoidanceModel(Model):
         8.0, description="marker sides; largest gap to a body that units send to a robot"
     )
     lifetime_s: Positive = Field(
-        2.0, description="s; after this a robot forgets what was sent to it of a body"
+        2.0, description="s; a robot forgets a body this long after the last message about it"
     )

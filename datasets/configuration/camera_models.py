@@ -35,7 +35,7 @@ class CameraModel(Model):
     """A camera: size of its image, intrinsics and lens. The controller gets the image's size alone."""
 
     preset: str | None = Field(
-        None, description=f"camera to begin with, which the other keys change: {', '.join(CAMERAS)}"
+        None, description=f"preset camera, whose values the other keys replace: {', '.join(CAMERAS)}"
     )
     size_px: tuple[Annotated[int, Field(ge=32, le=8192)], Annotated[int, Field(ge=32, le=8192)]] = Field(
         (800, 800), description="px; width and height of the image"

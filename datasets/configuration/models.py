@@ -98,7 +98,7 @@ class ControlModel(Model):
     )
     told_noise_m: NotNegative = Field(
         0.0,
-        description="m; standard deviation of the error, along x and along y and drawn anew at each step, of "
+        description="m; standard deviation of the error, along x and along y and drawn at each step, of "
         "the positions that a law other than `similarity` is given",
     )
     gains: Literal["marker", "pixel"] = Field(
@@ -149,7 +149,7 @@ class SelectionModel(Model):
     )
     dwell_s: Positive = Field(2.0, description="s; least time between two changes of the topology")
     silence_s: Positive = Field(
-        3.0, description="s; tree: a unit without a report for so long counts as dead"
+        3.0, description="s; tree: a unit counts as dead this long after its last report"
     )
 
 

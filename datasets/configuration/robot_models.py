@@ -82,7 +82,7 @@ class RobotsModel(Model):
         max_length=MAX_ROBOTS,
         description="deg; start headings, counter-clockwise from +x; random if left out",
     )
-    scatter: ScatterModel | None = Field(None, description="a random start, in place of positions_m")
+    scatter: ScatterModel | None = Field(None, description="a random start, instead of positions_m")
     count: Annotated[int, Field(ge=2, le=MAX_ROBOTS)] | None = Field(
         None, description="number of robots, where it does not follow from positions, ids or points"
     )

@@ -103,7 +103,7 @@ class ProcessingModel(Model):
     sharpen_px: SharpeningRadius = Field(1.0, description="px; standard deviation of the mask's blur")
     h264_crf: ConstantRateFactor | None = Field(
         None,
-        description="constant rate factor, 0 (hardly a loss) to 51, of an H.264 video that images go "
+        description="constant rate factor, 0 (almost no loss) to 51, of an H.264 video that images go "
         "through after the JPEG; none if left out",
     )
 

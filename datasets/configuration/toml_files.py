@@ -177,7 +177,7 @@ def _indices(node: Any, part: str, where: str, see: str) -> list[int]:
     """Which items of a list a part of a key means."""
     if not isinstance(node, list):
         raise InputError(
-            where, f"nothing is called {part!r} there", f"the part before it is no table; see `{see}`"
+            where, f"nothing is called {part!r} there", f"the part before it is not a table; see `{see}`"
         )
     if part == "*":
         return list(range(len(node)))

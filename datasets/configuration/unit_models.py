@@ -85,7 +85,7 @@ class UnitModel(Model):
         Annotated[FiniteFloat, Field(ge=-45, le=45)], Annotated[FiniteFloat, Field(ge=-45, le=45)]
     ] = Field((0.0, 0.0), description="deg; constant tilt about the camera's u and v axes")
     sway: SwayModel | None = Field(None, description="how it sways; it hangs still if left out")
-    camera: CameraModel = Field(description="its camera, of which the controller gets the image size alone")
+    camera: CameraModel = Field(description="its camera; the controller gets only the image size")
     zoom: list[tuple[NotNegative, Zoom]] = Field(
         default=[(0.0, 1.0)],
         min_length=1,
@@ -104,7 +104,7 @@ class UnitModel(Model):
     frame_rate_hz: FrameRate = Field(10.0, description="Hz; images a second; at most one a time step")
     latency_s: NotNegative = Field(
         0.0,
-        description="s; from an image to the arrival of its goals and report; flight commands take no time",
+        description="s; delay from an image to the arrival of its goals and report; none for flight commands",
     )
 
     clock_offset_s: ClockOffset = Field(0.0, description="s; what its clock shows at the start of the run")

@@ -56,7 +56,7 @@ class LensBlurSpec(Model):
         (0.0, 0.0), description="marker sides; diameter of the opening, for discs that grow with the distance"
     )
     focus: Span[Annotated[FiniteFloat, Field(ge=0.1, le=10)]] = Field(
-        (1.0, 1.0), description="distance in focus over that of what is in the image's middle"
+        (1.0, 1.0), description="focus distance over the distance of the scene in the image's middle"
     )
 
 

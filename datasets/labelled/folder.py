@@ -158,7 +158,7 @@ def _check_same(path: Path, file: SpecFile) -> None:
     """Refuse to put a set into the folder of another."""
     advice = "choose another --out, or remove that folder"
     if not _record(path).exists():
-        raise InputError(str(path), "holds something else than a data set", advice)
+        raise InputError(str(path), "is not the folder of a data set", advice)
     spec, record = _read_record(path)
     asked = _contents(file)
     if record.get("skyherd") != asked["skyherd"]:

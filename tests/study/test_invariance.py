@@ -179,5 +179,5 @@ def test_studies_that_the_page_cannot_show_are_refused_before_they_run(
 def test_without_its_reference_there_is_no_page(made: tuple[Plan, Path]) -> None:
     plan, table = made[0], read_table(made[1])
     broken = pa.array(["broke"] * table.num_rows)
-    with pytest.raises(InputError, match="reference's run failed"):
+    with pytest.raises(InputError, match="run of the reference failed"):
         make_sweeps(plan, table.set_column(table.column_names.index("error"), "error", broken))

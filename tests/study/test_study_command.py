@@ -72,7 +72,7 @@ def test_a_folder_of_something_else_is_refused_dry_or_not(
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / name).write_text("mine")
     call_refused = call(capsys, "study", write_study(), *options, "--out", tmp_path / "out")
-    assert_refused(call_refused, "holds something else; a new folder, or that of a study")
+    assert_refused(call_refused, "is not the folder of a study; a new folder, or that of a study")
     assert_refused(
         call(capsys, "study", write_study(), *options, "--out", tmp_path / "out" / name), "is a file"
     )

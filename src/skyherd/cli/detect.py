@@ -8,7 +8,7 @@ import typer
 
 from skyherd.cli.choices import TABLE_FORMATS, complete_dictionary, complete_format
 from skyherd.cli.console import ProgressReporter, complain, say, say_table, warn
-from skyherd.cli.interrupts import telling_of_interrupts
+from skyherd.cli.interrupts import NOTHING_LEFT, telling_of_interrupts
 from skyherd.cli.options import BorderBits, Detector, ForceFolder, Inverted
 from skyherd.errors import InputError
 
@@ -88,7 +88,7 @@ def detect(
             kind="jsonl" if kind == "jsonl" else "csv",
             progress=progress,
         )
-        with telling_of_interrupts("nothing is left of it"):
+        with telling_of_interrupts(NOTHING_LEFT):
             results = inspector.inspect(target, folder, force=force)
     _say_results(results)
     if dictionary == AUTO:

@@ -43,6 +43,6 @@ def report(
     summary = make_report(folder, jobs=cores()) if is_simulated else make_live_report(folder)
     if "recording" in summary:
         where = folder / RECORDING if is_simulated else folder
-        warn(f"{where}: {summary['recording']}; the report is of what can be read")
+        warn(f"{where}: {summary['recording']}; the report shows the readable part")
     say(f"see {folder / PAGE}")
     return 0

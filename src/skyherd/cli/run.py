@@ -93,14 +93,14 @@ def _what_is_left(folder: Path) -> str:
 
     if not (folder / RECORDING).exists():
         return NOTHING_LEFT
-    return f"what was recorded can be seen with `skyherd report {folder}`"
+    return f"the recorded part can be shown by `skyherd report {folder}`"
 
 
 def _warn_of_slow_cameras(mission: "Mission") -> None:
     """Warn of units between whose images the robots forget their goals."""
     for unit, model in enumerate(mission.scenario.units):
         if mission.scenario.robots.timeout_s * model.frame_rate_hz < 1:
-            warn(f"unit {unit} takes an image less often than robots.timeout_s: its robots stop and go")
+            warn(f"unit {unit} takes images less often than robots.timeout_s: its robots stop and go")
 
 
 def _warn_of_the_radio(mission: "Mission") -> None:
@@ -115,13 +115,13 @@ def _warn_of_the_radio(mission: "Mission") -> None:
     if len(parts) > 1:
         units = " | ".join(", ".join(map(str, part)) for part in parts)
         warn(
-            f"units {units} cannot hear of each other at the start (network.range_m = "
-            f"{scenario.network.range_m:g}): each part makes a tree of its own, until they come nearer"
+            f"units {units} cannot reach each other at the start (network.range_m = "
+            f"{scenario.network.range_m:g}): each part forms its own tree until they are in range"
         )
     elif not scenario.network.relay and any(len(others) < len(in_range) for others in in_range):
         warn(
-            "not every unit hears every other one, and network.relay is false: a unit that is not heard of "
-            "counts as dead, so that TC1-TC5 are left"
+            "not every unit is in range of every other one, and network.relay is false: units out of range "
+            "count as dead, and TC1-TC5 do not hold"
         )
 
 

@@ -8,7 +8,7 @@ import typer
 
 from skyherd.cli.choices import complete_scenario
 from skyherd.cli.console import ProgressReporter, say, say_table, warn
-from skyherd.cli.interrupts import telling_of_interrupts
+from skyherd.cli.interrupts import NOTHING_LEFT, telling_of_interrupts
 from skyherd.cli.options import BorderBits, Detector, Dictionary, ForceFolder, Inverted
 from skyherd.errors import InputError
 
@@ -65,7 +65,7 @@ def track(
     source = None if shape is None else named_shape(shape)
     source = source if scenario is None else scenario_shape(scenario)
     folder = out_dir or Path("tracks") / output_name(Path(os.path.abspath(videos[0])).stem)
-    with ProgressReporter() as progress, telling_of_interrupts("nothing is left of it"):
+    with ProgressReporter() as progress, telling_of_interrupts(NOTHING_LEFT):
         recordings = track_videos(
             videos,
             folder,

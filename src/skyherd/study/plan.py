@@ -62,7 +62,7 @@ class Run:
     def text(self) -> str:
         """What makes the run differ from the others of its study, in a line."""
         values = ", ".join(f"{key}={_short(value)}" for key, value in self.parameters.items())
-        return ": ".join(filter(None, (self.sweep, self.task, values))) or "as the scenario has it"
+        return ": ".join(filter(None, (self.sweep, self.task, values))) or "the scenario without changes"
 
 
 @dataclass(frozen=True)

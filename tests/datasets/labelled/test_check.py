@@ -195,7 +195,7 @@ def _no_table(folder):
 
 DAMAGES = {
     _painted_over: (IMAGE, "its pixels around"),
-    _added_image: ("holiday.png", "is no file of the set"),
+    _added_image: ("holiday.png", "is not a file of the set"),
     _nan_in_images: ("images.csv", "focal_u_px is nan"),
     _another_camera: ("images.csv", "height_sides is not as its seed gives it"),
     _long_row: ("images.csv", "longer or shorter"),
@@ -262,7 +262,10 @@ def test_a_folder_of_another_spec_is_refused(copy, tmp_path, capsys):
     )
     (tmp_path / "full").mkdir()
     (tmp_path / "full/thing").touch()
-    assert_refused(call(capsys, "dataset", "make", "small", "--out", tmp_path / "full"), "something else")
+    assert_refused(
+        call(capsys, "dataset", "make", "small", "--out", tmp_path / "full"),
+        "is not the folder of a data set",
+    )
     assert_refused(call(capsys, "dataset", "make", "small", "--out", tmp_path / "full/thing"), "is a file")
     assert [path.name for path in (tmp_path / "full").iterdir()] == ["thing"]
 

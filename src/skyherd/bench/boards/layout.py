@@ -48,7 +48,7 @@ class BoardModel(Model):
         0.3, description="space between markers, in their sides"
     )
     first_id: Annotated[int, Field(ge=0, le=100_000)] = Field(0, description="id of the first marker")
-    name: str = Field("", description="of the board; sets of one name share what is learned of it")
+    name: str = Field("", description="name of the board; sets of one name share its layout corrections")
     degree: Annotated[int, Field(ge=2, le=7)] | None = Field(None, description="of the lens's polynomials")
 
     @property

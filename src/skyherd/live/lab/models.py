@@ -103,7 +103,9 @@ class LabLimits(Model):
     goal_timeout_s: Seconds = Field(
         0.6, description="s; age of an image up to which the goal from it is followed"
     )
-    unseen_s: Seconds = Field(1.0, description="s; a marker unseen for so long is outside all images")
+    unseen_s: Seconds = Field(
+        1.0, description="s; a marker counts as outside all images this long after it was last seen"
+    )
     clock_offset_s: Seconds = Field(1.0, description="s; a clock that is farther off stops robots")
     clock_uncertainty_s: Seconds = Field(
         0.1, description="s; a clock that is known no better than this stops robots"
@@ -150,7 +152,7 @@ class LabRadio(Model):
             raise InputError(
                 "radio",
                 "reaches beyond this machine without TLS and client certificates",
-                "tls/ addresses with authority, certificate and key; or --insecure, and anybody on the "
+                "tls/ addresses with authority, certificate and key; or --insecure, and anyone on the "
                 "network can drive the robots",
             )
 
@@ -159,7 +161,7 @@ class LabRecording(Model):
     """What units record for viewers, beside all that they hear and do."""
 
     image_rate_hz: Annotated[FiniteFloat, Field(ge=0, le=60)] = Field(
-        1.0, description="1/s; images with what was found in them; 0 for none"
+        1.0, description="1/s; rate of images with their detections; 0 for none"
     )
     image_width_px: Annotated[int, Field(ge=64, le=8192)] = Field(
         640, description="px; larger images are shrunk to this width"

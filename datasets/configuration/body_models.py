@@ -14,13 +14,13 @@ class RolesModel(Model):
 
     exchange: bool = Field(
         False,
-        description="whether units exchange the robots' places in the shape, so that their ways are shorter",
+        description="whether units exchange the robots' places in the shape, for shorter paths",
     )
     period_s: Positive = Field(
         1.0, description="s; length of the time slot in which one unit at a time exchanges places"
     )
     gain: Annotated[float, Field(ge=0, lt=1)] = Field(
-        0.05, description="least share of V, the cost of the fit, by which an exchange has to lower it"
+        0.05, description="smallest relative decrease of V, the cost of the fit, for an exchange"
     )
     classes: list[Annotated[int, Field(ge=0, lt=2**31)]] | None = Field(
         None,
@@ -52,12 +52,12 @@ class AvoidanceModel(Model):
     """How robots keep apart; their bodies have the radius `robots.body_radius_sides`."""
 
     on: bool = Field(
-        False, description="whether units send each robot the bodies near it, so that it keeps clear of them"
+        False, description="whether units send each robot the bodies near it, for collision avoidance"
     )
     detour: Detour = Field(
         "around",
-        description="what a robot does whose way is barred: the best of all ways, circling what bars it, or "
-        "only stopping",
+        description="behaviour of a robot whose path is blocked: the best detour, circling the obstacle, or "
+        "stopping",
     )
     margin_sides: NotNegative = Field(0.2, description="marker sides; gap that is kept between two bodies")
     horizon_sides: Positive = Field(

@@ -67,7 +67,7 @@ class CameraModel(Model):
     distortion: DistortionModel = Field(DistortionModel(), description="coefficients of a perspective lens")
     zoom_k1: Coefficient = Field(
         0.0,
-        description="what each doubling of the zoom adds to distortion.k1; 0 for a lens that never changes",
+        description="change of distortion.k1 for each doubling of the zoom; 0 for a constant lens",
     )
 
     @model_validator(mode="before")

@@ -55,7 +55,7 @@ class ShapeModel(Model):
 class LaterModel(ShapeModel):
     """A shape that takes the place of another."""
 
-    at_s: Positive = Field(description="s; time at which it takes the place of the shape before")
+    at_s: Positive = Field(description="s; time at which it replaces the previous shape")
 
 
 class TemplateModel(ShapeModel):
@@ -112,13 +112,14 @@ class ControlModel(Model):
     )
     compensate: bool = Field(
         False,
-        description="whether robots take off their goals what they have driven since the image was taken",
+        description="latency compensation: whether robots subtract their motion since the image",
     )
     rectify: bool = Field(
-        True, description="whether units learn tilt and lens of their cameras from the markers, and undo them"
+        True,
+        description="whether units estimate tilt and lens of their cameras, and correct for them",
     )
     neighbors: Annotated[int, Field(ge=1, le=MAX_ROBOTS)] = Field(
-        3, description="to how many nearest robots a unit sends each robot the distances"
+        3, description="number of nearest robots to which a unit sends each robot the distances"
     )
 
 
@@ -129,7 +130,7 @@ class SelectionModel(Model):
         "radius",
         description="all robots inside the radius, or TC1-TC5 kept by the units' tree protocol, or "
         "the first until "
-        "V falls no more and then the second",
+        "V stops falling, then the second",
     )
     share: Literal["leverage", "nearest"] = Field(
         "leverage",
@@ -183,9 +184,9 @@ class NetworkModel(Model):
     )
     relay: bool = Field(
         True,
-        description="whether units' radios pass reports on, to units out of the sender's range",
+        description="whether units relay reports to units out of the sender's range",
     )
-    relay_s: NotNegative = Field(0.02, description="s; time that passing a report on takes")
+    relay_s: NotNegative = Field(0.02, description="s; delay of a relayed report")
     delay_s: NotNegative = Field(
         0.0,
         description="s; largest delay of a message, drawn for each receiver; later ones may overtake earlier",
@@ -215,7 +216,7 @@ class Scenario(Model):
         return any(map(any, off)) or bool(self.robots.clock_offset_s or self.robots.clock_drift_ppm)
 
     name: Name = Field(description="name of the scenario, and of its output folder")
-    description: str = Field("", description="what it shows, for people")
+    description: str = Field("", description="description of the scenario")
     seed: Seed = Field(1, description="seed of all random draws; same seed, same run")
     duration_s: Annotated[FiniteFloat, Field(ge=0.0001, le=86400)] = Field(description="s; simulated time")
     step_s: Annotated[FiniteFloat, Field(ge=0.0001, le=1)] = Field(
@@ -223,32 +224,34 @@ class Scenario(Model):
     )
     perception: Literal["rendered", "ideal", "noisy"] = Field(
         "rendered",
-        description="how units detect markers: in rendered images, exactly, or with the detector's "
+        description="detection of markers: in rendered images, exactly, or with the detector's "
         "measured noise",
     )
     detector: str = Field(
         "tracking", description="name of the marker detector, one of `skyherd.vision.detector_names()`"
     )
-    template: TemplateModel = Field(description="the shape to form, and those that come after it")
-    robots: RobotsModel = Field(description="the ground robots: where they start, and what they can do")
+    template: TemplateModel = Field(description="the shapes to form")
+    robots: RobotsModel = Field(description="the ground robots: starts and limits")
     marker: MarkerModel = Field(description="the markers on robots and obstacles")
     control: ControlModel = Field(ControlModel(), description="the law that moves the robots, and its gains")
-    selection: SelectionModel = Field(SelectionModel(), description="which robots each unit controls")
-    roles: RolesModel = Field(RolesModel(), description="which robot takes which point of the template")
-    size: SizeModel = Field(SizeModel(), description="how large the shape becomes")
-    avoidance: AvoidanceModel = Field(AvoidanceModel(), description="how robots keep apart")
+    selection: SelectionModel = Field(
+        SelectionModel(), description="selection of the robots that each unit controls"
+    )
+    roles: RolesModel = Field(
+        RolesModel(), description="assignment of the robots to the points of the template"
+    )
+    size: SizeModel = Field(SizeModel(), description="size of the shape")
+    avoidance: AvoidanceModel = Field(AvoidanceModel(), description="collision avoidance")
     units: list[UnitModel] = Field(min_length=1, max_length=256, description="the aerial units")
     autopilot: AutopilotModel = Field(AutopilotModel(), description="limits that the units' autopilots keep")
-    network: NetworkModel = Field(NetworkModel(), description="what goes wrong with images and messages")
-    sensor: SensorModel = Field(SensorModel(), description="what the cameras' sensors do to images")
+    network: NetworkModel = Field(NetworkModel(), description="losses and delays of images and messages")
+    sensor: SensorModel = Field(SensorModel(), description="sensors of the cameras")
     ground: GroundModel = Field(GroundModel(), description="the textured ground, and clutter on it")
     occluders: list[OccluderModel] = Field(
-        default=[], max_length=1000, description="opaque shapes that lie over markers"
+        default=[], max_length=1000, description="opaque shapes over markers"
     )
-    obstacles: list[ObstacleModel] = Field(
-        default=[], max_length=1000, description="round bodies that stand still"
-    )
-    goal: GoalModel = Field(GoalModel(), description="when a run counts as converged")
+    obstacles: list[ObstacleModel] = Field(default=[], max_length=1000, description="static round bodies")
+    goal: GoalModel = Field(GoalModel(), description="criterion of convergence")
 
     @property
     def obstacles_by_id(self) -> list[ObstacleModel]:

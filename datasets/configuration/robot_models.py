@@ -48,7 +48,7 @@ class DriveModel(Model):
     )
     dead_zone_mps: NotNegative = Field(0.0, description="m/s; smaller wheel speeds are 0")
     gain_error: Fraction = Field(
-        0.0, description="largest share by which a wheel is faster or slower, drawn once for each wheel"
+        0.0, description="largest relative speed error of a wheel, drawn once for each wheel"
     )
     track_m: Annotated[FiniteFloat, Field(ge=0.001, le=100)] = Field(
         0.2, description="m; distance between the wheels, for the three keys about wheels"
@@ -91,10 +91,10 @@ class RobotsModel(Model):
     )
     max_speed_mps: Positive = Field(1.0, description="m/s; limit on the speed |v|")
     clock_offset_s: ClockOffset = Field(
-        0.0, description="s; robots' clocks are off by up to this either way, drawn once for each"
+        0.0, description="s; largest offset of the robots' clocks, either way, drawn once for each"
     )
     clock_drift_ppm: ClockDrift = Field(
-        0.0, description="millionths by which they are fast or slow at most, drawn once for each"
+        0.0, description="ppm; largest drift of the robots' clocks, either way, drawn once for each"
     )
     max_turn_radps: Positive = Field(3.0, description="rad/s; limit on the turn rate |omega|")
     timeout_s: Positive = Field(
@@ -104,7 +104,7 @@ class RobotsModel(Model):
     body_radius_sides: NotNegative = Field(
         0.0, description="marker sides; radius of the round body about the marker; 0: robots are points"
     )
-    drive: DriveModel = Field(DriveModel(), description="what the wheels make of a command")
+    drive: DriveModel = Field(DriveModel(), description="response of the wheels to a command")
 
 
 class MarkerModel(Model):

@@ -137,7 +137,7 @@ class SensorModel(Model):
         0.0, description="s; rolling shutter: time from one image row to the next"
     )
     vignetting: Share = Field(0.0, description="share of the light that the image's corners lack")
-    gradient: Share = Field(0.0, description="share by which the light grows from one border to the other")
+    gradient: Share = Field(0.0, description="relative growth of the light from one border to the other")
     gradient_deg: Angle = Field(
         0.0,
         description="deg; direction in the image in which the light grows, from right (0) towards down (90)",
@@ -157,7 +157,7 @@ class SensorModel(Model):
         None, description="quality, 1 to 100, of a JPEG that images go through; none if left out"
     )
     lens_blur: LensBlurModel = Field(LensBlurModel(), description="defocus and coma")
-    processing: ProcessingModel = Field(ProcessingModel(), description="what the camera does to its images")
+    processing: ProcessingModel = Field(ProcessingModel(), description="image processing in the camera")
 
     def make(self, rng: np.random.Generator) -> Sensor:
         """Make the sensor described, its noise drawn from `rng`.

@@ -84,7 +84,7 @@ class UnitModel(Model):
     tilt_deg: tuple[
         Annotated[FiniteFloat, Field(ge=-45, le=45)], Annotated[FiniteFloat, Field(ge=-45, le=45)]
     ] = Field((0.0, 0.0), description="deg; constant tilt about the camera's u and v axes")
-    sway: SwayModel | None = Field(None, description="how it sways; it hangs still if left out")
+    sway: SwayModel | None = Field(None, description="sway; none if left out")
     camera: CameraModel = Field(description="its camera; the controller gets only the image size")
     zoom: list[tuple[NotNegative, Zoom]] = Field(
         default=[(0.0, 1.0)],
@@ -100,16 +100,16 @@ class UnitModel(Model):
         max_length=1000,
         description="spans [from, to] in s in which it is dead: no images, no messages, and no memory after",
     )
-    flight: FlightModel = Field(FlightModel(), description="how it flies")
+    flight: FlightModel = Field(FlightModel(), description="law of flight")
     frame_rate_hz: FrameRate = Field(10.0, description="Hz; images a second; at most one a time step")
     latency_s: NotNegative = Field(
         0.0,
         description="s; delay from an image to the arrival of its goals and report; none for flight commands",
     )
 
-    clock_offset_s: ClockOffset = Field(0.0, description="s; what its clock shows at the start of the run")
+    clock_offset_s: ClockOffset = Field(0.0, description="s; reading of its clock at the start of the run")
     clock_drift_ppm: ClockDrift = Field(
-        0.0, description="millionths by which its clock is faster than the world's, or slower where negative"
+        0.0, description="ppm; drift of its clock against the world's; positive is fast"
     )
 
     @property

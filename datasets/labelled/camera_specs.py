@@ -96,4 +96,4 @@ class SensorSpec(Model):
         None, description="quality, 1 to 100, of a JPEG that images go through; none if left out"
     )
     lens_blur: LensBlurSpec = Field(LensBlurSpec(), description="defocus and coma")
-    processing: ProcessingSpec = Field(ProcessingSpec(), description="what cameras do to their images")
+    processing: ProcessingSpec = Field(ProcessingSpec(), description="image processing in the cameras")

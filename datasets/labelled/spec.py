@@ -41,19 +41,19 @@ Size = Annotated[int, Field(ge=64, le=8192)]
 class DatasetSpec(Model):
     """The spec of a set: with the seed, all that each image follows from."""
 
-    description: str = Field("", description="what the set is for, for people")
+    description: str = Field("", description="purpose of the set")
     seed: Seed = Field(1, description="seed of all random draws")
     images: Annotated[int, Field(ge=1, le=1_000_000)] = Field(description="number of images")
     size_px: tuple[Size, Size] = Field((640, 480), description="px; width and height of every image")
     validation: Fraction = Field(0.2, description="share of the images that are kept for validation")
     cameras: Annotated[int, Field(ge=1, le=1_000_000)] = Field(
-        8, description="different cameras, each with its lens, over a ground of its own"
+        8, description="number of cameras, each with its own lens and ground"
     )
     markers: MarkersSpec = Field(MarkersSpec(), description="the markers of an image")
     camera: CameraSpec = Field(CameraSpec(), description="the cameras")
-    sensor: SensorSpec = Field(SensorSpec(), description="what the sensor does to images")
+    sensor: SensorSpec = Field(SensorSpec(), description="sensors of the cameras")
     ground: GroundSpec = Field(GroundSpec(), description="the ground under the markers")
-    occluders: OccludersSpec = Field(OccludersSpec(), description="what lies over markers")
+    occluders: OccludersSpec = Field(OccludersSpec(), description="occluders over markers")
 
     @model_validator(mode="after")
     def _possible(self) -> Self:

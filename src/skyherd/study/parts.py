@@ -55,10 +55,10 @@ class DrawModel(Model):
 class RandomModel(Model):
     """Random parameters: draw number i of a key depends on seed, i and key alone."""
 
-    runs: Annotated[int, Field(ge=1, le=1_000_000)] = Field(description="how many draws of all keys")
+    runs: Annotated[int, Field(ge=1, le=1_000_000)] = Field(description="number of draws of all keys")
     seed: Seed = Field(1, description="of the draws")
     draw: Annotated[dict[str, Annotated[DrawModel, BeforeValidator(_kind)]], BeforeValidator(_keys)] = Field(
-        min_length=1, description="how each key of the scenario is drawn"
+        min_length=1, description="distribution of each key of the scenario"
     )
 
 
@@ -90,8 +90,8 @@ class Parts(Model):
 class SweepModel(Parts):
     """One series of runs; its keys replace those at the top of the study, which replace the scenario's."""
 
-    name: str = Field(min_length=1, description="what the table calls it")
-    about: str = Field("", description="what it is, as pages say it")
+    name: str = Field(min_length=1, description="name of the sweep in the table")
+    about: str = Field("", description="description for pages")
 
     def over(self, top: Parts) -> "SweepModel":
         """The sweep with the keys of the top of the study added that it does not have itself."""
@@ -112,8 +112,8 @@ class SweepModel(Parts):
 class TaskModel(Model):
     """One task of a set: every sweep does it, with its own keys beside those of the task."""
 
-    name: str = Field(min_length=1, description="what tables call it")
-    about: str = Field("", description="what it is, as pages say it")
+    name: str = Field(min_length=1, description="name of the task in the table")
+    about: str = Field("", description="description for pages")
     set: Annotated[dict[str, Any], BeforeValidator(_keys)] = Field(
         {}, description="one value a key of the scenario"
     )

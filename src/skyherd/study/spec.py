@@ -72,19 +72,19 @@ class FigureModel(Model):
 class StudySpec(Parts):
     """A study: a scenario, what varies between runs, and what is kept of each."""
 
-    description: str = Field("", description="what it is for")
+    description: str = Field("", description="purpose of the study")
     scenario: str = Field(description="a built-in scenario, or a TOML file beside the study")
     sweeps: list[SweepModel] = Field([], description="series of runs; if left out, the study is one")
     tasks_version: Annotated[int, Field(ge=1, lt=1000)] | None = Field(
         None, description="of the tasks: another number wherever a task changed, so that results can be cited"
     )
-    tasks: list[TaskModel] = Field([], description="what every sweep is run on")
+    tasks: list[TaskModel] = Field([], description="tasks that every sweep is run on")
     keep: list[str] = Field(
         min_length=1, description=f"fields of summary.json, or {CURVE}NAME for an array over time"
     )
     figures: list[FigureModel] = Field([], description="drawn of the table")
     pages: Literal["figures", "invariance", "methods"] = Field(
-        "figures", description="what is made of the table"
+        "figures", description="kind of page made from the table"
     )
     quick: dict[str, Any] = Field({}, description="keys of the study that --quick changes")
 

@@ -39,7 +39,7 @@ UNIT_SQUARE = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
 class BoardModel(Model):
     """A board with markers in rows and columns."""
 
-    kind: Literal["charuco", "aprilgrid", "aruco"] = Field(description="how markers are laid out")
+    kind: Literal["charuco", "aprilgrid", "aruco"] = Field(description="kind of board")
     columns: Annotated[int, Field(ge=1, le=1000)] = Field(description="squares of charuco, else markers")
     rows: Annotated[int, Field(ge=1, le=1000)] = Field(description="squares of charuco, else markers")
     marker: Annotated[float, Field(gt=0, lt=1)] = Field(0.75, description="charuco: marker's side in squares")

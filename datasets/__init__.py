@@ -26,6 +26,7 @@ from skyherd.datasets.configuration.file_kinds import (
     read_source,
     refuse_configuration,
     refuse_other_kind,
+    source_text,
 )
 from skyherd.datasets.configuration.mission import (
     Mission,
@@ -159,6 +160,7 @@ __all__ = [
     "scenario_names",
     "scenario_text",
     "shape_points",
+    "source_text",
     "spec_names",
     "spec_text",
     "star_mission",

@@ -52,6 +52,11 @@ class FileKind:
     required: frozenset[str]
     optional: frozenset[str]
 
+    @property
+    def noun(self) -> str:
+        """The first word of its name, which goes before the name of a built-in one."""
+        return self.name.split()[0]
+
     def known_share(self, tree: dict[str, Any]) -> float:
         """Share of a file's top-level keys that this kind has."""
         return len(tree.keys() & (self.required | self.optional)) / max(len(tree), 1)
@@ -137,15 +142,25 @@ def read_source(name_or_file: str, kind: FileKind) -> TomlSource:
     """
     path = Path(name_or_file)
     is_file = path.suffix == ".toml" or is_regular(path)
-    noun = kind.name.split()[0]
-    where = str(path) if is_file else f"{noun} {name_or_file}"
-    _refuse_recording(path, kind)
-    if not is_file:
-        _refuse_built_in_of_another_kind(name_or_file, kind)
-    text = read_toml_text(path, kind.name) if is_file else built_in_text(kind.package, name_or_file, noun)
+    where = str(path) if is_file else f"{kind.noun} {name_or_file}"
+    _refuse_recording(path, kind.name)
+    text = read_toml_text(path, kind.name) if is_file else source_text(name_or_file, kind)
     tree = parse_toml(text, where, kind.example)
     refuse_other_kind(tree, where, kind)
     return TomlSource(tree, where, path.parent if is_file else Path(), is_file)
+
+
+def source_text(name: str, kind: FileKind) -> str:
+    """Return the TOML text of a built-in file.
+
+    Raises:
+        InputError: there is none of that name and kind; one of another kind is named as what it is.
+    """
+    if name not in built_in_names(kind.package):
+        for other in KINDS:
+            if name in built_in_names(other.package):
+                raise _of_another_kind(repr(name), other, kind.name)
+    return built_in_text(kind.package, name, kind.noun)
 
 
 def refuse_other_kind(tree: dict[str, Any], where: str, wanted: FileKind | str) -> None:
@@ -176,15 +191,16 @@ def recognize(tree: dict[str, Any]) -> FileKind | None:
 
 
 def refuse_configuration(path: Path, wanted: str) -> None:
-    """Refuse a TOML file where something else is wanted, and name the verbs that take it.
+    """Refuse a TOML file or a recording where something else is wanted, and name the verbs that take it.
 
     Args:
         path: what was given; a file that cannot be read, or is of no kind, passes.
         wanted: what is wanted, as a noun.
 
     Raises:
-        InputError: it is a scenario, a lab, a study or a dataset spec.
+        InputError: it is a scenario, a lab, a study, a dataset spec or a recording.
     """
+    _refuse_recording(path, wanted)
     if path.suffix != ".toml" or not is_regular(path):
         return
     try:
@@ -206,22 +222,14 @@ def is_recording(path: Path) -> bool:
         return path.suffix == RECORDING_SUFFIX
 
 
-def _refuse_recording(path: Path, kind: FileKind) -> None:
+def _refuse_recording(path: Path, wanted: str) -> None:
     if is_regular(path) and is_recording(path):
-        what = f"is a recording, not a {kind.name}"
+        what = f"is a recording, not a {wanted}"
     elif os.path.isdir(path) and is_regular(path / f"run{RECORDING_SUFFIX}"):
-        what = f"is the folder of a run, not a {kind.name}"
+        what = f"is the folder of a run, not a {wanted}"
     else:
         return
     raise InputError(str(path), what, "give it to `skyherd topology`, or its folder to `skyherd report`")
-
-
-def _refuse_built_in_of_another_kind(name: str, kind: FileKind) -> None:
-    if name in built_in_names(kind.package):
-        return
-    for other in KINDS:
-        if other is not kind and name in built_in_names(other.package):
-            raise _of_another_kind(repr(name), other, kind.name)
 
 
 def _of_another_kind(where: str, found: FileKind, wanted: str) -> InputError:

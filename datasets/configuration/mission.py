@@ -10,13 +10,13 @@ import numpy as np
 
 from skyherd.bodies import Bodies
 from skyherd.control import Schedule, Template
-from skyherd.datasets.configuration.file_kinds import SCENARIO, read_source
+from skyherd.datasets.configuration.file_kinds import SCENARIO, read_source, source_text
 from skyherd.datasets.configuration.models import Scenario, ShapeModel
 from skyherd.datasets.configuration.obstacles import check_obstacles
 from skyherd.datasets.configuration.robot_models import RobotsModel
 from skyherd.datasets.configuration.start import coincident, start_headings, start_positions
 from skyherd.datasets.configuration.template_image import read_template_image
-from skyherd.datasets.configuration.toml_files import apply_settings, built_in_names, built_in_text
+from skyherd.datasets.configuration.toml_files import apply_settings, built_in_names
 from skyherd.datasets.configuration.validation import check_tree, locate
 from skyherd.datasets.shapes.shapes import shape_points
 from skyherd.errors import DegenerateSetError, InputError, ProblemCollector, join_errors
@@ -43,7 +43,7 @@ def scenario_text(name: str) -> str:
     Raises:
         InputError: there is none of that name.
     """
-    return built_in_text(SCENARIO.package, name, "scenario")
+    return source_text(name, SCENARIO)
 
 
 @dataclass(frozen=True)

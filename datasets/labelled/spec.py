@@ -16,8 +16,8 @@ from pydantic import Field, model_validator
 
 from skyherd.datasets.configuration.camera_models import CameraModel, DistortionModel
 from skyherd.datasets.configuration.fields import Fraction, Model, Seed
-from skyherd.datasets.configuration.file_kinds import DATASET, read_source
-from skyherd.datasets.configuration.toml_files import built_in_names, built_in_text
+from skyherd.datasets.configuration.file_kinds import DATASET, read_source, source_text
+from skyherd.datasets.configuration.toml_files import built_in_names
 from skyherd.datasets.configuration.validation import check_tree
 from skyherd.datasets.labelled.camera_specs import CameraSpec, SensorSpec
 from skyherd.datasets.labelled.scene_specs import GroundSpec, MarkersSpec, OccludersSpec
@@ -116,7 +116,7 @@ def spec_text(name: str) -> str:
     Raises:
         InputError: there is none of that name.
     """
-    return built_in_text(DATASET.package, name, "dataset")
+    return source_text(name, DATASET)
 
 
 def load_spec(name_or_file: str, *, seed: int | None = None, images: int | None = None) -> SpecFile:

@@ -54,3 +54,39 @@ def test_report_names_the_verb_that_takes_a_configuration(capsys, tmp_path):
     assert_refused(
         call(capsys, "report", tmp_path / "run.mcap"), f"give its folder: `skyherd report {tmp_path}`"
     )
+
+
+@pytest.mark.parametrize(
+    ("verb", "wanted"),
+    [
+        (["detect"], "picture or video"),
+        (["track"], "video"),
+        (["dataset", "check"], "data set"),
+        (["report"], "run"),
+    ],
+)
+def test_a_scenario_or_a_recording_in_the_wrong_place_is_named(verb, wanted, capsys, tmp_path):
+    (tmp_path / "star.toml").write_text(scenario_text("star"))
+    (tmp_path / "x.mcap").write_bytes(b"\x89MCAP0\r\n")
+    refused = call(capsys, *verb, tmp_path / "star.toml")
+    assert_refused(refused, f"star.toml: is a scenario, not a {wanted}; give it to `skyherd run`")
+    assert_refused(call(capsys, *verb, tmp_path / "x.mcap"), f"x.mcap: is a recording, not a {wanted}; ")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (
+            ["scenario", "show", "webcams"],
+            "'webcams': is a lab, not a scenario; give it to `skyherd live run`",
+        ),
+        (["live", "show", "gains"], "'gains': is a study, not a lab; give it to `skyherd study`"),
+        (["dataset", "show", "grid"], "'grid': is a scenario, not a dataset spec; give it to `skyherd run`"),
+        (
+            ["study", "small", "--show"],
+            "'small': is a dataset spec, not a study; give it to `skyherd dataset",
+        ),
+    ],
+)
+def test_a_built_in_name_of_another_kind_is_named(arguments, said, capsys):
+    assert_refused(call(capsys, *arguments), said)

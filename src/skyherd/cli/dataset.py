@@ -75,10 +75,12 @@ def check(
 
     Exit code 0 if there is no problem, 1 for problems, which have a line each, 2 if it is not a data set.
     """
+    from skyherd.datasets import refuse_configuration
     from skyherd.datasets.labelled.check import check_dataset
 
     if sample < 0:
         raise InputError("--sample", str(sample), "0 or more")
+    refuse_configuration(folder, "data set")
     verdict = check_dataset(folder, sample=sample)
     for problem in verdict.problems:
         complain(problem)

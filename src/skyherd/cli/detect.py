@@ -76,6 +76,10 @@ def detect(
 
     if kind not in TABLE_FORMATS:
         raise InputError("--format", f"no format {kind!r}", f"one of {', '.join(TABLE_FORMATS)}")
+    if target.suffix in (".toml", ".mcap"):
+        from skyherd.datasets import refuse_configuration
+
+        refuse_configuration(target, "picture or video")
     folder = out_dir or Path("detections") / output_name(Path(os.path.abspath(target)).stem)
     with ProgressReporter() as progress:
         inspector = Inspector(

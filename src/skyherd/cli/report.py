@@ -30,11 +30,11 @@ def report(
     is_simulated = os.path.lexists(folder / RECORDING)
     allowed = "the output folder of `skyherd run` or `skyherd live run`"
     if not is_directory(folder):
-        refuse_configuration(folder, "run")
         if folder.name == RECORDING and is_directory(folder.parent):
             raise InputError(
                 str(folder), "is a recording", f"give its folder: `skyherd report {folder.parent}`"
             )
+        refuse_configuration(folder, "run")
         what = "is a file" if os.path.lexists(folder) else "no such folder"
         raise InputError(str(folder), what, allowed)
     if not is_simulated and not recorded_files(folder):

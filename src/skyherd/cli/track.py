@@ -56,12 +56,15 @@ def track(
 
     Exit code 0 when done, 1 if no robot's marker was found, 2 for bad input.
     """
+    from skyherd.datasets import refuse_configuration
     from skyherd.inspection import output_name
     from skyherd.live.tracking import FIGURE, SHAPE, TRACKS, named_shape, scenario_shape, track_videos
     from skyherd.markers.sheet_layout import parse_ids
 
     if shape is not None and scenario is not None:
         raise InputError("--shape", "given with --scenario", "one of the two")
+    for video in videos:
+        refuse_configuration(video, "video")
     source = None if shape is None else named_shape(shape)
     source = source if scenario is None else scenario_shape(scenario)
     folder = out_dir or Path("tracks") / output_name(Path(os.path.abspath(videos[0])).stem)

@@ -13,10 +13,10 @@ from skyherd.datasets import (
     Model,
     Name,
     built_in_names,
-    built_in_text,
     check_tree,
     did_you_mean,
     read_source,
+    source_text,
 )
 from skyherd.errors import InputError, join_errors
 from skyherd.study.parts import Parts, SweepModel, TaskModel
@@ -223,7 +223,7 @@ def study_names() -> list[str]:
 
 def study_text(name: str) -> str:
     """The TOML text of a built-in study; InputError if there is none of that name."""
-    return built_in_text(STUDY.package, name, "study")
+    return source_text(name, STUDY)
 
 
 def load_study(name_or_file: str, *, quick: bool = False) -> Study:

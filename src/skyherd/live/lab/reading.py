@@ -11,11 +11,11 @@ from skyherd.datasets import (
     LAB,
     apply_settings,
     built_in_names,
-    built_in_text,
     check_tree,
     locate,
     read_source,
     shape_points,
+    source_text,
 )
 from skyherd.errors import DegenerateSetError, InputError, ProblemCollector
 from skyherd.geometry import to_complex
@@ -35,7 +35,7 @@ def lab_text(name: str) -> str:
     Raises:
         InputError: there is none of that name.
     """
-    return built_in_text(LAB.package, name, "lab")
+    return source_text(name, LAB)
 
 
 def load_lab(name_or_file: str, settings: Iterable[str] = ()) -> Lab:

@@ -16,7 +16,7 @@ Made from the program when this site is built, so that it says what `skyherd VER
 
 Exit codes of all verbs: 0 done; 1 the answer is no (the shape was not reached, a condition is violated, a
 run failed, a file has no marker under `--require`, no robot was tracked, a data set has a problem, a robot
-did not answer, a decision comes out differently); 2 bad input or output, told in one line; 130 after Ctrl-C,
+did not answer, a decision comes out differently); 2 bad input or output; 130 after Ctrl-C,
 and 143 after SIGTERM.
 """
 

@@ -121,7 +121,7 @@ def _check_none_is_empty(arguments: list[str]) -> None:
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run the command line and exit with its code; what a user got wrong is one line on stderr."""
+    """Run the command line and exit with its code; each problem of the input is a line on stderr."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # a terminal without UTF-8 shows what it lacks escaped
             stream.reconfigure(errors="backslashreplace")

@@ -56,7 +56,7 @@ from skyherd.datasets.configuration.toml_files import (
     read_toml_text,
 )
 from skyherd.datasets.configuration.unit_models import FlightModel, UnitModel
-from skyherd.datasets.configuration.validation import check_tree, did_you_mean, locate
+from skyherd.datasets.configuration.validation import check_tree, locate
 from skyherd.datasets.labelled.ranges import draw_integer, draw_number
 from skyherd.datasets.labelled.read import Dataset, LabelledImage, read_dataset
 from skyherd.datasets.labelled.spec import DatasetSpec, SpecFile, load_spec, spec_names, spec_text
@@ -137,7 +137,6 @@ __all__ = [
     "check_dataset",
     "check_tree",
     "crowded_mission",
-    "did_you_mean",
     "draw_integer",
     "draw_number",
     "draw_preview",

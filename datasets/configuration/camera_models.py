@@ -11,6 +11,7 @@ from skyherd.datasets.configuration.fields import Model, Point
 from skyherd.datasets.configuration.validation import shown
 from skyherd.errors import InputError
 from skyherd.render import Camera, Distortion, Equidistant
+from skyherd.text import one_of
 
 LENS_VALUES = re.compile(r"^\w+\([^)]*\)")
 """A lens with its coefficients, with which messages about it begin."""
@@ -76,7 +77,9 @@ class CameraModel(Model):
         if not isinstance(given, dict) or given.get("preset") is None:
             return given
         if not isinstance(given["preset"], str) or given["preset"] not in CAMERAS:
-            raise InputError("preset", f"no preset {shown(given['preset'])}", f"one of {', '.join(CAMERAS)}")
+            raise InputError(
+                "preset", f"no preset {shown(given['preset'])}", one_of(str(given["preset"]), CAMERAS)
+            )
         preset = dict(CAMERAS[given["preset"]])
         if given.get("focal_px") is not None or given.get("half_angle_deg") is not None:
             preset.pop("half_angle_deg")

@@ -22,8 +22,9 @@ from skyherd.datasets.configuration.fields import (
 from skyherd.datasets.configuration.robot_models import MarkerModel, ObstacleModel, RobotsModel
 from skyherd.datasets.configuration.scene_models import GroundModel, OccluderModel, SensorModel
 from skyherd.datasets.configuration.unit_models import UnitModel
-from skyherd.datasets.configuration.validation import did_you_mean, shown
+from skyherd.datasets.configuration.validation import shown
 from skyherd.errors import InputError, join_errors
+from skyherd.text import one_of
 
 RATE_ROUNDING = 1e-9
 """By how much images a time step may exceed 1. *Chosen*: rounding of `frame_rate_hz * step_s`, such as 10
@@ -82,9 +83,7 @@ OWN_METHOD = ":"
 
 def _check_method(method: str) -> str:
     if method not in METHODS and OWN_METHOD not in method:
-        meant = did_you_mean(method, METHODS)
-        allowed = f"{meant} " * bool(meant) + f"one of {', '.join(METHODS)}, or module:factory"
-        raise InputError("", f"no law {shown(method)}", allowed)
+        raise InputError("", f"no law {shown(method)}", f"{one_of(method, METHODS)}, or module:factory")
     return method
 
 

@@ -9,10 +9,11 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from skyherd.datasets.configuration.validation import MAX_SHOWN, did_you_mean
+from skyherd.datasets.configuration.validation import MAX_SHOWN
 from skyherd.errors import InputError
 from skyherd.files.reading import read_text
 from skyherd.messages.checks import check_texts
+from skyherd.text import did_you_mean
 
 MAX_BYTES = 2**18
 """Size of the largest TOML file that is read. *Chosen*: places of a thousand robots, each with its own line,

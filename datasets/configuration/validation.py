@@ -5,7 +5,6 @@ Pydantic finds the problems; the words come from the model's JSON schema. A vali
 """
 
 from collections.abc import Iterator, Mapping
-from difflib import get_close_matches
 from functools import cache
 from typing import Any, TypeVar
 
@@ -13,7 +12,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from skyherd.errors import MAX_PROBLEMS, InputError, join_errors
-from skyherd.text import shorten
+from skyherd.text import did_you_mean, shorten
 
 MAX_SHOWN = 60
 """Characters of a value or a key that a problem shows. *Chosen*: a number, a name or a short list."""
@@ -128,13 +127,6 @@ def shown(value: Any) -> str:
         return "an integer of very many digits"
 
 
-def did_you_mean(name: str, known: Any) -> str:
-    """Return `did you mean 'k'?` for the known name that is most like a name; empty if none is like it."""
-    lower = {str(one).lower(): str(one) for one in known}
-    close = get_close_matches(shorten(name.lower(), MAX_SHOWN), lower, 1)
-    return f"did you mean {lower[close[0]]!r}?" if close else ""
-
-
 def expected(schema: Schema, top: Schema) -> str:
     """Return what a value may be, in words.
 
@@ -207,8 +199,12 @@ def _problems(detail: ErrorDetails, top: Schema) -> Iterator[tuple[str, str, str
     key, schema = _key(location), _node(location, top)
     match detail["type"]:
         case "extra_forbidden":
-            parent = _resolved(_node(location[:-1], top), top)
-            yield key, "unknown key", _instead(str(location[-1]), parent, top)
+            known = [
+                name
+                for option in _options(_resolved(_node(location[:-1], top), top))
+                for name in _resolved(option, top).get("properties", {})
+            ]
+            yield key, "unknown key", _instead(str(location[-1]), known, top)
         case "missing":
             meaning = schema.get("description", "")
             yield key, "missing", "give " + expected(schema, top) + (f" ({meaning})" if meaning else "")
@@ -245,9 +241,8 @@ def _key(location: Location) -> str:
     return shorten(".".join(str(part) for part in location if part != "[key]"), MAX_SHOWN)
 
 
-def _instead(name: str, parent: Schema, top: Schema) -> str:
-    """What to write instead of an unknown key."""
-    known = parent.get("properties", {})
+def _instead(name: str, known: list[str], top: Schema) -> str:
+    """What to write instead of an unknown key, of which `known` are the keys beside it."""
     if (new := renamed(name)) in known:
         return f"renamed to {new}"
     if meant := did_you_mean(name, known):

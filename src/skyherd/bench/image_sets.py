@@ -27,7 +27,6 @@ from skyherd.datasets import (
     DictionaryName,
     Model,
     check_tree,
-    did_you_mean,
     parse_toml,
     read_toml_text,
     refuse_other_kind,
@@ -35,6 +34,7 @@ from skyherd.datasets import (
 from skyherd.errors import InputError, ProblemCollector
 from skyherd.files.images import SUFFIXES, read_grey
 from skyherd.files.video_reader import VIDEO_SUFFIXES, is_video, open_clip, read_clip
+from skyherd.text import one_of
 
 SETS_FILE = "photographs.toml"
 """File name of the sets in the folder of the images."""
@@ -121,9 +121,8 @@ def load_image_sets(
     tables = parse_toml(read_toml_text(path, "file of image sets"), str(path), EXAMPLE)
     refuse_other_kind(tables, str(path), "file of image sets")
     if unknown := [name for name in only if name not in tables]:
-        meant = did_you_mean(unknown[0], tables)
-        allowed = f"{meant} " * bool(meant) + f"one of {', '.join(tables)}"
-        raise InputError("--only", f"{path} has no set {', '.join(unknown)}", allowed)
+        what = f"{path} has no set {', '.join(unknown)}"
+        raise InputError("--only", what, one_of(unknown[0], tables))
     problems, models = ProblemCollector(), {}
     for name, table in tables.items():
         with problems.collecting():

@@ -14,6 +14,7 @@ import numpy.typing as npt
 from skyherd.errors import InputError
 from skyherd.geometry import SQUARE_CORNERS, Array, fit_squares, to_complex, to_points
 from skyherd.markers.codes import CODES, code_bits
+from skyherd.text import one_of
 
 QUIET_ZONE_CELLS = 1.0
 """Width of the white card around the black square, in cells. *Chosen*: the least that detectors ask for;
@@ -105,7 +106,9 @@ def load_dictionary(name: str) -> cv2.aruco.Dictionary:
         return _generate(name)
     if name not in dictionary_names():
         raise InputError(
-            "marker dictionary", f"no dictionary {name!r}", f"one of {', '.join(dictionary_names())}"
+            "marker dictionary",
+            f"no dictionary {name!r}",
+            one_of(name.removeprefix(OPENCV_PREFIX), dictionary_names()),
         )
     return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"{OPENCV_PREFIX}{name}"))
 

@@ -14,12 +14,12 @@ from skyherd.datasets import (
     Name,
     built_in_names,
     check_tree,
-    did_you_mean,
     read_source,
     source_text,
 )
 from skyherd.errors import InputError, join_errors
 from skyherd.study.parts import Parts, SweepModel, TaskModel
+from skyherd.text import did_you_mean
 
 CURVE = "history."
 """Prefix of fields of a run's history, which are arrays over time, beside those of its summary."""

@@ -154,6 +154,28 @@ def test_unknown_key_of_another_table_names_its_place():
     )
 
 
+def test_unknown_key_of_an_optional_table_is_compared_with_its_keys():
+    with pytest.raises(InputError) as caught:
+        load_mission("grid", ["robots.scatter.jitter=1"])
+    assert str(caught.value) == "--set robots.scatter.jitter: unknown key; did you mean 'jitter_m'?"
+
+
+@pytest.mark.parametrize(
+    ("setting", "meant"),
+    [
+        ("marker.dictionary=DICT_4X4_51", "4X4_50"),
+        ("detector=trakcing", "tracking"),
+        ("template={shape='start'}", "star"),
+        ("units.0.camera.preset=phnoe", "phone"),
+        ("control.method=bearing-onyl", "bearing-only"),
+        ("perception=nosiy", "noisy"),
+    ],
+)
+def test_mistyped_name_gets_the_nearest_known_one(setting, meant):
+    with pytest.raises(InputError, match=rf"did you mean '{meant}'\? one of "):
+        load_mission("star", [setting])
+
+
 def test_missing_key_tells_what_it_is():
     said = str(refused(star(("side_m", "# side_m"))))
     assert said.startswith("a.toml: marker.side_m: missing; give a finite number from 0.001 to 1000 (m; side")

@@ -3,11 +3,12 @@
 import re
 from collections.abc import Iterator, Mapping
 
-from skyherd.datasets import did_you_mean, locate
+from skyherd.datasets import locate
 from skyherd.errors import InputError, join_errors
 from skyherd.live.drivers import check_driver
 from skyherd.live.lab.models import TEAM_PATTERN, LabModel
 from skyherd.markers.dictionary import dictionary_size
+from skyherd.text import one_of
 from skyherd.vision import detector_names
 
 Problem = tuple[str, str, str]
@@ -85,9 +86,8 @@ def _detector_problems(model: LabModel) -> Iterator[Problem]:
     names = detector_names()
     for unit, camera in enumerate(model.cameras):
         if camera.detector not in names:
-            meant = did_you_mean(camera.detector, names)
-            allowed = f"{meant} " * bool(meant) + f"one of {', '.join(names)}"
-            yield f"cameras.{unit}.detector", f"no detector {camera.detector!r}", allowed
+            what = f"no detector {camera.detector!r}"
+            yield f"cameras.{unit}.detector", what, one_of(camera.detector, names)
 
 
 def _robot_problems(model: LabModel) -> Iterator[Problem]:

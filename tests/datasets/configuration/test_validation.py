@@ -154,7 +154,7 @@ def test_unknown_key_of_another_table_names_its_place():
     )
 
 
-def test_unknown_key_of_an_optional_table_is_compared_with_its_keys():
+def test_unknown_key_of_an_optional_table_gets_the_nearest():
     with pytest.raises(InputError) as caught:
         load_mission("grid", ["robots.scatter.jitter=1"])
     assert str(caught.value) == "--set robots.scatter.jitter: unknown key; did you mean 'jitter_m'?"

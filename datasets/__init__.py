@@ -17,7 +17,17 @@ from typing import TYPE_CHECKING, Any
 from skyherd.datasets.configuration.body_models import AvoidanceModel, SizeModel
 from skyherd.datasets.configuration.camera_models import CameraModel
 from skyherd.datasets.configuration.cameras import CAMERAS
-from skyherd.datasets.configuration.fields import Model, Point
+from skyherd.datasets.configuration.fields import DictionaryName, Model, Name, Point
+from skyherd.datasets.configuration.file_kinds import (
+    LAB,
+    STUDY,
+    FileKind,
+    TomlSource,
+    read_source,
+    refuse_configuration,
+    refuse_other_kind,
+    source_text,
+)
 from skyherd.datasets.configuration.mission import (
     Mission,
     ScenarioSource,
@@ -44,15 +54,16 @@ from skyherd.datasets.configuration.robot_models import (
     WheelsModel,
 )
 from skyherd.datasets.configuration.toml_files import (
+    apply_settings,
     built_in_names,
     built_in_text,
-    first_error,
     get_value,
     parse_toml,
     put_value,
     read_toml_text,
 )
 from skyherd.datasets.configuration.unit_models import FlightModel, UnitModel
+from skyherd.datasets.configuration.validation import check_tree, locate
 from skyherd.datasets.labelled.ranges import draw_integer, draw_number
 from skyherd.datasets.labelled.read import Dataset, LabelledImage, read_dataset
 from skyherd.datasets.labelled.spec import DatasetSpec, SpecFile, load_spec, spec_names, spec_text
@@ -96,21 +107,26 @@ else:
 __all__ = [
     "BODY_SIDES",
     "CAMERAS",
+    "LAB",
     "METHODS",
     "OWN_METHOD",
     "SHAPES",
     "SHAPE_SPACING",
+    "STUDY",
     "AutopilotModel",
     "AvoidanceModel",
     "CameraModel",
     "Crowd",
     "Dataset",
     "DatasetSpec",
+    "DictionaryName",
     "DriveModel",
+    "FileKind",
     "FlightModel",
     "LabelledImage",
     "Mission",
     "Model",
+    "Name",
     "NetworkModel",
     "ObstacleMarkerModel",
     "Point",
@@ -121,21 +137,24 @@ __all__ = [
     "SelectionModel",
     "SizeModel",
     "SpecFile",
+    "TomlSource",
     "UnitModel",
     "Verdict",
     "WheelsModel",
+    "apply_settings",
     "built_in_names",
     "built_in_text",
     "check_dataset",
     "check_obstacle_ids",
+    "check_tree",
     "crowded_mission",
     "draw_integer",
     "draw_number",
     "draw_preview",
-    "first_error",
     "get_value",
     "load_mission",
     "load_spec",
+    "locate",
     "make_dataset",
     "make_mission",
     "parse_toml",
@@ -144,10 +163,14 @@ __all__ = [
     "random_mission",
     "read_dataset",
     "read_scenario",
+    "read_source",
     "read_toml_text",
+    "refuse_configuration",
+    "refuse_other_kind",
     "scenario_names",
     "scenario_text",
     "shape_points",
+    "source_text",
     "spec_names",
     "spec_text",
     "star_mission",

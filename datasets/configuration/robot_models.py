@@ -9,6 +9,7 @@ from skyherd.datasets.configuration.fields import (
     Angle,
     ClockDrift,
     ClockOffset,
+    DictionaryName,
     Fraction,
     Model,
     NotNegative,
@@ -44,7 +45,7 @@ class WheelsModel(Model):
     )
     dead_zone_mps: NotNegative = Field(0.0, description="m/s; smaller wheel speeds are 0")
     gain_error: Fraction = Field(
-        0.0, description="largest share by which a wheel is faster or slower, drawn once for each wheel"
+        0.0, description="largest relative speed error of a wheel, drawn once for each wheel"
     )
     track_m: Annotated[FiniteFloat, Field(ge=0.001, le=100)] = Field(
         0.2, description="m; distance between the wheels, for the three keys about wheels"
@@ -86,7 +87,7 @@ class RobotsModel(Model):
         max_length=MAX_ROBOTS,
         description="deg; start headings, counter-clockwise from +x; random if left out",
     )
-    scatter: ScatterModel | None = Field(None, description="a random start, in place of positions_m")
+    scatter: ScatterModel | None = Field(None, description="a random start, instead of positions_m")
     count: Annotated[int, Field(ge=2, le=MAX_ROBOTS)] | None = Field(
         None, description="number of robots, where it does not follow from positions, ids or points"
     )
@@ -95,10 +96,10 @@ class RobotsModel(Model):
     )
     max_speed_mps: Positive = Field(1.0, description="m/s; limit on the speed |v|")
     clock_offset_s: ClockOffset = Field(
-        0.0, description="s; robots' clocks are off by up to this either way, drawn once for each"
+        0.0, description="s; largest offset of the robots' clocks, either way, drawn once for each"
     )
     clock_drift_ppm: ClockDrift = Field(
-        0.0, description="millionths by which they are fast or slow at most, drawn once for each"
+        0.0, description="ppm; largest drift of the robots' clocks, either way, drawn once for each"
     )
     max_turn_radps: Positive = Field(3.0, description="rad/s; limit on the turn rate |omega|")
     timeout_s: Positive = Field(
@@ -108,13 +109,15 @@ class RobotsModel(Model):
     body_radius_sides: NotNegative = Field(
         0.0, description="marker sides; radius of the round body about the marker; 0: robots are points"
     )
-    drive: DriveModel = Field(DriveModel(), description="what the wheels make of a command")
+    drive: DriveModel = Field(DriveModel(), description="response of the wheels to a command")
 
 
 class MarkerModel(Model):
     """The markers on robots and obstacles."""
 
-    dictionary: str = Field("4X4_50", description="marker dictionary, named as in `skyherd markers --help`")
+    dictionary: DictionaryName = Field(
+        "4X4_50", description="marker dictionary, named as in `skyherd markers --help` or in OpenCV"
+    )
     side_m: Annotated[FiniteFloat, Field(ge=0.001, le=1000)] = Field(
         description="m; side of the black square"
     )

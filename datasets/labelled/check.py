@@ -102,7 +102,7 @@ def _check_strangers(folder: Folder) -> Iterator[str]:
     for kind in ("images", "labels", "annotations"):
         for path in sorted((folder.path / kind).rglob("*")):
             if path not in known and not path.is_dir():
-                yield f"{path}: is no file of the set; trainers would take it for one"
+                yield f"{path}: is not a file of the set, but training tools would read it"
 
 
 def _check_table(dataset: Dataset) -> Iterator[str]:

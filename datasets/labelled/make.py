@@ -105,8 +105,8 @@ def _run(file: SpecFile, folder: Folder, jobs: int) -> Iterator[tuple[list[int],
                 yield futures[future], future.result()
         except BrokenProcessPool:
             raise OutputError(
-                f"{folder.path}: a worker was killed, perhaps for want of memory; "
-                "the same command goes on from here, with fewer --jobs if need be"
+                f"{folder.path}: a worker process was killed, possibly for lack of memory; "
+                "the same command continues from here, with fewer --jobs if necessary"
             ) from None
         finally:
             pool.shutdown(cancel_futures=True)

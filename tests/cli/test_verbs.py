@@ -218,7 +218,7 @@ def test_a_disk_that_fills_up_later_leaves_what_was_recorded(tmp_path, capsys, m
         (["run", "star", "--seed", "many"], ["--seed", "integer"]),
         (["run", "star", "--set", "marker.side_m=nan"], ["marker.side_m", "finite"]),
         (["run", "star", "--colour"], ["--colour"]),
-        (["run"], ["Missing", "scenario"]),
+        (["run"], ["Missing", "SCENARIO"]),
         (["report", "no-such-folder"], ["no-such-folder", "no such folder"]),
         (["scenario", "show", "nothing"], ["nothing", "star"]),
         (["scenario", "check", "nothing.toml"], ["nothing.toml"]),
@@ -257,7 +257,7 @@ def test_a_camera_that_sees_no_robot_is_warned_about_and_not_refused(tmp_path, c
 def test_goals_forgotten_between_two_images_are_warned_about(tmp_path, capsys):
     slow = ["--set", "units.1.frame_rate_hz=1"]
     assert (
-        "warning: unit 1 takes an image less often"
+        "warning: unit 1 takes images less often than robots.timeout_s"
         in call(capsys, "run", "star", "--out", tmp_path / "run", *SHORT, *slow)[2]
     )
 

@@ -163,7 +163,7 @@ def test_of_several_pages_the_first_is_read_and_the_others_are_counted(tmp_path,
     first, *others = map(Image.fromarray, pages)
     options = {"lossless": True} if suffix == "webp" else {}
     first.save(path, save_all=True, append_images=others, **options)
-    with pytest.warns(InputWarning, match=rf"a\.{suffix}: 3 pages, of which the first is read$"):
+    with pytest.warns(InputWarning, match=rf"a\.{suffix}: 3 pages; the first is read$"):
         np.testing.assert_array_equal(read_grey(path), GREY)
 
 

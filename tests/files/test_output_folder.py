@@ -41,7 +41,7 @@ def test_the_record_says_what_made_each_file(tmp_path):
     assert {entry["made_by"] for entry in recorded(out).values()} == {"run"}
     assert "writer" not in json.loads((out / RECORD).read_text())
     (out / "mine.txt").write_text("mine")
-    with pytest.raises(InputError, match=r"exists; another --out, or --force"):
+    with pytest.raises(InputError, match=r"exists; choose another --out, or write into it with --force"):
         make(out, "again")
     make(out, "again", force=True)
     assert (out / "a.txt").read_text() == "again" and (out / "mine.txt").read_text() == "mine"
@@ -113,7 +113,7 @@ def test_an_input_is_never_replaced_though_it_is_ours(tmp_path):
     out = tmp_path / "out"
     make(out)
     (tmp_path / "link.txt").symlink_to(out / "a.txt")
-    with pytest.raises(InputError, match="is what is read"):
+    with pytest.raises(InputError, match="is an input"):
         make(out, "again", force=True, inputs=[tmp_path / "link.txt"])
     assert (out / "a.txt").read_text() == "made"
 

@@ -9,7 +9,7 @@ from command_line import call
 
 from skyherd.control import BodyRule
 from skyherd.datasets import load_mission
-from skyherd.errors import InputError
+from skyherd.errors import InputError, InputErrors
 from skyherd.live.drivers.driver import HOLD_S
 from skyherd.live.lab import LabRadio, lab_names, lab_text, load_lab, make_lab
 from skyherd.sim.robot_teams import make_avoidance
@@ -72,22 +72,49 @@ def test_wrong_values_are_one_line(setting, complaint) -> None:
         ("shape.shape=word:SKYHERD", "shape.shape: 4 robots to write SKYHERD; "),
         (
             "shape.points=[[0, 0], [1, 0]]",
-            "shape: both shape and points; give exactly one of shape and points",
+            "webcams.toml: shape: both shape and points; give exactly one of shape and points",
         ),
         ("markers.dictionary=foo", "markers.dictionary: no dictionary 'foo'; one of 4X4_100, "),
-        ("team='ü m'", "team: 'ü m'; 1 to 40 letters, digits, _ and -, of which the first is no -"),
+        ("team='ü m'", "team: 'ü m'; 1 to 40 letters, digits, _ and -; the first is not -"),
         ("team=''", "team: ''; 1 to 40 letters"),
         (f"team={'a' * 41}", f"team: '{'a' * 41}'; 1 to 40 letters"),
         ("robots.2.id=0", "robots.2.id: 0 is there twice; each robot its own marker"),
         ("robots.1.id=50", "robots.1.id: 4X4_50 has no marker 50; 0 to 49, "),
         ("cameras.0.detector=eyes", "cameras.0.detector: no detector 'eyes'; one of "),
-        ("limits.period_s=0.5", "limits.goal_timeout_s: 0.6; at least two period_s, which is 1"),
+        (
+            "limits.period_s=0.5",
+            "webcams.toml: limits.goal_timeout_s: 0.6; at least two period_s, which is 1",
+        ),
     ],
 )
-def test_what_is_wrong_with_a_lab_names_file_and_key_and_what_is_allowed(webcams, setting, line) -> None:
+def test_wrong_setting_of_a_lab_names_option_and_what_is_allowed(webcams, setting, line) -> None:
+    """A problem of two keys, of which the option gave one, names the file."""
     with pytest.raises(InputError) as refusal:
         load_lab(str(webcams), [setting])
-    assert str(refusal.value).startswith(f"{webcams}: {line}")
+    said = str(refusal.value).replace(str(webcams), "webcams.toml")
+    assert said.startswith(line if line.startswith("webcams.toml") else f"--set {line}")
+
+
+def test_all_problems_of_a_lab_are_reported_together(webcams) -> None:
+    tree = tomllib.loads(webcams.read_text())
+    tree["colour"] = 1
+    tree["markers"]["dictionary"] = "4X4_5"
+    tree["limits"] |= {"max_speed_mps": 500, "most_turn_radps": 1}
+    with pytest.raises(InputErrors) as refusal:
+        make_lab(tree, where="lab.toml")
+    lines = [line.removeprefix("lab.toml: ") for line in refusal.value.lines]
+    assert lines[0].startswith("colour: unknown key; ")
+    assert lines[1] == "limits.most_turn_radps: unknown key; renamed to max_turn_radps"
+    assert {line.partition(":")[0] for line in lines[2:]} >= {"markers.dictionary", "limits.max_speed_mps"}
+
+
+def test_checks_of_a_lab_report_all_that_they_find(webcams) -> None:
+    wrong = ["robots.0.id=999", "cameras.0.detector=trackin", "team='a b'", "robots.1.driver=foo"]
+    with pytest.raises(InputErrors) as refusal:
+        load_lab(str(webcams), wrong)
+    said = refusal.value.lines
+    assert len(said) == 4 and all(line.startswith("--set ") for line in said)
+    assert any("did you mean 'tracking'?" in line for line in said)
 
 
 @pytest.mark.parametrize(
@@ -117,7 +144,7 @@ def test_a_driver_that_cannot_be_is_refused_by_whatever_reads_the_lab(webcams, a
         with pytest.raises(InputError) as refusal:
             load_lab(str(webcams), [f"{entry}.driver='{address}'"])
         line = str(refusal.value)
-        assert line.startswith(f"{webcams}: {entry}.driver: ") and words in line
+        assert line.startswith(f"--set {entry}.driver: ") and words in line
         assert "\n" not in line and "secret" not in line
 
 
@@ -251,5 +278,5 @@ class TestBodies:
     def test_wrong_values_name_the_key(self, webcams, settings, line) -> None:
         with pytest.raises(InputError) as refusal:
             load_lab(str(webcams), settings)
-        assert str(refusal.value).startswith(f"{webcams}: {line}")
+        assert str(refusal.value).startswith(f"--set {line.replace("obstacles.", "obstacles: ")}")
         assert "\n" not in str(refusal.value)

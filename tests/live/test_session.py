@@ -60,7 +60,7 @@ def test_an_empty_address_does_not_stand_for_the_lab_s_camera(capsys, tmp_path, 
         (["--cameras", "{0}/a.mp4,{0}/b.mp4"], "--cameras: address 1: {0}/a.mp4: "),
         (["--cameras", "tcp://127.0.0.1:9,{0}/notes.txt"], "--cameras: address 2: {0}/notes.txt: "),
         (["--cameras", "tcp://127.0.0.1:9,nothing"], "--cameras: address 2: no camera 'nothing'; "),
-        (["--set", "robots.3.driver=foo"], "lab webcams: robots.3.driver: no driver 'foo'; "),
+        (["--set", "robots.3.driver=foo"], "--set robots.3.driver: no driver 'foo'; "),
         (["--set", "robots.3.driver=os:path"], "webcams: robots.3.driver: os:path: 'path' is not callable; "),
     ],
 )

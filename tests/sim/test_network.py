@@ -136,7 +136,7 @@ def test_parts_of_a_team_that_hear_of_each_other() -> None:
 @pytest.mark.parametrize(
     ("network", "warning"),
     [
-        ({"range_m": 3.0}, "units 0 | 1 cannot hear of each other at the start (network.range_m = 3)"),
+        ({"range_m": 3.0}, "units 0 | 1 cannot reach each other at the start (network.range_m = 3)"),
         ({"range_m": 30.0}, ""),
         ({"range_m": 30.0, "relay": False}, ""),
         ({}, ""),

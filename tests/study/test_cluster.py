@@ -139,7 +139,7 @@ def test_a_scheduler_that_goes_is_told_in_one_line_and_what_was_made_is_kept(
     _, err = process.communicate(timeout=600)
     assert (process.returncode, err) == (
         2,
-        "error: the scheduler is gone; the same command goes on from here\n",
+        "error: the scheduler stopped; the same command continues from here\n",
     )
     assert Store(out).keys()
 

@@ -146,7 +146,10 @@ def test_a_folder_serves_one_study_at_a_time_and_nothing_else(tmp_path: Path) ->
         pass
     (tmp_path / "letters").mkdir()
     (tmp_path / "letters" / "love.txt").write_text("dear")
-    with pytest.raises(InputError, match="holds something else"), open_store(tmp_path / "letters", "{}"):
+    with (
+        pytest.raises(InputError, match="is not the folder of a study"),
+        open_store(tmp_path / "letters", "{}"),
+    ):
         pass
     assert [entry.name for entry in (tmp_path / "letters").iterdir()] == ["love.txt"]
 

@@ -21,6 +21,7 @@ from skyherd.markers.dictionary import with_border
 from skyherd.messages import Detections
 from skyherd.messages.checks import check_flags, check_texts
 from skyherd.plugins import import_factory
+from skyherd.text import one_of
 from skyherd.vision.detectors.peers import PeerDetector, peer_names
 from skyherd.vision.grey import Image, check_grey
 from skyherd.vision.photometric.deferring import DeferringDetector
@@ -129,7 +130,7 @@ def check_detector_name(name: str) -> None:
         InputError: there is no detector of that name.
     """
     if ":" not in name and name not in _DETECTORS and name not in _plugins():
-        usual = f"one of {', '.join(detector_names())}, or module:factory"
+        usual = f"{one_of(name, detector_names())}, or module:factory"
         raise InputError("detector", f"no detector {name!r}", INSTEAD.get(name, usual))
 
 

@@ -86,7 +86,7 @@ class OutputFolder:
         if not os.path.lexists(self.path):
             return
         if not (self._force or self._resume):
-            raise InputError(str(self.path), "exists", "another --out, or --force to write it anew")
+            raise InputError(str(self.path), "exists", "choose another --out, or write into it with --force")
         entries = read_entries(self.path)
         for name in self.names:
             self._check_free(name, entries)
@@ -159,7 +159,7 @@ class OutputFolder:
                     raise self._foreign(self.path / parent, "is in the way")
             return
         if any(_is_same(path, read) for read in self._inputs):
-            raise InputError(str(path), "is what is read, and would be replaced", "choose another --out")
+            raise InputError(str(path), "is an input, and would be replaced", "choose another --out")
         entry = entries.get(name)
         if entry is None:
             raise self._foreign(path, "was not made by skyherd")
@@ -267,7 +267,7 @@ def check_name(path: Path) -> None:
     try:
         str(path).encode("utf-8")
     except UnicodeEncodeError:
-        raise InputError(str(path), "a name that is no UTF-8", "another --out") from None
+        raise InputError(str(path), "its name is not UTF-8", "another --out") from None
     longest = max((len(part.encode()) for part in path.parts), default=0)
     if "\0" in str(path) or longest > LONGEST_NAME:
         raise InputError(str(path), "no file can have this name", "another --out")

@@ -26,7 +26,7 @@ KINDS = (
     (stat.S_ISBLK, "is a device"),
     (stat.S_ISSOCK, "is a socket"),
 )
-"""What a path may be that is no regular file, as complaints name it."""
+"""What a path may be that is not a regular file, as complaints name it."""
 
 
 def open_regular(path: Path, allowed: str, max_bytes: int | None = None) -> BinaryIO:
@@ -38,7 +38,7 @@ def open_regular(path: Path, allowed: str, max_bytes: int | None = None) -> Bina
         max_bytes: size of the largest file that is accepted; None for any.
 
     Raises:
-        InputError: there is no such file, it cannot be opened, it is no regular file, or it is too large.
+        InputError: there is no such file, it cannot be opened, it is not a regular file, or it is too large.
     """
     try:
         _check_kind(path, os.stat(path).st_mode, allowed)
@@ -112,7 +112,7 @@ def is_regular(path: Path) -> bool:
 
 def _check_kind(path: Path, mode: int, allowed: str) -> None:
     if not stat.S_ISREG(mode):
-        what = next((name for test, name in KINDS if test(mode)), "is no regular file")
+        what = next((name for test, name in KINDS if test(mode)), "is not a regular file")
         raise InputError(str(path), what, allowed)
 
 

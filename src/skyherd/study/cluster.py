@@ -42,7 +42,7 @@ WORKER_DEATHS = 2
 LOST = "lost"
 """Status of a run whose outcome died with its worker; the scheduler gives it to another. Defined by Dask."""
 
-GONE = "the scheduler is gone; the same command goes on from here"
+GONE = "the scheduler stopped; the same command continues from here"
 """Message of the error when the cluster stops answering."""
 
 LOGGERS = ("distributed", "distributed.client", "distributed.utils", "tornado", "asyncio")
@@ -135,7 +135,7 @@ def _outcome(future: Any) -> Outcome:
         raise OutputError(GONE)
     error = future.exception()
     if isinstance(error, KilledWorker):
-        return failure(key, "each worker that tried it died, perhaps for want of memory")
+        return failure(key, "each worker that tried it died, possibly for lack of memory")
     return failure(key, f"{type(error).__name__}: {error}")
 
 

@@ -94,7 +94,10 @@ def test_a_detector_written_from_the_interface_alone_is_created_and_detects(own_
         ("own_detector:NOT_A_FACTORY", "'NOT_A_FACTORY' is not callable"),
         ("own_detector:broken", "ZeroDivisionError: no luck; factory\\('4X4_50'\\) that returns a detector"),
         ("own_detector:nothing", "the factory returned NoneType, which has no method detect"),
-        ("photometrik", "no detector 'photometrik'; one of apriltag3, locus-tag, .*, or module:factory"),
+        (
+            "photometrik",
+            r"no detector 'photometrik'; did you mean 'photometric'\? one of .*, or module:factory",
+        ),
         ("aruco", "^detector: no detector 'aruco'; photometric, or opencv for that of OpenCV alone$"),
     ],
 )

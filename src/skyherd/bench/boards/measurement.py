@@ -104,7 +104,7 @@ def measure_boards(
     """
     shown = [one for one in image_sets if one.model.board is not None]
     if not shown:
-        raise InputError("sets", "none of them has a board", "a table `board`; see docs/how-to/boards.md")
+        raise InputError("sets", "no set has a board", "a table `board`; see docs/how-to/boards.md")
     measured = Measurement()
     names = list(dict.fromkeys([*judges, *reported]))
     runs: dict[str, list[_SetRun]] = {}

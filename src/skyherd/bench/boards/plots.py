@@ -40,9 +40,9 @@ def make_panels(result: SetResult) -> tuple[Panel[Measurement], ...]:
         ),
         Panel(
             "boards",
-            "What the boards have wrong",
-            "Displacement of each corner from where the layout has it, learned from all detectors and "
-            "images; arrows are longer than they are.",
+            "Errors of the boards",
+            "Displacement of each corner from its nominal position, estimated from all detectors and "
+            "images; arrows are enlarged.",
             draw_boards,
         ),
     )

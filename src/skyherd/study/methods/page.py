@@ -50,8 +50,8 @@ OVERVIEW = "of the runs formed the shape, and the median time that they took, wi
 CAPTION = (
     "A row a method, a column a task. Times, ways and numbers are medians; times count from when robots may"
     " move, and are those of runs that formed the shape. The shortest way is the least sum of straight lines"
-    " from the start into the shape, in any place, rotation, size and roles; whoever stops at an affine image"
-    " may need less."
+    " from the start into the shape, in any place, rotation, size and roles; a method that stops at an affine"
+    " image may need less."
 )
 """Caption of the figure."""
 

@@ -4,7 +4,6 @@ An image and its labels follow from spec and number alone. Images and labels tha
 are, so that an interrupted set that is made again is the same to the byte.
 """
 
-import signal
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
@@ -31,6 +30,7 @@ from skyherd.datasets.labelled.sampling import make_scene, station_number
 from skyherd.datasets.labelled.spec import SpecFile
 from skyherd.errors import OutputError
 from skyherd.files.atomic import write_text, write_whole
+from skyherd.jobs.lifetime import start_worker
 from skyherd.jobs.progress import NO_PROGRESS, Progress
 
 BATCH = 8
@@ -113,9 +113,9 @@ def _run(file: SpecFile, folder: Folder, jobs: int) -> Iterator[tuple[list[int],
 
 
 def _start_worker() -> None:
-    """One thread a process; an interrupt is the parent's to handle."""
+    """Prepare a worker process: it ends with its parent, leaves an interrupt to it, and has one thread."""
+    start_worker()
     cv2.setNumThreads(1)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _batches(file: SpecFile) -> list[list[int]]:

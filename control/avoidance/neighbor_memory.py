@@ -6,6 +6,7 @@ import numpy as np
 
 from skyherd.geometry import Array, BoolArray, IntArray, wrap_angle
 from skyherd.messages import BORDER_IDS, TIME_TOLERANCE_S, Proximity, find_rows
+from skyherd.messages.checks import check_ids
 
 
 class NeighborMemory:
@@ -30,6 +31,10 @@ class NeighborMemory:
     """
 
     def __init__(self, ids: IntArray, other_ids: IntArray, lifetime_s: float) -> None:
+        ids, other_ids = (
+            check_ids(ids, "NeighborMemory.ids"),
+            check_ids(other_ids, "NeighborMemory.other_ids"),
+        )
         self.ids, self.lifetime_s = ids, lifetime_s
         self.other_ids: IntArray = np.concatenate([BORDER_IDS, other_ids])
         shape = ids.size, self.other_ids.size

@@ -14,6 +14,7 @@ never lowers |Z| and ends at a local maximum; starts from rotations all around t
 import numpy as np
 
 from skyherd.geometry import ComplexArray, IntArray
+from skyherd.messages.checks import check_vectors
 
 MAX_ITERATIONS = 30
 """Limit of the alternations from one start. Chosen: each raises |Z| or ends the search, and a few suffice."""
@@ -81,6 +82,7 @@ def ascend(
         rotation: where to start, e^{iφ} times any positive length.
         classes: (M,) class of each robot.
     """
+    check_vectors("ascend", x=x, p=p, classes=classes)
     order, z = np.arange(x.size), rotation
     for _ in range(MAX_ITERATIONS):
         rotation = z / abs(z) if z else 1.0

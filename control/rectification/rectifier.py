@@ -40,6 +40,7 @@ from skyherd.control.rectification.information import Information
 from skyherd.control.rectification.square_shapes import Squares, log_sides
 from skyherd.geometry import Array, ComplexArray, fit_squares, to_complex, to_points
 from skyherd.messages import Detections, centred
+from skyherd.messages.checks import check_kind
 
 MIN_MARKERS = 3
 """An image with fewer markers does not change what is known of the camera; and before an image with so many
@@ -182,6 +183,8 @@ def rectified(seen: Detections, ground_map: GroundMap) -> Detections:
     of the map, less what is a similarity of all centres, since the ground is known up to one similarity and
     no goal depends on it.
     """
+    check_kind("rectified: seen", seen, Detections, "Detections")
+    check_kind("rectified: ground_map", ground_map, GroundMap, "a GroundMap")
     if ground_map.ideal:
         return seen
     size, half = seen.image_size_px, seen.image_size_px.min() / 2

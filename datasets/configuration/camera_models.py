@@ -70,6 +70,8 @@ class CameraModel(Model):
     def _begin_with_preset(cls, given: Any) -> Any:
         if not isinstance(given, dict) or given.get("preset") is None:
             return given
+        if not isinstance(given["preset"], str):
+            return given  # refused as no text
         if given["preset"] not in CAMERAS:
             raise ValueError(f"no preset {given['preset']!r}; one of {', '.join(CAMERAS)}")
         preset = dict(CAMERAS[given["preset"]])

@@ -12,6 +12,7 @@ from pydantic import ValidationError
 
 from skyherd.errors import InputError
 from skyherd.files.reading import read_text
+from skyherd.messages.checks import check_kind
 from skyherd.text import shorten
 
 MAX_BYTES = 2**18
@@ -32,6 +33,7 @@ _BRACKETS, _BETWEEN_KEYS = re.compile(r"[\[\]{}]"), re.compile(r"[^\w.-]+")
 
 def built_in_names(package: str) -> list[str]:
     """Names of the TOML files in a package, without their suffix, in alphabetical order."""
+    check_kind("built_in_names: package", package, str, "a name")
     return sorted(
         entry.name.removesuffix(".toml") for entry in files(package).iterdir() if entry.name.endswith(".toml")
     )
@@ -48,6 +50,8 @@ def built_in_text(package: str, name: str, noun: str) -> str:
     Raises:
         InputError: there is none of that name; the error lists those that there are.
     """
+    check_kind(noun, name, (str, Path), "a name or a file")
+    name = str(name)
     names = built_in_names(package)
     if name not in names:
         raise InputError(
@@ -107,6 +111,7 @@ def put_value(tree: dict[str, Any], key: str, value: Any, where: str) -> None:
     Raises:
         InputError: the key leads nowhere.
     """
+    check_kind(f"{where}: key", key, str, "a dotted key")
     *parents, last = key.strip().split(".")
     if len(parents) >= MAX_LEVELS:
         raise InputError(where, f"more than {MAX_LEVELS} names", "see `skyherd scenario schema`")
@@ -120,6 +125,7 @@ def put_value(tree: dict[str, Any], key: str, value: Any, where: str) -> None:
 
 def get_value(tree: dict[str, Any], key: str) -> Any:
     """The value at a dotted key of a complete tree, where `*` is the first item of a list."""
+    check_kind("get_value: key", key, str, "a dotted key")
     node: Any = tree
     for part in key.split("."):
         node = node[part] if isinstance(node, dict) else node[0 if part == "*" else int(part)]
@@ -160,6 +166,7 @@ def first_error(error: ValidationError, where: str, noun: str, *, see: str | Non
         noun: the verb of the command line whose `schema` shows what is allowed.
         see: another command to name in place of `skyherd NOUN schema`.
     """
+    check_kind("first_error: error", error, ValidationError, "a pydantic.ValidationError")
     first, *others = error.errors()
     key = shorten(".".join(str(part) for part in first["loc"]) or noun, MAX_SHOWN)
     value = first["input"]

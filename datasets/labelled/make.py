@@ -32,6 +32,7 @@ from skyherd.errors import OutputError
 from skyherd.files.atomic import write_text, write_whole
 from skyherd.jobs.lifetime import start_worker
 from skyherd.jobs.progress import NO_PROGRESS, Progress
+from skyherd.messages.checks import check_kind
 
 BATCH = 8
 """Most images that a worker is given at a time, all of one camera. *Chosen*: the ground of a camera takes as
@@ -54,6 +55,8 @@ def make_dataset(file: SpecFile, path: Path, *, jobs: int = 1, progress: Progres
         InputError: the folder holds something else.
         OutputError: something cannot be written.
     """
+    check_kind("make_dataset: file", file, SpecFile, "a SpecFile, as load_spec returns it")
+    check_kind("make_dataset: path", path, Path, "a path")
     with open_output(path, file) as (folder, output):
         for split in folder.splits():
             for kind in ("images", "labels"):

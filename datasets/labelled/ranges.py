@@ -7,6 +7,8 @@ import numpy as np
 from pydantic import AfterValidator, BeforeValidator, GetJsonSchemaHandler
 from pydantic_core import CoreSchema
 
+from skyherd.messages.checks import check_kind
+
 T = TypeVar("T")
 
 
@@ -43,6 +45,7 @@ def draw_number(rng: np.random.Generator, span: tuple[float, float]) -> float:
     One random number is used even where the ends are equal, so that a range that is narrowed to one value
     does not change the values drawn after it.
     """
+    check_kind("draw_number: rng", rng, np.random.Generator, "a numpy.random.Generator")
     return float(rng.uniform(0.0, 1.0) * (span[1] - span[0]) + span[0])
 
 

@@ -10,6 +10,7 @@ import pytest
 
 from skyherd.errors import InputError
 from skyherd.files.atomic import write_text
+from skyherd.files.folder_lock import FolderLock
 from skyherd.files.folder_record import RECORD
 from skyherd.files.output_file import OutputFile
 from skyherd.files.output_folder import OutputFolder
@@ -177,6 +178,20 @@ def test_one_process_at_a_time_and_the_other_is_named(tmp_path):
         (out / "a.txt").write_text("first")
     assert (out / "a.txt").read_text() == "first"
     make(out, "other", force=True)
+
+
+def test_folder_taken_by_another_in_between_is_never_removed(tmp_path, monkeypatch):
+    """Made here, locked by another process before this one could: it is the other's from then on."""
+    out = tmp_path / "new" / "out"
+    output = OutputFolder(out, "run", NAMES, resume=True)
+    monkeypatch.setattr(FolderLock, "acquire", lambda self, folder, wait_s: False)
+    with pytest.raises(InputError, match="writes into it"), output:
+        pass
+    assert out.is_dir()
+    monkeypatch.undo()
+    with pytest.raises(KeyError), output:
+        raise KeyError
+    assert out.is_dir() and not list(out.iterdir())
 
 
 @pytest.mark.parametrize(

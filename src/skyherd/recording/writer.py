@@ -4,10 +4,10 @@ An MCAP file holds every message of a run as it passed. There is a topic for eac
 as JSON with a schema, so that any MCAP viewer opens it. Everything else (figures, summary, page) is made from
 this file, never from the run itself.
 
-The file is written in chunks of whole steps as the run goes, at the latest every half second of simulated time
-(`skyherd.recording.mcap_log.FLUSH_S`): a run that is killed loses no more. The mission is written twice before
-the first step, in a chunk of its own each time, so that damage to one of them costs nothing. Messages are
-numbered through, chunks, data and footer have checksums, and the footer says how many messages there are;
+The file is written in chunks of whole steps as the run goes, at the latest every half second of simulated
+time (`skyherd.recording.mcap_log.FLUSH_S`): a run that is killed loses no more. The mission is written twice
+before the first step, in a chunk of its own each time, so that damage to one of them costs nothing. Messages
+are numbered through, chunks, data and footer have checksums, and the footer says how many messages there are;
 `skyherd.recording.survey` tells by them whether a file is whole.
 
 Topics, J being the number of a unit:

@@ -5,6 +5,7 @@ are always others behind `-m slow` (`SKYHERD_FUZZ_EXAMPLES` times as many, 1 if 
 """
 
 import contextlib
+import copy
 import hashlib
 import io
 import json
@@ -134,7 +135,7 @@ def other_values(draw: Any, data: bytes, depths: Sequence[int] = DEPTHS) -> byte
         if not places:
             break
         node, key = draw(st.sampled_from(places))
-        node[key] = draw(st.sampled_from([*OTHER_TYPES, "deep"]))
+        node[key] = copy.deepcopy(draw(st.sampled_from([*OTHER_TYPES, "deep"])))
         if node[key] == "deep":
             node[key] = f"deep {number}"
             deep[f'"deep {number}"'] = nested(draw(st.sampled_from(depths)), draw(st.sampled_from("[{")))

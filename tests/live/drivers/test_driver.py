@@ -309,8 +309,9 @@ def test_a_new_command_is_written_without_waiting_for_the_next_turn(monkeypatch)
 
 def test_a_team_s_command_without_the_robot_is_refused(rig) -> None:
     driver, _, _ = rig
-    with pytest.raises(MessageError, match="expected 3 among them"):
-        driver.send(VelocityCommand([1, 2], [0, 0], [0, 0]))
+    for ids in ([1, 2], [1, 5], [4, 5]):
+        with pytest.raises(MessageError, match="expected 3 among them"):
+            driver.send(VelocityCommand(ids, [1.0, 1.0], [0, 0]))
 
 
 def test_flight_in_the_body_s_frame(rig) -> None:

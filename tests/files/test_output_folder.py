@@ -104,10 +104,11 @@ def test_what_is_not_ours_is_refused_before_anything_changes(tmp_path, change, w
     assert contents(out) == before
 
 
-def test_what_another_verb_made_is_refused(tmp_path):
-    make(tmp_path / "out")
-    with pytest.raises(InputError, match="was made by `skyherd run`"):
-        make(tmp_path / "out", verb="detect", force=True)
+@pytest.mark.parametrize(("first", "second"), [("run", "detect"), ("detect", "run")])
+def test_what_another_verb_made_is_refused(tmp_path, first, second):
+    make(tmp_path / "out", verb=first)
+    with pytest.raises(InputError, match=f"was made by `skyherd {first}`"):
+        make(tmp_path / "out", verb=second, force=True)
 
 
 def test_an_input_is_never_replaced_though_it_is_ours(tmp_path):
@@ -251,9 +252,10 @@ def test_input_that_is_no_file_protects_nothing(tmp_path, name):
 
 def test_input_among_former_files_stays_when_it_is_claimed_no_more(tmp_path):
     out = tmp_path / "out"
-    make(out, names=["a.txt", "old.txt"])
+    make(out, names=["a.txt", "old.txt", "older.txt"])
     make(out, "again", names=["a.txt"], force=True, inputs=[out / "old.txt"])
     assert (out / "old.txt").read_text() == "made" and sorted(recorded(out)) == ["a.txt", "old.txt"]
+    assert not (out / "older.txt").exists()
 
 
 @pytest.mark.parametrize("kept", [False, True])
@@ -270,6 +272,24 @@ def test_new_folder_without_files_is_removed_after_a_failure_only(tmp_path, kept
         assert fails
     assert out.exists() == (kept or not fails)
     assert not (out / RECORD).exists()
+
+
+def test_failure_removes_its_folders_of_any_depth(tmp_path):
+    make(tmp_path, names=["mine.txt"], resume=True)
+    before = sorted(tmp_path.rglob("*"))
+    with pytest.raises(KeyError), OutputFolder(tmp_path, "run", ["deep/er/still/x.txt"], resume=True):
+        (tmp_path / "deep" / "er" / "still").mkdir(parents=True)
+        (tmp_path / "deep" / "er" / "still" / "x.txt").write_text("half")
+        raise KeyError
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_part_that_vanishes_meanwhile_is_no_error(tmp_path, monkeypatch):
+    iterdir = Path.iterdir
+    monkeypatch.setattr(Path, "iterdir", lambda self: iter([*iterdir(self), self / PART]))
+    make(tmp_path / "out")
+    monkeypatch.undo()
+    assert sorted(contents(tmp_path / "out")) == [RECORD, *NAMES]
 
 
 def test_discard_takes_keep_back(tmp_path):

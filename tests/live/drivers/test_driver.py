@@ -216,6 +216,7 @@ def test_defaults_are_20_writes_a_second_and_half_a_second_of_hold() -> None:
     done.set()
     driver.close()
     assert pauses[0] == 1 / 20 and driver.hold_s == 0.5 and not driver.flies
+    assert driver._thread.daemon, "a link that hangs would keep the process from ending"
 
 
 def test_error_without_words_is_told_by_its_name(rig) -> None:
@@ -253,6 +254,20 @@ def test_pause_of_its_own_lasts_its_share_and_ends_with_the_news(monkeypatch) ->
         driver._closing, driver._news = Flag("closing", is_closing), Flag("news", True)
         driver._await_news(8.0)
         assert waits == expected and driver._news.cleared == 1
+
+
+def test_close_waits_two_seconds_for_a_link_that_hangs(rig) -> None:
+    driver, _, _ = rig
+    thread, waits = driver._thread, []
+
+    class Hung:
+        def join(self, seconds):
+            waits.append(seconds)
+
+    driver._thread = Hung()
+    driver.close()
+    assert waits == [2.0]
+    driver._thread = thread
 
 
 def test_close_from_its_own_thread_does_not_wait_for_itself() -> None:

@@ -30,6 +30,7 @@ from skyherd.control.rectification.rectifier import Rectifier
 from skyherd.control.team_clock import TeamClock
 from skyherd.errors import DegenerateSetError
 from skyherd.messages import Detections, FlightCommand, MotionGoals, Proximity, UnitReport, shared_ids
+from skyherd.messages.checks import check_kind
 
 
 @dataclass(frozen=True)
@@ -91,6 +92,7 @@ class AerialController:
         bodies: BodyRule | None = None,
         clock: TeamClock | None = None,
     ) -> None:
+        check_kind("AerialController: schedule", schedule, (Template, Schedule), "a Template or a Schedule")
         self.schedule = Schedule(schedule) if isinstance(schedule, Template) else schedule
         self.template, self.selection, self.flight = self.schedule.first, selection, flight
         self.rectifier, self.nearest, self.report_lifetime_s = rectifier, nearest, report_lifetime_s

@@ -6,6 +6,7 @@ from skyherd.control.formation.similarity import fit_goals
 from skyherd.control.formation.template import Template
 from skyherd.geometry import Array, BoolArray, IntArray, to_complex, wrap_angle
 from skyherd.messages import Detections, MotionGoals, among
+from skyherd.messages.checks import check_kind
 
 
 def motion_goals(
@@ -35,6 +36,8 @@ def motion_goals(
     Raises:
         DegenerateSetError: fewer than two controlled robots are visible, or all coincide.
     """
+    check_kind("motion_goals: seen", seen, Detections, "Detections")
+    check_kind("motion_goals: template", template, Template, "a Template")
     rows = np.flatnonzero(among(seen.ids, controlled_ids))
     ids, seen_px = seen.ids[rows], to_complex(seen.centers_px)
     points, current = template.points_of(ids), seen_px[rows]

@@ -7,6 +7,7 @@ import numpy as np
 from skyherd.control.robots.latency_compensation import LatencyCompensation
 from skyherd.geometry import Array, BoolArray, IntArray, wrap_angle
 from skyherd.messages import BORDER_IDS, TIME_TOLERANCE_S, Proximity, find_rows
+from skyherd.messages.checks import check_ids
 
 
 class NeighborMemory:
@@ -45,6 +46,8 @@ class NeighborMemory:
         lifetime_s: float,
         latency_compensation: LatencyCompensation | None = None,
     ) -> None:
+        ids = check_ids(ids, "NeighborMemory.ids")
+        other_ids = check_ids(other_ids, "NeighborMemory.other_ids")
         self.ids, self.lifetime_s = ids, lifetime_s
         self._latency_compensation = latency_compensation
         self.other_ids: IntArray = np.concatenate([BORDER_IDS, other_ids])

@@ -10,7 +10,7 @@ from skyherd.control.formation.template import Template
 from skyherd.control.policy import FlightLaw, FlightTask
 from skyherd.geometry import Array, IntArray, to_points
 from skyherd.messages import NO_ID, Detections, FlightCommand, UnitReport, centred
-from skyherd.messages.checks import check_numbers
+from skyherd.messages.checks import check_kind, check_numbers
 
 MIN_DISTANCE = 1e-6
 """Minimum divisor for distances between image centres, half images. Chosen: it avoids 0 / 0; units at one
@@ -78,6 +78,7 @@ class KeepInView(FlightLaw):
     def __post_init__(self) -> None:
         gains = ("lateral_gain_mps", "climb_gain_mps", "zoom_gain_ps", "dead_band")
         lengths = ("separation_sides", "min_side_px")
+        check_kind("KeepInView.template", self.template, Template, "a Template")
         check_numbers(self, positive=("desired_radius",), not_negative=(*gains, *lengths))
         self.memory = ImageMemory(self.template)
 

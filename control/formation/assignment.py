@@ -14,6 +14,7 @@ ends at a local maximum. Starts from rotations all around the circle find the ot
 import numpy as np
 
 from skyherd.geometry import ComplexArray, IntArray
+from skyherd.messages.checks import check_vectors
 
 MAX_ITERATIONS = 30
 """Maximum number of alternations from one start. Chosen: each raises |Z| or ends the search; a few suffice.
@@ -82,6 +83,7 @@ def ascend(
         rotation: start value, e^{iφ} times any positive number.
         classes: (M,) class of each robot.
     """
+    check_vectors("ascend", x=x, p=p, classes=classes)
     order, z = np.arange(x.size), rotation
     for _ in range(MAX_ITERATIONS):
         rotation = z / abs(z) if z else 1.0

@@ -30,7 +30,7 @@ from skyherd.control.formation.template import Template
 from skyherd.control.topology.slots import slot_at
 from skyherd.geometry import ComplexArray, IntArray
 from skyherd.messages import NO_ID, RoleMap, UnitReport
-from skyherd.messages.checks import check_numbers
+from skyherd.messages.checks import check_kind, check_numbers
 
 
 @dataclass(frozen=True)
@@ -151,4 +151,6 @@ def _residual(robots: ComplexArray, points: ComplexArray) -> float:
 def newest_roles(maps: Sequence[RoleMap | None], robots: int) -> IntArray:
     """Return template rows (N,) of the robots by the newest of several maps; the identity if all are None."""
     known = [role_map for role_map in maps if role_map is not None]
+    for role_map in known:
+        check_kind("newest_roles: maps", role_map, RoleMap, "RoleMaps, or None")
     return max(known, key=lambda role_map: role_map.precedence).roles if known else np.arange(robots)

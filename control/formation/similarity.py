@@ -12,6 +12,7 @@ import numpy as np
 
 from skyherd.errors import DegenerateSetError, SingularSetError
 from skyherd.geometry import Array, BoolArray, ComplexArray, IntArray
+from skyherd.messages.checks import check_vectors
 
 COINCIDENT = 1e-12
 """Points closer to their centroid than this share of their distance from the origin coincide. Chosen: 10^4
@@ -79,6 +80,7 @@ def fit_similarity(template: ComplexArray, current: ComplexArray) -> Similarity:
             similarity exists; or all current points coincide, so that its scale is zero; or the best scale is
             zero (the singular arrangements of the paper's Remark 2).
     """
+    check_vectors("fit_similarity", template=template, current=current)
     if template.size != current.size or template.size < 2:
         raise DegenerateSetError(f"{current.size} points define no similarity; at least two are needed")
     source, target = template.sum() / template.size, current.sum() / current.size
@@ -166,6 +168,7 @@ def fit_similarities(
         np.maximum.at(most, group, np.abs(points))
         return most
 
+    check_vectors("fit_similarities", template=template, current=current, group=group)
     sizes = np.bincount(group, minlength=groups)
     counts = np.maximum(sizes, 1)
     sources, targets = complex_total(template) / counts, complex_total(current) / counts

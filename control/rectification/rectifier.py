@@ -40,6 +40,7 @@ from skyherd.control.rectification.information import Information
 from skyherd.control.rectification.square_shapes import Squares, log_sides
 from skyherd.geometry import Array, ComplexArray, fit_squares, to_complex, to_points
 from skyherd.messages import Detections, centred
+from skyherd.messages.checks import check_kind
 
 MIN_MARKERS = 3
 """Minimum number of markers of an image that updates the camera, and of the first rectified image. Chosen:
@@ -178,6 +179,8 @@ def rectified(seen: Detections, ground_map: GroundMap) -> Detections:
     derivative at the marker. The second is the covariance of the map, without its part that is a similarity
     of all centres: the ground is known up to one similarity, and goals do not depend on it.
     """
+    check_kind("rectified: seen", seen, Detections, "Detections")
+    check_kind("rectified: ground_map", ground_map, GroundMap, "a GroundMap")
     if ground_map.ideal:
         return seen
     size, half = seen.image_size_px, seen.image_size_px.min() / 2

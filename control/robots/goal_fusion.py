@@ -13,7 +13,7 @@ import numpy as np
 from skyherd.errors import MessageError
 from skyherd.geometry import Array, BoolArray, ComplexArray, IntArray
 from skyherd.messages import TIME_TOLERANCE_S, MotionGoals, find_rows, rows_of
-from skyherd.messages.checks import check_ids, check_numbers
+from skyherd.messages.checks import check_ids, check_numbers, shown
 
 
 class GoalInboxes:
@@ -68,8 +68,10 @@ class GoalInboxes:
             received: (N,) mask of the addressed robots that received the message; all if None.
 
         Raises:
-            MessageError: the unit or an addressed robot has no inbox here.
+            MessageError: the unit or an addressed robot has no inbox here, or `received` is no such mask.
         """
+        if received is not None:
+            _check_mask(received, len(goals))
         unit, robots = int(rows_of(self.unit_ids, goals.unit_id)), rows_of(self.ids, goals.ids)
         arrived = np.ones(len(goals), dtype=bool) if received is None else received
         robots = robots[arrived]
@@ -90,6 +92,18 @@ class GoalInboxes:
     def fresh(self, time_s: float) -> BoolArray:
         """Return the mask (U, N) of the goals that are not stale at `time_s`."""
         return self.received_s >= time_s - self.lifetime_s - TIME_TOLERANCE_S
+
+
+def _check_mask(received: object, count: int) -> None:
+    """Raise MessageError unless `received` is a mask of `count` booleans."""
+    if not isinstance(received, np.ndarray) or received.dtype != np.bool_:
+        raise MessageError(
+            f"GoalInboxes.receive: received is {shown(received)}, expected an array of booleans"
+        )
+    if received.shape != (count,):
+        raise MessageError(
+            f"GoalInboxes.receive: received has shape {received.shape}, expected {(count,)}, one a goal"
+        )
 
 
 def scale_ratios(inboxes: GoalInboxes) -> Array:

@@ -11,9 +11,10 @@ from typing import ClassVar, Protocol
 import numpy as np
 
 from skyherd.control.robots.goal_fusion import GoalInboxes, fuse_marker_sides, fuse_pixels
+from skyherd.errors import InputError
 from skyherd.geometry import Array, ComplexArray, wrap_angle
 from skyherd.messages import VelocityCommand
-from skyherd.messages.checks import check_numbers
+from skyherd.messages.checks import check_kind, check_numbers, shown
 
 
 class RobotLaw(Protocol):
@@ -190,6 +191,7 @@ def wheel_law(rho: ComplexArray, law: RobotLaw, wheels: Wheels) -> tuple[Array, 
     The law is `offset_law` if the marker lies off the wheel axis. Otherwise it is `unicycle_law`, with v and
     ω clipped.
     """
+    check_kind("wheel_law: wheels", wheels, Wheels, "Wheels")
     if wheels.axis_offset_m:
         return offset_law(rho, law, wheels)
     v_mps, omega_radps = unicycle_law(rho, law)
@@ -206,5 +208,8 @@ def robot_commands(
 
     A robot without a fresh goal, or at its goal, stops.
     """
+    check_kind("robot_commands: inboxes", inboxes, GoalInboxes, "GoalInboxes")
+    if not callable(getattr(law, "follow", None)):
+        raise InputError("robot_commands: law", shown(law), "a RobotLaw, such as MarkerGains")
     v_mps, omega_radps = wheel_law(law.follow(inboxes, time_s), law, wheels)
     return VelocityCommand(inboxes.ids, v_mps, omega_radps)

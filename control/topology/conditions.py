@@ -11,7 +11,9 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
+from skyherd.errors import InputError
 from skyherd.geometry import BoolArray, IntArray
+from skyherd.messages.checks import check_vectors, shown
 
 ControlSets = Mapping[int, IntArray]
 """Sets S_j^c by unit id: the robots that each unit controls, ascending."""
@@ -71,6 +73,9 @@ def graph_edges(sets: ControlSets) -> list[tuple[int, int]]:
 
 def check_conditions(controlled: BoolArray) -> Conditions:
     """Check TC1-TC5 for a mask (U, N) of the robots of the team that each unit controls."""
+    given: object = controlled
+    if not isinstance(given, np.ndarray) or given.ndim != 2:
+        raise InputError("check_conditions: controlled", shown(given), "an array of units by robots")
     holders = controlled.sum(axis=0)
     counts = controlled[:, holders > 1].astype(np.float64)  # exact, and much faster than integers
     common = counts @ counts.T
@@ -92,6 +97,7 @@ def owners_by_robot(sets: ControlSets) -> dict[int, list[int]]:
     """Return the units that control each robot, ascending; robots without a unit are omitted."""
     owners: dict[int, list[int]] = {}
     for unit in sorted(sets):
+        check_vectors("owners_by_robot", **{f"sets[{unit}]": sets[unit]})
         for robot_id in sets[unit].tolist():
             owners.setdefault(robot_id, []).append(unit)
     return owners

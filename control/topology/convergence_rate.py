@@ -14,12 +14,15 @@ from collections.abc import Iterable
 import numpy as np
 
 from skyherd.geometry import Array, ComplexArray, IntArray
+from skyherd.messages.checks import check_vectors
 
 
 def laplacian(points: ComplexArray, sets: Iterable[IntArray]) -> ComplexArray:
     """Return L (N, N) for template points (N,) and sets of rows; sets of fewer than two are ignored."""
+    check_vectors("laplacian", points=points)
     matrix = np.zeros((points.size, points.size), dtype=np.complex128)
     for rows in sets:
+        check_vectors("laplacian", sets=rows)
         if rows.size < 2:
             continue
         basis = np.stack(
@@ -32,6 +35,7 @@ def laplacian(points: ComplexArray, sets: Iterable[IntArray]) -> ComplexArray:
 
 def slowest_rate(points: ComplexArray, sets: Iterable[IntArray]) -> float:
     """Return λ_3(L), the rate of the slowest mode in units of the gain k; 0 if the shape is undetermined."""
+    check_vectors("slowest_rate", points=points)
     if points.size < 3:
         return 1.0
     return max(float(np.linalg.eigvalsh(laplacian(points, sets))[2]), 0.0)

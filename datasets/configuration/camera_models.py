@@ -76,7 +76,9 @@ class CameraModel(Model):
     def _begin_with_preset(cls, given: Any) -> Any:
         if not isinstance(given, dict) or given.get("preset") is None:
             return given
-        if not isinstance(given["preset"], str) or given["preset"] not in CAMERAS:
+        if not isinstance(given["preset"], str):
+            return given  # refused as no text
+        if given["preset"] not in CAMERAS:
             raise InputError(
                 "preset", f"no preset {shown(given['preset'])}", one_of(str(given["preset"]), CAMERAS)
             )

@@ -12,7 +12,7 @@ from typing import Any
 from skyherd.datasets.configuration.validation import MAX_SHOWN
 from skyherd.errors import InputError
 from skyherd.files.reading import read_text
-from skyherd.messages.checks import check_texts
+from skyherd.messages.checks import check_kind, check_texts
 from skyherd.text import did_you_mean
 
 MAX_BYTES = 2**18
@@ -30,6 +30,7 @@ _BRACKETS, _BETWEEN_KEYS = re.compile(r"[\[\]{}]"), re.compile(r"[^\w.-]+")
 
 def built_in_names(package: str) -> list[str]:
     """Names of the TOML files in a package, without their suffix, in alphabetical order."""
+    check_kind("built_in_names: package", package, str, "a name")
     return sorted(
         entry.name.removesuffix(".toml") for entry in files(package).iterdir() if entry.name.endswith(".toml")
     )
@@ -46,6 +47,8 @@ def built_in_text(package: str, name: str, noun: str) -> str:
     Raises:
         InputError: there is none of that name; the error lists those that there are.
     """
+    check_kind(noun, name, (str, Path), "a name or a file")
+    name = str(name)
     names = built_in_names(package)
     if name not in names:
         meant = did_you_mean(name, names)
@@ -149,6 +152,7 @@ def put_value(
     Raises:
         InputError: the key leads nowhere.
     """
+    check_kind(f"{where}: key", key, str, "a dotted key")
     *parents, last = key.strip().split(".")
     if len(parents) >= MAX_LEVELS:
         raise InputError(where, f"more than {MAX_LEVELS} names", f"see `{see}`")
@@ -162,6 +166,7 @@ def put_value(
 
 def get_value(tree: dict[str, Any], key: str) -> Any:
     """The value at a dotted key of a complete tree, where `*` is the first item of a list."""
+    check_kind("get_value: key", key, str, "a dotted key")
     node: Any = tree
     for part in key.split("."):
         node = node[part] if isinstance(node, dict) else node[0 if part == "*" else int(part)]

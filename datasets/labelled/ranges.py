@@ -14,6 +14,7 @@ from pydantic import (
 from pydantic_core import CoreSchema, PydanticKnownError
 
 from skyherd.errors import InputError
+from skyherd.messages.checks import check_kind
 
 T = TypeVar("T")
 
@@ -60,6 +61,7 @@ def draw_number(rng: np.random.Generator, span: tuple[float, float]) -> float:
     One random number is used even where the ends are equal, so that a range that is narrowed to one value
     does not change the values drawn after it.
     """
+    check_kind("draw_number: rng", rng, np.random.Generator, "a numpy.random.Generator")
     return float(rng.uniform(0.0, 1.0) * (span[1] - span[0]) + span[0])
 
 

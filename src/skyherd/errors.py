@@ -37,7 +37,8 @@ class InputError(SkyherdError, ValueError):
 
     def __init__(self, where: str, what: str, allowed: str) -> None:
         # The text of an array is of several lines.
-        self.where, self.what, self.allowed = _fitted(where, " ".join(what.split("\n")), allowed)
+        parts = str(where), " ".join(str(what).split("\n")), str(allowed)
+        self.where, self.what, self.allowed = _fitted(*parts)
         super().__init__(f"{self.where}: {self.what}; {self.allowed}")
 
     @property

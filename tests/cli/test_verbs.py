@@ -217,6 +217,17 @@ def test_a_disk_that_fills_up_later_leaves_what_was_recorded(tmp_path, capsys, m
         (["run", "star", "--perception", "psychic"], ["perception", "psychic", "rendered"]),
         (["run", "star", "--seed", "many"], ["--seed", "integer"]),
         (["run", "star", "--set", "marker.side_m=nan"], ["marker.side_m", "finite"]),
+        (["run", "star", "--set", 'description="\udcff"'], [r'description="\xff"', "UTF-8"]),
+        (["scenario", "check", "star", "--set", "\udcff=1"], [r"\xff", "UTF-8"]),
+        (["live", "check", "webcams", "--set", "team=\udcff"], [r"\xff", "UTF-8"]),
+        (
+            ["scenario", "check", "star", "--set", "units.0.camera.preset=[1]"],
+            ["camera.preset", "a text in quotes"],
+        ),
+        (
+            ["scenario", "check", "star", "--set", "units.0.camera.preset={}"],
+            ["camera.preset", "a text in quotes"],
+        ),
         (["run", "star", "--colour"], ["--colour"]),
         (["run"], ["Missing", "SCENARIO"]),
         (["report", "no-such-folder"], ["no-such-folder", "no such folder"]),

@@ -192,7 +192,7 @@ FILES = {"authority": "a.pem", "certificate": "c.pem", "key": "k.pem"}
         ({"listen": ["tcp/0.0.0.0:7450"]}, False),
         ({"listen": ["tcp/192.168.0.2:7450"]}, False),
         ({"listen": ["tls/192.168.0.2:7450"]}, False),
-        ({"listen": ["tls/192.168.0.2:7450"]} | FILES, True),
+        ({"listen": ["tls/192.168.0.2:7450"], "connect": []} | FILES, True),
         ({"listen": ["tcp/192.168.0.2:7450"]} | FILES, False),
         ({"connect": ["tcp/lab-server:7450"]}, False),
         ({"connect": ["tcp/127.0.0.1.evil.net:7450"]}, False),
@@ -202,7 +202,9 @@ def test_a_radio_beyond_this_machine_needs_certificates_or_a_word(radio, secured
     places = LabRadio(**radio)
     assert places.is_secured is secured
     places.check(insecure=True)
-    if not secured:
+    if secured:
+        places.check(insecure=False)
+    else:
         with pytest.raises(InputError, match="--insecure"):
             places.check(insecure=False)
 
@@ -278,5 +280,6 @@ class TestBodies:
     def test_wrong_values_name_the_key(self, webcams, settings, line) -> None:
         with pytest.raises(InputError) as refusal:
             load_lab(str(webcams), settings)
-        assert str(refusal.value).startswith(f"--set {line.replace("obstacles.", "obstacles: ")}")
+        place = line.replace("obstacles.", "obstacles: ")
+        assert str(refusal.value).startswith(f"--set {place}")
         assert "\n" not in str(refusal.value)

@@ -28,6 +28,7 @@ from skyherd.errors import InputError
 from skyherd.geometry import Array, IntArray, fit_squares, to_complex
 from skyherd.markers.dictionary import border_cells, load_dictionary, pose_of_corners
 from skyherd.messages import Detections
+from skyherd.messages.checks import shown
 from skyherd.vision.detectors.accuracy import load_bias
 from skyherd.vision.detectors.corners import detections_of_corners, opencv_corners
 from skyherd.vision.grey import check_grey
@@ -85,6 +86,8 @@ class PeerDetector:
     """
 
     def __init__(self, name: str, dictionary: str, *, corrected: bool = True) -> None:
+        if name not in (known := (*REFINEMENTS, *_OTHERS)):
+            raise InputError("PeerDetector: name", shown(name), f"one of {', '.join(known)}")
         self.name, self.corrected = name, corrected
         self._finder: _Finder = (
             _OpenCV(dictionary, REFINEMENTS[name]) if name in REFINEMENTS else _OTHERS[name](dictionary)

@@ -7,6 +7,7 @@ every reader of the package opens files here, and says how large its kind of fil
 import json
 import os
 import stat
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -18,6 +19,10 @@ MIB = 2**20
 MAX_JSON_BYTES = 64 * MIB
 """Size of the largest JSON file that is read. *Chosen*: the largest that the package writes, the COCO file of
 ten thousand images, has some 30 MiB."""
+
+MAX_JSON_LEVELS = 64
+"""Levels of lists and objects in a JSON file. *Chosen*: files of the package have fewer than ten, and what
+walks through a value calls itself once a level."""
 
 KINDS = (
     (stat.S_ISDIR, "is a folder"),
@@ -92,14 +97,35 @@ def read_json(path: Path, allowed: str, max_bytes: int = MAX_JSON_BYTES) -> Any:
     Raises:
         InputError: it cannot be read as `open_regular` says, or is no JSON that makes sense.
     """
+    text = read_text(path, allowed, max_bytes)
     try:
-        return json.loads(read_text(path, allowed, max_bytes))
-    except RecursionError:
-        raise InputError(str(path), "damaged: nested too deeply", allowed) from None
-    except InputError:
-        raise
+        return parse_json(text)
     except ValueError as error:
         raise InputError(str(path), f"damaged: {error}", allowed) from None
+
+
+def parse_json(text: str) -> Any:
+    """Parse a JSON text as dictionaries, lists and plain values.
+
+    Raises:
+        ValueError: it is no JSON, or nested more than `MAX_JSON_LEVELS` deep.
+    """
+    too_deep = f"nested more than {MAX_JSON_LEVELS} deep"
+    try:
+        value = json.loads(text)
+    except RecursionError:
+        raise ValueError(too_deep) from None
+    level, depth = [value], 0
+    while level := [child for node in level for child in _children(node)]:
+        depth += 1
+        if depth > MAX_JSON_LEVELS:
+            raise ValueError(too_deep)
+    return value
+
+
+def _children(node: Any) -> Iterable[Any]:
+    """Values within a value of JSON."""
+    return node.values() if isinstance(node, dict) else node if isinstance(node, list) else ()
 
 
 def is_regular(path: Path) -> bool:

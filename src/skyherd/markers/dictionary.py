@@ -14,6 +14,7 @@ import numpy.typing as npt
 from skyherd.errors import InputError
 from skyherd.geometry import SQUARE_CORNERS, Array, fit_squares, to_complex, to_points
 from skyherd.markers.codes import CODES, code_bits
+from skyherd.messages.checks import check_kind
 from skyherd.text import one_of
 
 QUIET_ZONE_CELLS = 1.0
@@ -83,6 +84,7 @@ def border_cells(name: str) -> int:
     Raises:
         InputError: what follows the dictionary's name is no such width.
     """
+    check_kind("marker dictionary", name, str, "a name such as 4X4_50")
     _, mark, width = name.partition(BORDER_MARK)
     if not mark:
         return 1

@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from skyherd.errors import InputError, MessageError
 from skyherd.geometry import IntArray
+from skyherd.text import shorten
 
 MAX_SHOWN = 60
 """Maximum number of characters of a value in an error. Chosen: a number or a short list."""
@@ -87,13 +88,17 @@ def check_texts(where: str, values: object) -> list[str]:
         values: value to check; a string instead of a list would be split into its letters.
 
     Raises:
-        InputError: it is not a list, or an element is not a string.
+        InputError: it is not a list, or an element is not a string or cannot be written in UTF-8.
     """
     if isinstance(values, str) or not isinstance(values, Iterable):
         raise InputError(where, shown(values), "a list of texts")
     texts = list(values)
     for text in texts:
         check_kind(where, text, str, "a text")
+        try:
+            text.encode("utf-8")
+        except UnicodeEncodeError:  # of bytes on the command line that are not UTF-8
+            raise InputError(f"{where}: {shorten(text, MAX_SHOWN)}", "not UTF-8", "text in UTF-8") from None
     return texts
 
 
@@ -111,6 +116,21 @@ def check_kind(where: str, value: object, kinds: type | tuple[type, ...], allowe
     """
     if not isinstance(value, kinds):
         raise InputError(where, shown(value), allowed)
+
+
+def check_vectors(where: str, **arrays: object) -> None:
+    """Check arguments that are arrays of one dimension.
+
+    Args:
+        where: what they are given to.
+        **arrays: by name.
+
+    Raises:
+        InputError: one is no such array.
+    """
+    for name, value in arrays.items():
+        if not isinstance(value, np.ndarray) or value.ndim != 1:
+            raise InputError(f"{where}: {name}", shown(value), "an array of one dimension")
 
 
 def check_count(where: str, value: object, *, most: int, least: int = 0) -> None:

@@ -4,11 +4,11 @@ An MCAP file holds every message of a run as it passed. There is a topic for eac
 as JSON with a schema, so that any MCAP viewer opens it. Everything else (figures, summary, page) is made from
 this file, never from the run itself.
 
-The file is written in chunks of whole steps as the run goes, at the latest every `FLUSH_S` of simulated time:
-a run that is killed loses no more. The mission is written twice before the first step, in a chunk of its own
-each time, so that damage to one of them costs nothing. Messages are numbered through, chunks, data and footer
-have checksums, and the footer says how many messages there are; `skyherd.recording.survey` tells by them
-whether a file is whole.
+The file is written in chunks of whole steps as the run goes, at the latest every half second of simulated
+time (`skyherd.recording.mcap_log.FLUSH_S`): a run that is killed loses no more. The mission is written twice
+before the first step, in a chunk of its own each time, so that damage to one of them costs nothing. Messages
+are numbered through, chunks, data and footer have checksums, and the footer says how many messages there are;
+`skyherd.recording.survey` tells by them whether a file is whole.
 
 Topics, J being the number of a unit:
 
@@ -31,7 +31,6 @@ The same scenario and seed give the same messages, to the byte. The wall time, w
 metadata of the file and no message.
 """
 
-import math
 from collections.abc import Mapping
 from dataclasses import fields
 from pathlib import Path
@@ -45,7 +44,6 @@ from skyherd.control import GroundMap, Template
 from skyherd.datasets import Mission
 from skyherd.loop import Step, UnitFrame
 from skyherd.messages import (
-    TIME_TOLERANCE_S,
     Detections,
     FlightCommand,
     MotionGoals,
@@ -54,13 +52,9 @@ from skyherd.messages import (
     VelocityCommand,
 )
 from skyherd.recording import foxglove
-from skyherd.recording.mcap_log import CHUNK_BYTES, McapLog, Schema
+from skyherd.recording.mcap_log import McapLog, Schema
 from skyherd.sim.truth_metrics import TruthMetrics
 from skyherd.version import __version__
-
-FLUSH_S = 0.5
-"""Simulated time, s, of which a run that is killed loses less than this and one step. Chosen: a
-formation hardly moves in it; shorter chunks compress worse."""
 
 JPEG_QUALITY = 90
 """Quality of recorded images, in per cent. Chosen: a video made of them looks like one of the originals; they
@@ -147,12 +141,10 @@ class McapRecorder:
         topics = recorded_topics(len(mission.scenario.units))
         self._log = McapLog(path, topics)
         self._steps = 0
-        self._flushed_s = -math.inf
         record = _mission_record(mission) | {"topics": list(topics)}
         for _ in range(2):
             self._log.put("/mission", 0.0, record)
-            self._flush(0.0)
-        self._flushed_s = -math.inf
+            self._log.flush()
 
     def write(self, step: Step) -> None:
         """Append all messages of one step, and flush what would be too much to lose."""
@@ -172,9 +164,7 @@ class McapRecorder:
         }
         self._log.put("/metrics", step.time_s, record)
         self._steps += 1
-        next_s = step.time_s + self._step_s
-        if self._log.pending_bytes >= CHUNK_BYTES or next_s - self._flushed_s > FLUSH_S + TIME_TOLERANCE_S:
-            self._flush(step.time_s)
+        self._log.flush_when_due(step.time_s, step.time_s + self._step_s)
 
     def finish(self, time_s: float, wall_s: float) -> None:
         """Mark the run as complete.
@@ -184,7 +174,7 @@ class McapRecorder:
             wall_s: wall time that the run took.
         """
         self._log.put("/end", time_s, {"steps": self._steps})
-        self._flush(time_s)
+        self._log.flush()
         self._log.add_metadata("wall", {"wall_s": repr(wall_s)})
 
     def _write_frame(self, topic: str, time_s: float, frame: UnitFrame) -> None:
@@ -207,11 +197,6 @@ class McapRecorder:
         if self.images and sight.image is not None:
             record = foxglove.compressed_image(sight.image, time_s, topic, JPEG_QUALITY)
             self._log.put(f"{topic}/image", time_s, record)
-
-    def _flush(self, time_s: float) -> None:
-        """Write what there is as a chunk, so that it stays if the process is killed now."""
-        self._log.flush()
-        self._flushed_s = time_s
 
     def __enter__(self) -> Self:
         return self

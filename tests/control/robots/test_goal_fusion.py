@@ -5,6 +5,7 @@ import pytest
 
 from skyherd.control import GoalInboxes, Template, motion_goals
 from skyherd.control.robots.goal_fusion import fuse_marker_sides, fuse_pixels, scale_ratios
+from skyherd.errors import MessageError
 from skyherd.messages import TIME_TOLERANCE_S
 
 SIDE_M = 0.4
@@ -139,6 +140,24 @@ def test_inbox_keeps_newer_image_under_reordering(make_goals) -> None:
     inboxes.receive(make_goals(0, [1], [5j], time_s=0.6, neighbors=[{0: 3.0}]), 0.8)
     assert inboxes.rho_px[0, 1] == pytest.approx(5j)
     np.testing.assert_array_equal(inboxes.squares_px2[0, 1], [9, 0, 0])
+
+
+@pytest.mark.parametrize(
+    ("mask", "words"),
+    [
+        (np.ones(2, dtype=bool), r"shape \(2,\), expected \(3,\)"),
+        (np.ones(4, dtype=bool), r"shape \(4,\), expected \(3,\)"),
+        (np.ones((3, 1), dtype=bool), r"shape \(3, 1\), expected \(3,\)"),
+        (np.ones((), dtype=bool), r"shape \(\), expected \(3,\)"),
+        (np.array([0, 1, 2]), "expected an array of booleans"),
+        ([True, True, True], "expected an array of booleans"),
+    ],
+)
+def test_inbox_refuses_mask_of_another_shape(make_goals, mask, words) -> None:
+    inboxes = GoalInboxes(np.array([3, 5, 8]), np.array([0]), 1.0)
+    with pytest.raises(MessageError, match=words):
+        inboxes.receive(make_goals(0, [8, 3, 5], [8j, 3j, 5j]), 0.0, mask)
+    assert np.isneginf(inboxes.received_s).all()
 
 
 def test_inbox_under_message_loss_updates_only_receivers(make_goals) -> None:

@@ -124,6 +124,10 @@ def _cut_coco(folder):
     file.write_text(file.read_text()[:200])
 
 
+def _deep_coco(folder):
+    (folder / "annotations/train.json").write_text("[" * 100_000)
+
+
 def _moved_truth(folder):
     """In the table alone: layouts and seed both tell."""
     file = folder / "truth.csv"
@@ -215,6 +219,7 @@ DAMAGES = {
     _garbled_coco: ("train.json", "images has 1 entries instead of 3"),
     _other_text_coco: ("train.json", "the right content, but not the text"),
     _cut_coco: ("train.json", "cut short"),
+    _deep_coco: ("train.json", "nested more than 64 deep"),
     _moved_truth: ("truth.csv", "not as its seed puts them"),
     _short_truth: ("truth.csv", "by its seed"),
     _no_number: ("truth.csv", "line 2: not all of its values are numbers"),

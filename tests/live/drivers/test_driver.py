@@ -1,6 +1,7 @@
 """The thread that repeats fresh commands and forgets old ones, on a clock of its own."""
 
 import threading
+import time
 
 import numpy as np
 import pytest
@@ -122,6 +123,168 @@ def test_a_clock_that_goes_back_stops_the_robot(rig) -> None:
     assert wire.written[-1] == STILL
 
 
+@pytest.mark.parametrize(
+    ("age_s", "moves"),
+    [
+        (-0.25, False),
+        (-(2**-20), False),
+        (0.0, True),
+        (0.25, True),
+        (0.375, False),
+        (0.5, False),
+        (-1.5, False),
+    ],
+)
+def test_motion_is_written_from_age_0_to_below_the_hold(age_s, moves) -> None:
+    """Ages are exact in binary; the hold is 0.375 s and excluded."""
+    wire, steps = Wire(), Steps()
+    driver = RobotDriver(
+        wire, robot_id=3, limits=FAST, rate_hz=8, hold_s=0.375, clock=steps.clock, pause=steps.pause
+    )
+    steps.begin()
+    steps.now_s = 10.0
+    driver.send_motion(Motion(1.0, 0.0))
+    steps.now_s = 10.0 + age_s - 0.125  # a round begins with a pause of 0.125 s
+    if age_s < 0:  # time that goes back allows no growth of speed at once
+        driver._limiter.last = Motion(1.0, 0.0)
+    steps.round()
+    assert (wire.written[-1] != STILL) == moves
+    steps.end()
+    driver.close()
+
+
+def test_close_writes_three_zeros_and_nothing_else(rig) -> None:
+    driver, wire, steps = rig
+    driver.send_motion(Motion(1.0, 0.0))
+    steps.round()
+    closing = threading.Thread(target=driver.close)
+    closing.start()
+    assert driver._closing.wait(10)
+    steps.end()
+    closing.join(10)
+    assert wire.written == [STILL, Motion(1.0, 0.0), STILL, STILL, STILL]
+    assert (wire.closed, driver.written) == (1, 5)
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+def test_zeros_come_last_also_after_an_error_in_the_thread() -> None:
+    """An error of the clock or the pause ends the thread; the robot must be stopped all the same."""
+    wire = Wire()
+    raised = []
+
+    def pause(seconds):
+        raised.append(seconds)
+        raise ZeroDivisionError
+
+    driver = RobotDriver(wire, robot_id=0, limits=FAST, rate_hz=4, pause=pause)
+    driver._thread.join(10)
+    assert raised == [0.25] and wire.written == [STILL] * 4 and wire.closed == 1
+
+
+def test_row_of_the_robot_is_taken_from_a_team_s_command(rig) -> None:
+    driver, wire, steps = rig
+    driver.send(VelocityCommand([1, 2, 3, 4], [9.0, 9.0, 0.25, 9.0], [9.0, 9.0, -0.5, 9.0]))
+    steps.round()
+    assert wire.written[-1] == Motion(0.25, -0.5)
+
+
+def test_speed_grows_by_the_time_between_two_writes() -> None:
+    wire, steps = Wire(), Steps()
+    limits = SpeedLimits(speed_mps=10, turn_radps=10, acceleration_mps2=2.0, turn_acceleration_radps2=1e6)
+    driver = RobotDriver(
+        wire, robot_id=3, limits=limits, rate_hz=8, hold_s=10, clock=steps.clock, pause=steps.pause
+    )
+    steps.begin()
+    driver.send_motion(Motion(5.0, 0.0))
+    for _ in range(3):
+        steps.round()
+    steps.end()
+    driver.close()
+    # 2 m/s² for 1/8 s at each round.
+    assert [motion.forward_mps for motion in wire.written[:4]] == [0.0, 0.25, 0.5, 0.75]
+
+
+def test_defaults_are_20_writes_a_second_and_half_a_second_of_hold() -> None:
+    pauses, wire = [], Wire()
+    done = threading.Event()
+
+    def pause(seconds):
+        pauses.append(seconds)
+        done.wait(10)
+
+    driver = RobotDriver(wire, robot_id=0, pause=pause)
+    done.set()
+    driver.close()
+    assert pauses[0] == 1 / 20 and driver.hold_s == 0.5 and not driver.flies
+    assert driver._thread.daemon, "a link that hangs would keep the process from ending"
+
+
+def test_error_without_words_is_told_by_its_name(rig) -> None:
+    driver, wire, steps = rig
+    wire.broken = TimeoutError()
+    steps.round()
+    assert driver.trouble == "wire: cannot be written to: TimeoutError"
+    wire.broken = OSError("two\nlines")
+    steps.round()
+    assert driver.trouble == "wire: cannot be written to: two lines"
+
+
+def test_pause_of_its_own_lasts_its_share_and_ends_with_the_news(monkeypatch) -> None:
+    """A quarter of the interval passes in any case; then news end the pause, and are forgotten."""
+    waits = []
+    driver = RobotDriver(Wire(), robot_id=0, limits=FAST, pause=lambda seconds: time.sleep(0.001))
+
+    class Flag:
+        def __init__(self, name, answer):
+            self.name, self.answer, self.cleared = name, answer, 0
+
+        def wait(self, seconds):
+            waits.append((self.name, seconds))
+            return self.answer
+
+        def clear(self):
+            self.cleared += 1
+
+        def set(self):
+            self.answer = True
+
+    driver.close()
+    for is_closing, expected in ((False, [("closing", 2.0), ("news", 6.0)]), (True, [("closing", 2.0)])):
+        waits.clear()
+        driver._closing, driver._news = Flag("closing", is_closing), Flag("news", True)
+        driver._await_news(8.0)
+        assert waits == expected and driver._news.cleared == 1
+
+
+def test_close_waits_two_seconds_for_a_link_that_hangs(rig) -> None:
+    driver, _, _ = rig
+    thread, waits = driver._thread, []
+
+    class Hung:
+        def join(self, seconds):
+            waits.append(seconds)
+
+    driver._thread = Hung()
+    driver.close()
+    assert waits == [2.0]
+    driver._thread = thread
+
+
+def test_close_from_its_own_thread_does_not_wait_for_itself() -> None:
+    wire = Wire()
+    drivers: list[RobotDriver] = []
+    ready = threading.Event()
+
+    def pause(seconds):
+        ready.wait(10)
+        drivers[0].close()
+
+    drivers.append(RobotDriver(wire, robot_id=0, limits=FAST, pause=pause))
+    ready.set()
+    drivers[0]._thread.join(10)
+    assert wire.written == [STILL] * 4 and wire.closed == 1
+
+
 def test_the_sender_never_waits_for_the_link() -> None:
     held, entered = threading.Event(), threading.Event()
 
@@ -161,8 +324,9 @@ def test_a_new_command_is_written_without_waiting_for_the_next_turn(monkeypatch)
 
 def test_a_team_s_command_without_the_robot_is_refused(rig) -> None:
     driver, _, _ = rig
-    with pytest.raises(MessageError, match="expected 3 among them"):
-        driver.send(VelocityCommand([1, 2], [0, 0], [0, 0]))
+    for ids in ([1, 2], [1, 5], [4, 5]):
+        with pytest.raises(MessageError, match="expected 3 among them"):
+            driver.send(VelocityCommand(ids, [1.0, 1.0], [0, 0]))
 
 
 def test_flight_in_the_body_s_frame(rig) -> None:

@@ -123,6 +123,10 @@ class LabLimits(Model):
     )
 
 
+TLS_PROTOCOLS = ("tls/", "quic/")
+"""Beginnings of Zenoh addresses whose connections use TLS. Defined by Zenoh."""
+
+
 class LabAvoidance(AvoidanceModel):
     """How robots keep apart from each other and from obstacles."""
 
@@ -155,24 +159,46 @@ class LabRadio(Model):
     @property
     def is_secured(self) -> bool:
         """Whether each place that is not on loopback is reached by TLS with client certificates."""
-        files = self.authority and self.certificate and self.key
         return all(
-            _is_loopback(place) or (place.startswith(("tls/", "quic/")) and bool(files))
+            _is_loopback(place) or (place.startswith(TLS_PROTOCOLS) and self.has_certificates)
             for place in (*self.listen, *self.connect)
         )
+
+    @property
+    def has_certificates(self) -> bool:
+        """Whether all three files for TLS are named."""
+        return bool(self.authority and self.certificate and self.key)
+
+    @property
+    def plain_places(self) -> list[str]:
+        """Addresses to listen on or connect to without TLS."""
+        return [place for place in (*self.listen, *self.connect) if not place.startswith(TLS_PROTOCOLS)]
 
     def check(self, *, insecure: bool) -> None:
         """Refuse a radio that others could listen to or speak on, unless that is asked for.
 
         Raises:
-            InputError: a place is neither on loopback nor reached by TLS with client certificates.
+            InputError: a place is neither on loopback nor reached by TLS with client certificates, a place is
+                plain although certificates are given, or only some of the files for TLS are named.
         """
-        if not self.is_secured and not insecure:
+        if insecure:
+            return
+        if not self.is_secured:
             raise InputError(
                 "radio",
                 "reaches beyond this machine without TLS and client certificates",
                 "tls/ addresses with authority, certificate and key; or --insecure, and anyone on the "
                 "network can drive the robots",
+            )
+        if self.has_certificates and self.plain_places:
+            raise InputError(
+                "radio",
+                f"{self.plain_places[0]} is not protected by the certificates",
+                "tls/ addresses only in listen and connect; or no certificates; or --insecure",
+            )
+        if any((self.authority, self.certificate, self.key)) and not self.has_certificates:
+            raise InputError(
+                "radio", "files for TLS are missing", "all of authority, certificate and key, or none"
             )
 
 

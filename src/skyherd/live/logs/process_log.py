@@ -30,11 +30,8 @@ from skyherd.live.logs.view import View
 from skyherd.live.mailbox import Arrival
 from skyherd.live.wire import VERSION, envelope_record
 from skyherd.messages import Detections
-from skyherd.recording.mcap_log import CHUNK_BYTES, McapLog, Schema
+from skyherd.recording.mcap_log import McapLog, Schema
 from skyherd.version import __version__
-
-FLUSH_S = 0.5
-"""Time of which a process that is killed loses less than this, s."""
 
 OBJECT: dict[str, Any] = {"type": "object"}
 
@@ -77,7 +74,7 @@ class ProcessLog:
 
     def __init__(self, path: Path, name: str, lab: Lab, now_s: float) -> None:
         self.trouble: str | None = None
-        self._path, self._flushed_s = path, now_s
+        self._path = path
         topics = topics_of(name)
         self._log: McapLog | None = McapLog(path, topics)
         about = {
@@ -111,9 +108,7 @@ class ProcessLog:
             return
         try:
             self._log.put(topic, max(0.0, min(now_s, 1e10)), record)
-            if self._log.pending_bytes >= CHUNK_BYTES or not 0 <= now_s - self._flushed_s < FLUSH_S:
-                self._log.flush()
-                self._flushed_s = now_s
+            self._log.flush_when_due(now_s)
         except OSError as error:
             self.trouble = f"{self._path}: {error.strerror or error}; nothing is recorded from now on"
             self._log.abandon()

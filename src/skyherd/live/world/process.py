@@ -89,6 +89,7 @@ class WorldProcess:
         self._begun_s: float | None = None
         if self._log is not None:
             self._log.put("/scenario", self.clock(), scenario.model_dump(mode="json"))
+            self._log.flush()
 
     @property
     def time_s(self) -> float:
@@ -178,8 +179,7 @@ class WorldProcess:
             "shape_error": error,
         }
         self._log.put("/truth", now_s, record)
-        if self._log.pending_bytes > 1 << 16:
-            self._log.flush()
+        self._log.flush_when_due(now_s, now_s + self.mission.scenario.step_s / self.speed)
 
 
 def run_world(

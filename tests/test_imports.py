@@ -14,7 +14,7 @@ from source_files import ROOT, SOURCE_FILES, syntax_tree
 FACADES = ("control", "render", "vision")
 """Packages whose names are to be imported from the package itself: `from skyherd.control import Template`."""
 
-MAX_CHILDREN = 30
+MAX_CHILDREN = 32
 """Modules and packages directly under `skyherd` that a newcomer is to take in. Chosen."""
 
 MAX_LAYERS = 18

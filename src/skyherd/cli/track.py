@@ -12,7 +12,7 @@ from skyherd.cli.interrupts import telling_of_interrupts
 from skyherd.errors import InputError
 
 if TYPE_CHECKING:
-    from skyherd.live.tracking import GroundTracks
+    from skyherd.tracking import GroundTracks
 
 
 def track(
@@ -49,8 +49,8 @@ def track(
     figure. Exit code 0 when done, 1 if no robot's marker was found, 2 for bad input.
     """
     from skyherd.inspection import output_name
-    from skyherd.live.tracking import FIGURE, SHAPE, TRACKS, named_shape, scenario_shape, track_videos
     from skyherd.markers.sheet_layout import parse_ids
+    from skyherd.tracking import FIGURE, SHAPE, TRACKS, named_shape, scenario_shape, track_videos
 
     if shape is not None and scenario is not None:
         raise InputError("--shape", "given with --scenario", "one of the two")

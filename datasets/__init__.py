@@ -14,7 +14,7 @@ for: they need matplotlib and process pools, which a run does without.
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from skyherd.datasets.configuration.body_models import SizeModel
+from skyherd.datasets.configuration.body_models import AvoidanceModel, RolesModel, SizeModel
 from skyherd.datasets.configuration.camera_models import CameraModel
 from skyherd.datasets.configuration.cameras import CAMERAS
 from skyherd.datasets.configuration.fields import Model, Point
@@ -94,6 +94,7 @@ __all__ = [
     "SHAPES",
     "SHAPE_SPACING",
     "AutopilotModel",
+    "AvoidanceModel",
     "CameraModel",
     "Crowd",
     "Dataset",
@@ -106,6 +107,7 @@ __all__ = [
     "NetworkModel",
     "Point",
     "RobotsModel",
+    "RolesModel",
     "ScatterModel",
     "Scenario",
     "ScenarioSource",

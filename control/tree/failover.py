@@ -6,7 +6,7 @@ Two adjoining units are made one, so that what was a tree with one pair an edge 
 from dataclasses import replace
 
 from skyherd.control.tree.edge import NO_ROBOTS, NO_TURN, Edge, Robots, first_turn
-from skyherd.control.tree.node_state import Changes, NodeState, Situation, resigned
+from skyherd.control.tree.node_state import NodeState, Situation, resigned
 from skyherd.control.tree.peer_reports import PeerReport
 from skyherd.messages import NO_ID
 
@@ -19,8 +19,9 @@ LIVELY = 0.5
 seven images of a camera with five a second, so that hardly ever all of their reports are lost."""
 
 
-def fail_over(state: NodeState, now: Situation) -> Changes:
+def fail_over(state: NodeState, now: Situation) -> NodeState:
     """Go on without neighbours that fell silent or left the tree; start anew if they gave this unit up."""
+    before = state
     for neighbor, edge in list(state.edges.items()):
         if state.edges.get(neighbor) is not edge:
             continue  # what was done about a neighbour before concerned this edge as well
@@ -29,25 +30,29 @@ def fail_over(state: NodeState, now: Situation) -> Changes:
         if now.time_s - last_s > now.rule.silence_s:
             state = _without(state, now, edge)
         elif peer is not None and _is_abandoned(now, edge, peer):
-            if peer.is_member and edge.pair:
-                state = replace(state, **resigned())
-            else:
-                state = _without(state, now, edge)
-    return Changes(
-        own=state.own, edges=state.edges, ready=state.ready, tree_id=state.tree_id, asks_id=state.asks_id
+            is_given_up = peer.is_member and bool(edge.pair)
+            state = resigned(state) if is_given_up else _without(state, now, edge)
+    return replace(
+        before,
+        own=state.own,
+        edges=state.edges,
+        ready=state.ready,
+        tree_id=state.tree_id,
+        asks_id=state.asks_id,
     )
 
 
-def name_heir(state: NodeState, now: Situation) -> Changes:
+def name_heir(state: NodeState, now: Situation) -> NodeState:
     """Name as the heir, of the neighbours with a pair, the one with fewest robots, and keep to it."""
     if state.heir_id in state.edges:
-        return Changes()
+        return state
     robots = {
         neighbor: len(now.peers.newest[neighbor].controlled)
         for neighbor, edge in state.edges.items()
         if edge.pair and neighbor in now.peers.newest
     }
-    return Changes(heir_id=min(robots, key=lambda neighbor: (robots[neighbor], neighbor), default=NO_ID))
+    heir_id = min(robots, key=lambda neighbor: (robots[neighbor], neighbor), default=NO_ID)
+    return replace(state, heir_id=heir_id)
 
 
 def _is_abandoned(now: Situation, edge: Edge, peer: PeerReport) -> bool:

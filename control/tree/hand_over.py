@@ -16,7 +16,7 @@ the slot not arrive before the slot ends, nobody has the robot until somebody ad
 from dataclasses import replace
 
 from skyherd.control.topology.slots import slot_at
-from skyherd.control.tree.node_state import Changes, HandOver, NodeState, Situation
+from skyherd.control.tree.node_state import HandOver, NodeState, Situation
 from skyherd.control.tree.offers import lost, undisputed
 from skyherd.control.tree.peer_reports import PeerReport
 from skyherd.messages import NO_SLOT
@@ -27,7 +27,7 @@ a camera with five a second, so that hardly ever all reports of it are lost; a r
 for it than it otherwise would, at most."""
 
 
-def take(state: NodeState, now: Situation) -> Changes:
+def take(state: NodeState, now: Situation) -> NodeState:
     """As a member: accept robots that others want to hand over, and take settled ones in their slot.
 
     A robot that a third unit claims by then is not taken, nor one whose slot was over before it was heard of:
@@ -35,7 +35,7 @@ def take(state: NodeState, now: Situation) -> Changes:
     """
     handing = [peer for peer in now.members if peer.tree.handed_ids.size]
     if not state.is_member or not (handing or state.taking or state.accepted):
-        return Changes()
+        return state
     taking = dict(state.taking)
     for peer in now.news:
         settled = _handed_to(now.unit_id, peer)
@@ -43,20 +43,21 @@ def take(state: NodeState, now: Situation) -> Changes:
     due = {robot: giver for robot, (giver, slot) in taking.items() if slot <= now.slot}
     own = state.own | {robot for robot, giver in due.items() if not _is_claimed(now, robot, but=giver)}
     handed = frozenset[int]().union(*(_handed_to(now.unit_id, peer) for peer in handing))
-    return Changes(
+    return replace(
+        state,
         own=own,
         taking={robot: settled for robot, settled in taking.items() if robot not in due},
         accepted=(handed & now.visible) - state.controlled,
     )
 
 
-def give(state: NodeState, now: Situation) -> Changes:
+def give(state: NodeState, now: Situation) -> NodeState:
     """Hand robots that went out of view to members that see them, and drop those that are due.
 
     Robots that are promised to a neighbour are kept until its turn is over.
     """
     if not (now.at_slot or state.giving):
-        return Changes()
+        return state
     own = state.own - {r for r, hand_over in state.giving.items() if NO_SLOT < hand_over.slot <= now.slot}
     giving = {r: hand_over for r, hand_over in state.giving.items() if r in own}
     givable = lost(state, now) & own
@@ -72,7 +73,7 @@ def give(state: NodeState, now: Situation) -> Changes:
             to_id = _nearest_member(now, robot)
             if to_id is not None:
                 giving[robot] = HandOver(to_id)
-    return Changes(own=own, giving=giving)
+    return replace(state, own=own, giving=giving)
 
 
 def _handed_to(unit_id: int, peer: PeerReport) -> dict[int, int]:

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from skyherd.control.tree.edge import Edge, edge_status, first_turn, turn_time_s
-from skyherd.control.tree.node_state import Changes, Extent, NodeState, Situation
+from skyherd.control.tree.node_state import Extent, NodeState, Situation
 from skyherd.control.tree.offers import offerable
 from skyherd.control.tree.peer_reports import PeerReport
 from skyherd.messages import NO_ID
@@ -18,7 +18,7 @@ given comes within two, once the robots that it needs are promised to nobody; a 
 own may never have two to give."""
 
 
-def join_tree(state: NodeState, now: Situation) -> Changes:
+def join_tree(state: NodeState, now: Situation) -> NodeState:
     """Outside of a tree: ask a member to be admitted; if there is no tree, see that one is founded.
 
     Large control sets bind a team firmly (docs/topology.md), and the founder's set is all that it sees inside
@@ -28,29 +28,29 @@ def join_tree(state: NodeState, now: Situation) -> Changes:
     founded the tree by then.
     """
     if state.is_member:
-        return Changes()
+        return state
     if now.members:
         return _ask(state, now)
     living = {peer.unit_id: peer for peer in now.living}
     lowest = min(living, default=now.unit_id)
     if lowest < now.unit_id:
-        return _found(now) if lowest in now.askers else Changes()
+        return _found(state, now) if lowest in now.askers else state
     if not now.at_slot or now.time_s - state.since_s < now.rule.dwell_s or state.asks_id in living:
-        return Changes()
+        return state
     inside = {unit: len(peer.near(now.rule.radius)) for unit, peer in living.items()}
     inside[now.unit_id] = len(now.visible)
     chosen = max(inside, key=lambda unit: (inside[unit], -unit))
     if chosen == now.unit_id:
-        return _found(now)
-    return Changes(asks_id=chosen, ask_turn=first_turn(now.time_s, now.unit_id, chosen))
+        return _found(state, now)
+    return replace(state, asks_id=chosen, ask_turn=first_turn(now.time_s, now.unit_id, chosen))
 
 
-def _found(now: Situation) -> Changes:
+def _found(state: NodeState, now: Situation) -> NodeState:
     """Begin the tree, with all robots in view as the unit's own."""
-    return Changes(tree_id=now.unit_id, asks_id=NO_ID, own=now.visible)
+    return replace(state, tree_id=now.unit_id, asks_id=NO_ID, own=now.visible)
 
 
-def _ask(state: NodeState, now: Situation) -> Changes:
+def _ask(state: NodeState, now: Situation) -> NodeState:
     """Open the edge that the member that was asked grants; else ask the one with most own robots in common.
 
     The question names the turn at which the edge is to begin, another one each time, so that a grant that
@@ -64,21 +64,21 @@ def _ask(state: NodeState, now: Situation) -> Changes:
         edge.pair or not edge.is_my_turn or now.time_s - edge.since_s < patience_s
         for edge in state.edges.values()
     ):
-        return Changes()
+        return state
     for peer in now.members:
         status = edge_status(peer.report, now.unit_id)
         if peer.unit_id == state.asks_id and status and not status.pair and status.turn == state.ask_turn:
             edge = Edge(now.unit_id, peer.unit_id, now.time_s).received(peer.report)
-            return Changes(edges={peer.unit_id: edge})
+            return replace(state, edges={peer.unit_id: edge})
     common = {peer.unit_id: _common(now, peer) for peer in now.members}
     able = sorted((member for member in common if common[member] >= 2), key=lambda m: (-common[m], m))
     asked_s = now.time_s - turn_time_s(state.ask_turn)
     if state.asks_id in able and (len(able) == 1 or asked_s < patience_s):
-        return Changes()
+        return state
     if not able:
-        return Changes() if state.edges else Changes(asks_id=NO_ID)
+        return state if state.edges else replace(state, asks_id=NO_ID)
     best = able[(able.index(state.asks_id) + 1) % len(able) if state.asks_id in able else 0]
-    return Changes(edges={}, asks_id=best, ask_turn=first_turn(now.time_s, now.unit_id, best))
+    return replace(state, edges={}, asks_id=best, ask_turn=first_turn(now.time_s, now.unit_id, best))
 
 
 def _common(now: Situation, member: PeerReport) -> int:
@@ -86,20 +86,20 @@ def _common(now: Situation, member: PeerReport) -> int:
     return len(now.visible.intersection(member.report.secure_ids.tolist()) - member.paired)
 
 
-def admit(state: NodeState, now: Situation) -> Changes:
+def admit(state: NodeState, now: Situation) -> NodeState:
     """As a member: grant an edge, yet without a pair, to each unit that asks for one."""
     if not state.is_member:
-        return Changes()
+        return state
     for asking in sorted(now.askers - state.edges.keys()):
         offered = offerable(state, now, asking)
         if len(offered) >= 2:
             turn = now.peers.newest[asking].tree.ask_turn
             edge = Edge(now.unit_id, asking, now.time_s, turn=turn, offered=offered)
             state = replace(state, edges={**state.edges, asking: edge})
-    return Changes(edges=state.edges)
+    return state
 
 
-def watch_growth(state: NodeState, now: Situation) -> Changes:
+def watch_growth(state: NodeState, now: Situation) -> NodeState:
     """Until the tree is complete: tell whether it is, and whether to look around because it does not grow.
 
     It is complete when all units heard of belong to it and all robots to a unit, when any unit that was heard
@@ -108,7 +108,7 @@ def watch_growth(state: NodeState, now: Situation) -> Changes:
     on what they see.
     """
     if state.ready:
-        return Changes()
+        return state
     outside = {peer.unit_id for peer in now.living if not peer.is_member}
     extent = Extent(
         frozenset(outside if state.is_member else outside | {now.unit_id}),
@@ -118,7 +118,8 @@ def watch_growth(state: NodeState, now: Situation) -> Changes:
     grew_slot = now.slot if extent != state.extent or not is_begun else state.grew_slot
     stalled = state.stalled or now.slot - grew_slot >= STALLED_SLOTS
     ready = state.is_member and _is_complete(state, now, extent)
-    return Changes(
+    return replace(
+        state,
         extent=extent,
         grew_slot=grew_slot,
         stalled=stalled,

@@ -2,9 +2,9 @@
 
 from collections.abc import Mapping
 from collections.abc import Set as AbstractSet
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from typing import Any, Literal, TypedDict
+from typing import Any, Literal
 
 import numpy as np
 
@@ -153,48 +153,30 @@ class NodeState:
         """Robots promised to neighbours, but for those promised to the unit `but`."""
         return NO_ROBOTS.union(*(edge.offered for unit, edge in self.edges.items() if unit != but))
 
-    def after(self, changes: "Changes") -> "NodeState":
-        """The state with new values of some fields; this very one if they are as before, as mostly."""
-        new: dict[str, Any] = {name: value for name, value in changes.items() if value != getattr(self, name)}
-        return replace(self, **new) if new else self
+    def after(self, new: "NodeState") -> "NodeState":
+        """Return this state with the fields of `new` that differ; this very one if none does, as mostly."""
+        if new is self:
+            return self
+        changed: dict[str, Any] = {}
+        for name in _FIELDS:
+            before, after = getattr(self, name), getattr(new, name)
+            if after is not before and after != before:
+                changed[name] = after
+        return replace(self, **changed) if changed else self
 
     def unseen_s(self, robot: int, time_s: float) -> float:
         """How long a robot has not been seen; counted from when it was first missed if it never was."""
         return time_s - self.seen_s.get(robot, self.missed_since_s.get(robot, time_s))
 
 
-class Changes(TypedDict, total=False):
-    """What a rule changes of a `NodeState`: new values of some of its fields."""
-
-    own: Robots
-    edges: Mapping[int, Edge]
-    tree_id: int
-    asks_id: int
-    ask_turn: int
-    heir_id: int
-    ready: bool
-    giving: Mapping[int, HandOver]
-    taking: Mapping[int, tuple[int, int]]
-    accepted: Robots
-    searches: bool
-    sought: Robots
-    imaged_s: float
-    since_s: float
-    slot: int
-    seen_s: Mapping[int, float]
-    missed_since_s: Mapping[int, float]
-    held_s: Mapping[int, float]
-    orphaned_s: Mapping[int, float]
-    distances_before: Mapping[int, float]
-    minority_s: float
-    extent: Extent | None
-    grew_slot: int
-    stalled: bool
+_FIELDS = tuple(field.name for field in fields(NodeState))
+"""Names of the fields of a state."""
 
 
-def resigned() -> Changes:
-    """What changes when a unit leaves the tree to join it anew."""
-    return Changes(
+def resigned(state: NodeState) -> NodeState:
+    """Return the state of a unit that leaves the tree to join it anew."""
+    return replace(
+        state,
         own=NO_ROBOTS,
         edges={},
         ready=False,

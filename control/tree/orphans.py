@@ -1,25 +1,27 @@
 """Robots that nobody controls find a unit; robots that two units claim lose one."""
 
+from dataclasses import replace
+
 import numpy as np
 
-from skyherd.control.tree.node_state import Changes, NodeState, Situation
+from skyherd.control.tree.node_state import NodeState, Situation
 
 
-def yield_claims(state: NodeState, now: Situation) -> Changes:
+def yield_claims(state: NodeState, now: Situation) -> NodeState:
     """Drop own robots that a lower unit controls as well, or that an edge of other units shares.
 
     What a unit reported before this one had the robot is no claim: it may have given the robot away since.
     """
     if state.own.isdisjoint(now.claimed):
-        return Changes()
+        return state
     own = state.own
     for peer in now.members:
         claimed = peer.controlled if peer.unit_id < now.unit_id else peer.paired
         own -= {robot for robot in own & claimed if state.held_s.get(robot, now.time_s) <= peer.time_s}
-    return Changes(own=own)
+    return replace(state, own=own)
 
 
-def adopt_orphans(state: NodeState, now: Situation) -> Changes:
+def adopt_orphans(state: NodeState, now: Situation) -> NodeState:
     """As a member: make robots one's own that are in view and that no member controls.
 
     After half a dwell time in which nobody took it, so that reports on their way have arrived, such a robot
@@ -28,7 +30,7 @@ def adopt_orphans(state: NodeState, now: Situation) -> Changes:
     has it only if that is what all members report of this slot or of the one before.
     """
     if not state.is_member:
-        return Changes()
+        return state
     orphans = now.distances.keys() - now.claimed - state.controlled
     since_s = {robot: state.orphaned_s.get(robot, now.time_s) for robot in orphans}
     reported_s = min((peer.time_s for peer in now.members), default=np.inf)
@@ -40,7 +42,7 @@ def adopt_orphans(state: NodeState, now: Situation) -> Changes:
             for robot in orphans
             if now.time_s - since_s[robot] >= waiting_s and _is_nearest(state, now, robot)
         }
-    return Changes(own=state.own | adopted, orphaned_s=since_s, distances_before=now.distances)
+    return replace(state, own=state.own | adopted, orphaned_s=since_s, distances_before=now.distances)
 
 
 def _is_nearest(state: NodeState, now: Situation, robot: int) -> bool:

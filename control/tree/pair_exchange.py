@@ -5,14 +5,14 @@ from dataclasses import replace
 import numpy as np
 
 from skyherd.control.tree.edge import NO_ROBOTS, NO_TURN, Edge, Robots, edge_status, first_turn
-from skyherd.control.tree.node_state import Changes, NodeState, Situation
+from skyherd.control.tree.node_state import NodeState, Situation
 from skyherd.control.tree.offers import offerable
 from skyherd.control.tree.pair_selection import choose_pair
 from skyherd.control.tree.peer_reports import PeerReport
 from skyherd.messages import NO_ID
 
 
-def receive_turns(state: NodeState, now: Situation) -> Changes:
+def receive_turns(state: NodeState, now: Situation) -> NodeState:
     """Take the turns that the reports hand over.
 
     The neighbour may have exchanged the pair in its turn. A robot that left the pair is the unit's own again,
@@ -28,7 +28,7 @@ def receive_turns(state: NodeState, now: Situation) -> Changes:
             before = edges[peer.unit_id].pair
             edges[peer.unit_id] = _begun(edges[peer.unit_id].received(peer.report), peer, now)
             own = (own | (before - edges[peer.unit_id].pair)) - edges[peer.unit_id].pair
-    return Changes(own=own, edges=edges)
+    return replace(state, own=own, edges=edges)
 
 
 def _begun(edge: Edge, peer: PeerReport, now: Situation) -> Edge:
@@ -41,7 +41,7 @@ def _begun(edge: Edge, peer: PeerReport, now: Situation) -> Edge:
     return replace(edge, turn=first_turn(now.time_s, now.unit_id, edge.neighbor_id))
 
 
-def use_turns(state: NodeState, now: Situation) -> Changes:
+def use_turns(state: NodeState, now: Situation) -> NodeState:
     """Exchange the pair where it is the unit's turn and another pair is better, then hand the turn over.
 
     A unit that has nothing to change hands the turn over at once; else it waits for the next slot, changes
@@ -49,6 +49,7 @@ def use_turns(state: NodeState, now: Situation) -> Changes:
     when other robots have come into its reach. With the first pair of its first edge a unit becomes a member
     of the neighbour's tree.
     """
+    before = state
     for neighbor in list(state.edges):
         edge = state.edges[neighbor]
         if not edge.is_my_turn:
@@ -65,7 +66,7 @@ def use_turns(state: NodeState, now: Situation) -> Changes:
             offered = offerable(state, now, neighbor)
             edge = edge.handed_over(offered, _to_release(now, edge, offered))
         state = _with_edge(state, edge)
-    return Changes(edges=state.edges, tree_id=state.tree_id, ready=state.ready, asks_id=state.asks_id)
+    return replace(before, edges=state.edges, tree_id=state.tree_id, ready=state.ready, asks_id=state.asks_id)
 
 
 def _with_edge(state: NodeState, edge: Edge) -> NodeState:

@@ -1,18 +1,20 @@
 """Whether the tree holds together: of two trees, or of parts that lost one another, all but one join anew."""
 
+from dataclasses import replace
+
 import numpy as np
 
-from skyherd.control.tree.node_state import Changes, NodeState, Situation, resigned
+from skyherd.control.tree.node_state import NodeState, Situation, resigned
 from skyherd.messages import NO_ID
 
 
-def leave_for_lower_tree(state: NodeState, now: Situation) -> Changes:
+def leave_for_lower_tree(state: NodeState, now: Situation) -> NodeState:
     """Leave a tree as soon as one with a lower number is heard of, so that of two trees one stays."""
     others = [peer.tree.tree_id for peer in now.news]
-    return resigned() if any(NO_ID < tree_id < state.tree_id for tree_id in others) else Changes()
+    return resigned(state) if any(NO_ID < tree_id < state.tree_id for tree_id in others) else state
 
 
-def heal_partition(state: NodeState, now: Situation) -> Changes:
+def heal_partition(state: NodeState, now: Situation) -> NodeState:
     """Leave the tree if the unit's part of it has not been the largest one for a silence.
 
     Two ends of an edge that receive nothing from each other for long each go on without the other. Once they
@@ -22,11 +24,11 @@ def heal_partition(state: NodeState, now: Situation) -> Changes:
     """
     largest = min(_parts(state, now), key=lambda part: (-len(part), min(part)))
     if not state.is_member or now.unit_id in largest:
-        return Changes(minority_s=np.inf)
+        return replace(state, minority_s=np.inf)
     since_s = min(state.minority_s, now.time_s)
     if now.time_s - since_s < now.rule.silence_s:
-        return Changes(minority_s=since_s)
-    return Changes(minority_s=np.inf, **resigned())
+        return replace(state, minority_s=since_s)
+    return replace(resigned(state), minority_s=np.inf)
 
 
 def _parts(state: NodeState, now: Situation) -> list[set[int]]:

@@ -25,11 +25,11 @@ as its own does. Neither offers it before that is settled. A unit that learns th
 starts anew, and so does the smaller of two parts of the tree that lost one another (`partition`).
 
 A unit's state is one value (`NodeState`). Each rule reads it and the unit's situation (time, view, reports)
-and returns what is to change; `TreeProtocol.choose` applies the rules in the order of `RULES`.
+and returns the next state; `TreeProtocol.choose` applies the rules in the order of `RULES`.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -40,7 +40,7 @@ from skyherd.control.topology.slots import slot_at
 from skyherd.control.tree.failover import fail_over, name_heir
 from skyherd.control.tree.hand_over import give, take
 from skyherd.control.tree.joining import admit, join_tree, watch_growth
-from skyherd.control.tree.node_state import Changes, NodeState, Situation, TreeRule
+from skyherd.control.tree.node_state import NodeState, Situation, TreeRule
 from skyherd.control.tree.orphans import adopt_orphans, yield_claims
 from skyherd.control.tree.pair_exchange import receive_turns, use_turns
 from skyherd.control.tree.partition import heal_partition, leave_for_lower_tree
@@ -50,13 +50,14 @@ from skyherd.geometry import IntArray
 from skyherd.messages import NO_ID, Detections, TreeStatus, UnitReport
 
 
-def note_view(state: NodeState, now: Situation) -> Changes:
+def note_view(state: NodeState, now: Situation) -> NodeState:
     """Note the time, the slot, and which robots are in view.
 
     Without an image for a silence, or after its clock was set, a unit begins anew to look around.
     """
     is_used = now.time_s - state.imaged_s <= now.rule.silence_s
-    return Changes(
+    return replace(
+        state,
         imaged_s=now.time_s,
         since_s=state.since_s if is_used else now.time_s,
         slot=now.slot,
@@ -64,17 +65,21 @@ def note_view(state: NodeState, now: Situation) -> Changes:
     )
 
 
-def note_holding(state: NodeState, now: Situation) -> Changes:
+def note_holding(state: NodeState, now: Situation) -> NodeState:
     """Note since when the unit has had each robot of its set, and which own robots it has never seen."""
     never_seen = state.own - now.distances.keys() - state.seen_s.keys() - state.missed_since_s.keys()
-    return Changes(
+    return replace(
+        state,
         held_s={robot: state.held_s.get(robot, now.time_s) for robot in state.controlled},
         missed_since_s={**state.missed_since_s, **dict.fromkeys(never_seen, now.time_s)},
     )
 
 
-Transition = Callable[[NodeState, Situation], Changes]
-"""A rule of the protocol: from a unit's state and situation to what changes of the state."""
+Transition = Callable[[NodeState, Situation], NodeState]
+"""A rule of the protocol: from a unit's state and situation to the next state.
+
+Its calls of `replace` name the fields that it changes.
+"""
 
 RULES: tuple[tuple[Transition, str], ...] = (
     (note_view, "first: all other rules read when robots were seen"),

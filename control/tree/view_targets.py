@@ -12,11 +12,13 @@ flight, the look around before the tree is founded, and the choice of the unit t
 founder (`skyherd.control.tree.joining`). docs/topology.md has the measurements.
 """
 
-from skyherd.control.tree.node_state import Changes, NodeState, Situation
+from dataclasses import replace
+
+from skyherd.control.tree.node_state import NodeState, Situation
 from skyherd.control.tree.pair_selection import firmer_pair
 
 
-def seek_robots(state: NodeState, now: Situation) -> Changes:
+def seek_robots(state: NodeState, now: Situation) -> NodeState:
     """At a slot: choose robots to get into view: missing ones, and pairs that would bind weak edges firmly.
 
     A neighbour reports robots of its own that it has not seen for a silence; the unit looks for those that it
@@ -26,7 +28,7 @@ def seek_robots(state: NodeState, now: Situation) -> Changes:
     theirs is weak they fly to see a better one.
     """
     if not now.at_slot:
-        return Changes()
+        return state
     robots = set(now.shape.members - now.claimed - state.controlled) if state.ready else set[int]()
     missed_since_s = dict(state.missed_since_s)
     for edge in state.edges.values():
@@ -46,4 +48,4 @@ def seek_robots(state: NodeState, now: Situation) -> Changes:
                 firm=now.rule.firm,
                 gain=now.rule.gain,
             )
-    return Changes(sought=frozenset(robots), missed_since_s=missed_since_s)
+    return replace(state, sought=frozenset(robots), missed_since_s=missed_since_s)

@@ -15,25 +15,21 @@ import argparse
 import os
 import subprocess
 import sys
-import tarfile
 import tempfile
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 from hashlib import sha256
-from io import BytesIO
 from pathlib import Path
 from time import perf_counter
 
 from mcap.reader import make_reader
+from versions import link_packages, unpacked
 
 ROOT = Path(__file__).parents[1]
 
 SCENARIOS = ("star", "tree", "crowd", "handheld")
 """Scenarios that are compared by default. *Chosen*: flat and tilted cameras, few and many units, bodies."""
-
-MAPPED = ("control", "datasets", "render", "vision")
-"""Folders at the top of the repository that are packages of skyherd."""
 
 RUN = """
 import os, sys
@@ -96,27 +92,6 @@ def differences(this: dict[str, Topic], other: dict[str, Topic]) -> list[str]:
     return lines
 
 
-def unpack(reference: str, folder: Path) -> Path:
-    """Unpack a version from git, and return the folder to import it from."""
-    command = ["git", "-C", str(ROOT), "archive", "--format=tar", f"{reference}^{{commit}}"]
-    packed = subprocess.run(command, check=True, capture_output=True)
-    with tarfile.open(fileobj=BytesIO(packed.stdout)) as archive:
-        archive.extractall(folder, filter="data")
-    return link(folder, folder / "importable")
-
-
-def link(tree: Path, folder: Path) -> Path:
-    """Return a folder in which all packages of a source tree lie under `skyherd`, as links."""
-    package = folder / "skyherd"
-    package.mkdir(parents=True)
-    for part in (tree / "src" / "skyherd").iterdir():
-        if part.name not in MAPPED and part.name != "__pycache__":
-            (package / part.name).symlink_to(part, target_is_directory=part.is_dir())
-    for name in MAPPED:
-        (package / name).symlink_to(tree / name, target_is_directory=True)
-    return folder
-
-
 def record(version: Path, scenario: str, path: Path, settings: Sequence[str]) -> float:
     """Record a run of one version into a file, and return the wall time, s."""
     threads = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
@@ -160,8 +135,10 @@ def main() -> int:
     settings += [f"perception={options.perception}"] if options.perception else []
     with tempfile.TemporaryDirectory(prefix="skyherd-") as name:
         work = Path(name)
-        versions = [link(ROOT, work / "this"), unpack(options.against, work / "other")]
-        return 0 if all([compare(versions, one, settings, work) for one in options.scenarios]) else 1
+        link_packages(ROOT, work / "this")
+        with unpacked(options.against, ROOT) as other:
+            versions = [work / "this", other]
+            return 0 if all([compare(versions, one, settings, work) for one in options.scenarios]) else 1
 
 
 if __name__ == "__main__":

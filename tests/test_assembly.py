@@ -36,6 +36,7 @@ def test_roles_and_bodies_are_none_unless_asked_for():
     assert make_bodies(AvoidanceModel(on=True), 1.5, {7: 2.0}).obstacles == {7: 2.0}
 
 
+@pytest.mark.smoke
 def test_lab_and_scenario_make_the_same_size_and_roles():
     """A lab and a scenario with the same keys have controllers with equal rules; other keys differ."""
     tree = load_lab("star").model.model_dump(mode="json", exclude_none=True)

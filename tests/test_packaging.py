@@ -36,6 +36,7 @@ def discovered(root):
     return module.packages()
 
 
+@pytest.mark.smoke
 def test_setup_finds_every_package_of_the_tree():
     assert discovered(ROOT) == sorted(dict(folders_with_code()))
     places = {f"skyherd.{part}": part for part in PARTS} | {"skyherd": "src/skyherd"}
@@ -128,6 +129,7 @@ def imported_modules(path):
             yield from (f"{node.module}.{alias.name}" for alias in node.names)
 
 
+@pytest.mark.smoke
 def test_control_imports_neither_pixels_nor_world():
     """Independent of the import contracts, which the gate checks with a planted leak as well."""
     allowed = ("skyherd.control", "skyherd.errors", "skyherd.geometry", "skyherd.messages")

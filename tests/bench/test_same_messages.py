@@ -28,6 +28,7 @@ def topics_of(same_messages, tmp_path_factory):
     return record
 
 
+@pytest.mark.smoke
 def test_recordings_of_one_seed_are_equal(same_messages, topics_of):
     one = topics_of(3)
     assert {"/mission", "/world", "/unit/0/detections", "/end"} <= one.keys()

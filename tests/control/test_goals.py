@@ -20,6 +20,7 @@ def random_scene(seed: int, make_detections, count: int = 12):
     return seen, template, dict(zip(ids.tolist(), points, strict=True)), rng
 
 
+@pytest.mark.smoke
 @pytest.mark.parametrize("seed", range(10))
 def test_neighbours_are_the_shared_robots_and_the_nearest(make_detections, seed) -> None:
     """Against a plain loop over all pairs; distances to rounding."""
@@ -75,6 +76,7 @@ def test_the_wire_view_equals_the_arrays(make_detections, seed) -> None:
         goals.for_robot(99)
 
 
+@pytest.mark.smoke
 def test_controlled_robots_out_of_view_get_no_goal_and_shape_none(make_detections) -> None:
     """The goals of those in view are what they would be were the other not in the set."""
     seen, template, _, _ = random_scene(1, make_detections)

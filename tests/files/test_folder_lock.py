@@ -41,6 +41,7 @@ def test_held_lock_refuses_and_its_end_admits(tmp_path):
     lock.release()
 
 
+@pytest.mark.smoke
 def test_lock_file_of_killed_process_does_not_lock(tmp_path):
     with holder(tmp_path, 60.0) as process:
         assert not FolderLock().acquire(tmp_path, 0.0)

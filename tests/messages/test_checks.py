@@ -144,6 +144,7 @@ def seen(**changes):
     return Detections(**one | changes)
 
 
+@pytest.mark.smoke
 @pytest.mark.parametrize(
     ("name", "value"),
     [

@@ -165,6 +165,7 @@ def test_light_is_right_at_every_size_blur_and_tilt(side, psf, tilt):
     check_exact(side, psf, tilt)
 
 
+@pytest.mark.smoke
 def test_a_blur_wrong_by_a_hundredth_would_be_noticed():
     """200 levels, 0.24 of them a σ at the steepest bend: 1 % is 0.5 grey. The check above can fail."""
     camera, ids, positions, headings = team(30.0, HEADINGS, 1)
@@ -287,6 +288,7 @@ def test_later_markers_lie_over_earlier_ones():
     )
 
 
+@pytest.mark.smoke
 def test_white_and_black_are_the_markers_levels():
     pose, place = CameraPose((0.0, 0.0), 10.0, 0.2), np.array([[0.1, 0.0]])
     light = make_renderer().light(

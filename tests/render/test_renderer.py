@@ -42,6 +42,7 @@ FLAT = Ground(0, mean=GROUND, contrast=0.0)
 # --- cameras: the frames of ARCHITECTURE.md ---
 
 
+@pytest.mark.smoke
 def test_the_image_is_what_one_sees_looking_down() -> None:
     """At yaw 0 +u is east (+x), +v is south (-y): north is up in the image, and it is not mirrored."""
     camera = Camera((640, 480), focal_px=500.0)
@@ -106,6 +107,7 @@ def test_footprint_is_what_projects_to_the_images_border() -> None:
     np.testing.assert_allclose(corners, expected, rtol=0, atol=1e-9)
 
 
+@pytest.mark.smoke
 def test_the_marker_faces_where_the_robot_does() -> None:
     """Robot at heading +90 deg (north) under a camera at yaw 0: its pattern stands upright in the image."""
     camera = Camera((IMAGE_PX, IMAGE_PX), 60.0)

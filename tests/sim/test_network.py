@@ -168,6 +168,7 @@ def test_units_out_of_range_do_not_hear_one_another() -> None:
     assert trees == {3.0: [0, 1], 30.0: [0, 0]}
 
 
+@pytest.mark.smoke
 def test_every_key_of_a_scenario_reaches_the_network(scenario_tree) -> None:
     faults = {"message_loss": 0.1, "delay_s": 0.2, "repeats": 0.3, "relay_s": 0.05}
     scenario = make_mission(scenario_tree("star") | {"network": faults}).scenario

@@ -35,6 +35,7 @@ def same_angle(one: np.ndarray, other: np.ndarray, tolerance: float) -> None:
 # --- unicycles ---
 
 
+@pytest.mark.smoke
 def test_arcs_are_circles() -> None:
     """x' = x + (v/w)(sin(th + w t) - sin th), y' = y - (v/w)(cos(th + w t) - cos th): w here above 0.01."""
     positions, headings, v, omega = random_robots(1)
@@ -240,6 +241,7 @@ def test_wheels_have_limits(mission_of) -> None:
 # --- network ---
 
 
+@pytest.mark.smoke
 def test_messages_arrive_after_their_latency_and_once(make_goals, make_report) -> None:
     network = Network(NetworkModel(), np.random.default_rng(0), 2)
     network.send([make_goals(0, [1, 2], [1, 2])], make_report(0, [1, 2], [0, 1], [1, 2]), 0.25)

@@ -14,6 +14,7 @@ from skyherd.study.plan import draw_settings, make_plan, mission_key, sweep_sett
 from skyherd.study.spec import StudySpec, load_study, study_names
 
 
+@pytest.mark.smoke
 def test_every_combination_of_a_grid_is_run_and_the_last_key_goes_fastest(write_study: Any) -> None:
     runs = make_plan(load_study(str(write_study()))).runs
     pairs = [(run.parameters["control.k"], run.parameters["units.0.yaw_deg"]) for run in runs]

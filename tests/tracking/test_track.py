@@ -131,6 +131,7 @@ def detections(places_px, ids, tilt=0.0):
     )
 
 
+@pytest.mark.smoke
 def test_the_camera_s_tilt_is_taken_off() -> None:
     points = shape_points("grid", 16)
     points = (points - points.mean(axis=0)) / np.abs(points - points.mean(axis=0)).max()

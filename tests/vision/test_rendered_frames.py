@@ -193,6 +193,7 @@ def test_a_robot_that_drives_forward_moves_along_its_image_heading(renderer, yaw
     assert np.abs(turn).max() < np.radians(1.5)
 
 
+@pytest.mark.smoke
 def test_corners_zero_and_one_lie_ahead_left_then_right(renderer) -> None:
     camera, pose = Camera((200, 200), 400.0), CameraPose((0.0, 0.0), 10.0)
     image = renderer.render(
@@ -230,6 +231,7 @@ def picture(renderer: Renderer, ids: list[int], *, mirrored: bool = False) -> np
     )
 
 
+@pytest.mark.smoke
 def test_a_mirrored_stream_decodes_nothing_and_that_is_said(renderer) -> None:
     detector = create_detector(dictionary=DICTIONARY)
     image = picture(renderer, [3, 12, 21, 40], mirrored=True)

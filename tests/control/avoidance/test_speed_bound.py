@@ -239,6 +239,7 @@ def test_nothing_near_leaves_the_law_alone(make_detections) -> None:
     )
 
 
+@pytest.mark.smoke
 def test_a_detour_is_within_all_bounds() -> None:
     """Of two robots that meet head-on each keeps to the right; one that is not blocked is left alone."""
     rng = np.random.default_rng(9)

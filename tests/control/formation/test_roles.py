@@ -73,6 +73,7 @@ def test_units_come_to_one_map_and_it_stays(make_report, seed, loss, longest) ->
     assert agents.maps() == {name}, "what cannot be improved is left alone"
 
 
+@pytest.mark.smoke
 def test_every_exchange_lowers_the_residual_by_the_gain(make_report) -> None:
     agents = Agents(make_report, units=1)
     robots = agents.rng.normal(size=N) + 1j * agents.rng.normal(size=N)

@@ -58,6 +58,7 @@ def errors_after(view: View, count: int, images: int, seed: int, **how: bool) ->
 # --- what it reaches ---
 
 
+@pytest.mark.smoke
 @pytest.mark.parametrize(("count", "worst"), [(3, 3e-3), (6, 1e-3), (16, 5e-4)])
 def test_one_image_is_rectified_by_its_own_markers(count, worst):
     """Numbers of 1.3e-4 each, of which a fit of ten unknowns makes an error several times as large where

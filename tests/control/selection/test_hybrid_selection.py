@@ -39,6 +39,7 @@ def test_a_cost_that_falls_keeps_free_overlaps(one_unit) -> None:
     assert one_unit(lambda t: 100 * np.exp(-0.02 * t)) is None
 
 
+@pytest.mark.smoke
 def test_a_cost_that_stalls_above_zero_begins_the_tree_after_the_stall_time(one_unit) -> None:
     """The first comparison is with an image more than 10 s old."""
     assert one_unit(lambda t: 5.0) == 11

@@ -165,6 +165,7 @@ def test_the_gradient_of_v_is_l_p() -> None:
         assert slope == pytest.approx((matrix @ p)[robot], abs=1e-10)
 
 
+@pytest.mark.smoke
 def test_the_flow_dies_out_at_the_slowest_rate() -> None:
     """exp(-L t) on random starts: late, what is off the shape falls by exp(-λ_3) a unit of time.
 

@@ -315,6 +315,7 @@ def test_the_choice_of_the_founder_stands_while_its_word_is_on_the_way() -> None
 # --- succession ---
 
 
+@pytest.mark.smoke
 @pytest.mark.parametrize("units", [2, 3])
 @pytest.mark.parametrize("when", range(8))
 def test_one_crash_costs_a_silence_and_two_images(units, when) -> None:

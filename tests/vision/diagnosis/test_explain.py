@@ -114,6 +114,7 @@ def test_too_few_pixels(draw) -> None:
         assert r.measured.value == pytest.approx(7, abs=1.0) and "fly lower" in r.words
 
 
+@pytest.mark.smoke
 @pytest.mark.parametrize("contrast", [11.0, 18.0])
 def test_low_contrast(draw, contrast) -> None:
     """Refused by its fit, and faint enough to be lost in the search."""

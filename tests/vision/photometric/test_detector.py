@@ -144,6 +144,7 @@ def near(side_px, heading, center, seed=0):
     return image, start
 
 
+@pytest.mark.smoke
 def test_a_perfect_fit_recovers_the_pose_from_two_pixels_away():
     center, heading = 50.3 + 48.8j, 0.7
     image, start = near(30.0, heading, center)

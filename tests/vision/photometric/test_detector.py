@@ -74,6 +74,7 @@ HARDEST = {(16, 2), (16, 10), (32, 2)}
 """The smallest markers, whose blur is hardest to tell, and where the bound is lowest; slow tests take all."""
 
 
+@pytest.mark.smoke
 @pytest.mark.parametrize(
     ("side_px", "noise"),
     [pytest.param(*each, marks=() if each in HARDEST else pytest.mark.slow) for each in BOUND],

@@ -35,7 +35,7 @@ from skyherd.datasets.configuration.models import (
     Scenario,
     SelectionModel,
 )
-from skyherd.datasets.configuration.robot_models import DriveModel, RobotsModel, ScatterModel
+from skyherd.datasets.configuration.robot_models import DriveModel, ObstacleModel, RobotsModel, ScatterModel
 from skyherd.datasets.configuration.toml_files import (
     built_in_names,
     built_in_text,
@@ -105,6 +105,7 @@ __all__ = [
     "Mission",
     "Model",
     "NetworkModel",
+    "ObstacleModel",
     "Point",
     "RobotsModel",
     "RolesModel",

@@ -3,7 +3,7 @@
 The simulated loop and live units share these functions: a key means the same in a scenario and in a lab.
 """
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -23,7 +23,14 @@ from skyherd.control import (
     TreeProtocol,
     TreeRule,
 )
-from skyherd.datasets import AvoidanceModel, FlightModel, RolesModel, SelectionModel, SizeModel
+from skyherd.datasets import (
+    AvoidanceModel,
+    FlightModel,
+    ObstacleModel,
+    RolesModel,
+    SelectionModel,
+    SizeModel,
+)
 
 REPORT_LIFETIME_S = 2.0
 """Age up to which a unit's report counts. Chosen: a dwell time; shorter, and lost reports are felt."""
@@ -99,21 +106,21 @@ def make_size(model: SizeModel, template: Template, side_m: float) -> SizeRule:
     return SizeRule(model.min_spacing_sides)
 
 
-def make_bodies(
-    model: AvoidanceModel, body_radius_sides: float, obstacles: Mapping[int, float]
+def make_body_rule(
+    model: AvoidanceModel, radius_sides: float, obstacles: Sequence[ObstacleModel]
 ) -> BodyRule | None:
-    """Make what a unit knows of bodies, or None where robots are points.
+    """Return the bodies that units report to robots, or None where robots are points.
 
     Args:
         model: how robots keep apart.
-        body_radius_sides: radius of the robots' bodies, in marker sides.
-        obstacles: radius of each marked obstacle, in marker sides, by its marker.
+        radius_sides: radius of the robots' bodies, in marker sides.
+        obstacles: markers that are obstacles.
     """
     if not model.on:
         return None
     return BodyRule(
-        radius_sides=body_radius_sides,
+        radius_sides=radius_sides,
         margin_sides=model.margin_sides,
         horizon_sides=model.horizon_sides,
-        obstacles=dict(obstacles),
+        obstacles={obstacle.id: obstacle.radius_sides for obstacle in obstacles},
     )

@@ -6,7 +6,7 @@ from dataclasses import replace
 from skyherd.assembly import (
     REPORT_LIFETIME_S,
     REPORTS_MISSED,
-    make_bodies,
+    make_body_rule,
     make_flight,
     make_roles,
     make_selection,
@@ -23,7 +23,6 @@ from skyherd.sim.physics import read_unit_clock
 def make_controller(mission: Mission, unit: int) -> AerialController:
     """A new controller for one unit of a mission; it has seen and received nothing yet."""
     scenario = mission.scenario
-    obstacles = {obstacle.id: obstacle.radius_sides for obstacle in scenario.obstacles}
     slowest_s = max(model.latency_s + REPORTS_MISSED / model.frame_rate_hz for model in scenario.units)
     return AerialController(
         mission.schedule,
@@ -34,7 +33,7 @@ def make_controller(mission: Mission, unit: int) -> AerialController:
         report_lifetime_s=max(REPORT_LIFETIME_S, slowest_s),
         roles=make_roles(scenario.roles),
         size=make_size(scenario.size, mission.template, scenario.marker.side_m),
-        bodies=make_bodies(scenario.avoidance, scenario.robots.body_radius_sides, obstacles),
+        bodies=make_body_rule(scenario.avoidance, scenario.robots.body_radius_sides, scenario.obstacles),
         clock=TeamClock(min_report_delay_s(scenario)) if scenario.clocks_differ else None,
     )
 

@@ -26,6 +26,9 @@ from time import perf_counter
 from mcap.reader import make_reader
 from versions import link_packages, unpacked
 
+from skyherd.cli.console import complain
+from skyherd.errors import SkyherdError
+
 ROOT = Path(__file__).parents[1]
 
 SCENARIOS = ("star", "tree", "crowd", "handheld")
@@ -133,12 +136,21 @@ def main() -> int:
     options = parser.parse_args()
     settings = [f"duration_s={options.duration}", *options.set]
     settings += [f"perception={options.perception}"] if options.perception else []
-    with tempfile.TemporaryDirectory(prefix="skyherd-") as name:
-        work = Path(name)
-        link_packages(ROOT, work / "this")
-        with unpacked(options.against, ROOT) as other:
+    try:
+        with (
+            tempfile.TemporaryDirectory(prefix="skyherd-") as name,
+            unpacked(options.against, ROOT) as other,
+        ):
+            work = Path(name)
+            link_packages(ROOT, work / "this")
             versions = [work / "this", other]
             return 0 if all([compare(versions, one, settings, work) for one in options.scenarios]) else 1
+    except SkyherdError as error:
+        complain(str(error))
+        return error.exit_code
+    except subprocess.CalledProcessError:
+        complain("a run failed; its last lines are above")
+        return 2
 
 
 if __name__ == "__main__":

@@ -23,7 +23,7 @@ def unpacked(reference: str, repository: Path) -> Iterator[Path]:
     Raises:
         InputError: the folder is in no repository, or it has no such version, or that is not skyherd.
     """
-    allowed = "a commit, branch or tag of a git repository of skyherd, see --repository"
+    allowed = "a commit, branch or tag of a git repository of skyherd"
     if reference.startswith("-"):
         raise InputError(f"--against {reference}", "begins with a hyphen", allowed)
     try:

@@ -40,7 +40,7 @@ from skyherd.drawing.palette import INK, UNIT_COLORS
 from skyherd.geometry import Image
 from skyherd.loop import run_steps
 from skyherd.plots.style import drawing_style, new_figure
-from skyherd.render import Camera, CameraPose, Ground, Renderer, Sensor
+from skyherd.render import Camera, CameraPose, Ground, Renderer, Sensor, Shot
 from skyherd.sim.perception import make_run_perception
 from skyherd.sim.side_by_side import SideBySide
 from skyherd.vision import create_detector
@@ -87,7 +87,7 @@ class Scene:
         swing = np.sin(0.1 * frame)
         positions_m = self.positions_m + pose.position_m + self.drift_m * 10 * swing
         return self.renderer.render(
-            self.camera, pose, self.ids, positions_m, self.headings_rad + self.turns_rad * frame
+            Shot(self.camera, pose, self.ids, positions_m, self.headings_rad + self.turns_rad * frame)
         )
 
 

@@ -16,7 +16,18 @@ from time import perf_counter
 import cv2
 import numpy as np
 
-from skyherd.render import Camera, CameraPose, Clutter, Distortion, Ground, Motion, Renderer, Sensor, Shutter
+from skyherd.render import (
+    Camera,
+    CameraPose,
+    Clutter,
+    Distortion,
+    Ground,
+    Motion,
+    Renderer,
+    Sensor,
+    Shot,
+    Shutter,
+)
 
 DICTIONARY, MARKERS, SIDE_PX = "4X4_50", 16, 30.0
 HEIGHT_M = 10.0
@@ -53,12 +64,14 @@ def make_frames(size_px: tuple[int, int], frames: int) -> dict[str, DrawFrame]:
     def draws(camera: Camera, renderer: Renderer, **pose: float) -> DrawFrame:
         still = bool(pose.pop("still", False))
         return lambda n: renderer.render(
-            camera,
-            pose_at(n, moves=not still, **pose),
-            ids,
-            positions[n],
-            headings[n],
-            motion=motion,
+            Shot(
+                camera,
+                pose_at(n, moves=not still, **pose),
+                ids,
+                positions[n],
+                headings[n],
+                motion=motion,
+            )
         )
 
     def renderer(shutter: Shutter = INSTANT, clutter: Clutter | None = None, **sensor: float) -> Renderer:

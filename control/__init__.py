@@ -56,8 +56,8 @@ from skyherd.control.topology.conditions import (
     owners_by_robot,
 )
 from skyherd.control.topology.convergence_rate import laplacian, slowest_rate
+from skyherd.control.tree.node_state import TreeSettings
 from skyherd.control.tree.protocol import TreeProtocol
-from skyherd.control.tree.settings import TreeSettings
 
 __all__ = [
     "NO_ROBOTS",

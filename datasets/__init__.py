@@ -14,7 +14,7 @@ for: they need matplotlib and process pools, which a run does without.
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from skyherd.datasets.configuration.body_models import AvoidanceModel, SizeModel
+from skyherd.datasets.configuration.body_models import AvoidanceModel, RolesModel, SizeModel
 from skyherd.datasets.configuration.camera_models import CameraModel
 from skyherd.datasets.configuration.cameras import CAMERAS
 from skyherd.datasets.configuration.fields import DictionaryName, Model, Name, Point
@@ -131,6 +131,7 @@ __all__ = [
     "ObstacleMarkerModel",
     "Point",
     "RobotsModel",
+    "RolesModel",
     "ScatterModel",
     "Scenario",
     "ScenarioSource",

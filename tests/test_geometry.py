@@ -9,6 +9,7 @@ EXACT = 1e-12
 """Chosen: a few hundred roundings of numbers of order one."""
 
 
+@pytest.mark.smoke
 def test_corners_go_round_from_the_front_left_and_forward_is_ahead_in_both_frames() -> None:
     """Front is -i of the marker and +1 of the robot; left is -1 of the marker and +i of the robot."""
     assert SQUARE_CORNERS[:2].imag.tolist() == [-0.5, -0.5]

@@ -10,8 +10,8 @@ from skyherd.control.formation.template import Template
 from skyherd.control.policy import Selection, SelectionPolicy
 from skyherd.control.selection.safety_radius import SafetyRadius
 from skyherd.control.topology.conditions import check_conditions, control_matrix
+from skyherd.control.tree.node_state import TreeSettings
 from skyherd.control.tree.protocol import TreeProtocol
-from skyherd.control.tree.settings import TreeSettings
 from skyherd.messages import Detections, UnitReport
 from skyherd.messages.checks import check_numbers
 

@@ -7,7 +7,7 @@ adjacent units become one, so that a tree with one pair per edge remains such a 
 from dataclasses import replace
 
 from skyherd.control.tree.edge import NO_ROBOTS, NO_TURN, Edge, Robots, first_turn
-from skyherd.control.tree.node_state import Changes, NodeState, Situation, resigned
+from skyherd.control.tree.node_state import NodeState, Situation, resigned
 from skyherd.control.tree.peer_reports import PeerReport
 from skyherd.messages import NO_ID
 
@@ -20,35 +20,40 @@ RECENT = 0.5
 images at five a second, so that losing all their reports is unlikely."""
 
 
-def fail_over(state: NodeState, context: Situation) -> Changes:
+def fail_over(state: NodeState, context: Situation) -> NodeState:
     """Remove edges to silent neighbours and neighbours that left; rejoin if this unit was declared dead."""
+    before = state
     for neighbor, edge in list(state.edges.items()):
         if state.edges.get(neighbor) is not edge:
-            continue  # the removal of an earlier neighbour changed this edge as well
+            continue  # what was done about a neighbour before concerned this edge as well
         peer = context.peers.newest.get(neighbor)
         last_s = max(edge.since_s, context.heard_s(neighbor))
-        if context.time_s - last_s > context.rule.silence_s:
+        if context.time_s - last_s > context.settings.silence_s:
             state = _without(state, context, edge)
         elif peer is not None and _is_abandoned(context, edge, peer):
-            if peer.is_member and edge.pair:
-                state = replace(state, **resigned())
-            else:
-                state = _without(state, context, edge)
-    return Changes(
-        own=state.own, edges=state.edges, ready=state.ready, tree_id=state.tree_id, asks_id=state.asks_id
+            is_given_up = peer.is_member and bool(edge.pair)
+            state = resigned(state) if is_given_up else _without(state, context, edge)
+    return replace(
+        before,
+        own=state.own,
+        edges=state.edges,
+        ready=state.ready,
+        tree_id=state.tree_id,
+        asks_id=state.asks_id,
     )
 
 
-def name_heir(state: NodeState, context: Situation) -> Changes:
+def name_heir(state: NodeState, context: Situation) -> NodeState:
     """Select the heir: the neighbour with a pair and the fewest robots; keep it while its edge exists."""
     if state.heir_id in state.edges:
-        return Changes()
+        return state
     robots = {
         neighbor: len(context.peers.newest[neighbor].controlled)
         for neighbor, edge in state.edges.items()
         if edge.pair and neighbor in context.peers.newest
     }
-    return Changes(heir_id=min(robots, key=lambda neighbor: (robots[neighbor], neighbor), default=NO_ID))
+    heir_id = min(robots, key=lambda neighbor: (robots[neighbor], neighbor), default=NO_ID)
+    return replace(state, heir_id=heir_id)
 
 
 def _is_abandoned(context: Situation, edge: Edge, peer: PeerReport) -> bool:
@@ -57,7 +62,7 @@ def _is_abandoned(context: Situation, edge: Edge, peer: PeerReport) -> bool:
         return False
     if not edge.pair:
         return peer.is_member or (peer.tree.asks_id, peer.tree.ask_turn) != (context.unit_id, edge.turn)
-    return not peer.is_member or peer.time_s > edge.since_s + GRACE * context.rule.silence_s
+    return not peer.is_member or peer.time_s > edge.since_s + GRACE * context.settings.silence_s
 
 
 def _without(state: NodeState, context: Situation, edge: Edge) -> NodeState:
@@ -87,7 +92,7 @@ def successor_of(gone: PeerReport, context: Situation) -> int:
     Simultaneous failures are not detected at the same time. Only units with a heartbeat younger than a share
     of the silence timeout count as living.
     """
-    young_s = context.time_s - RECENT * context.rule.silence_s
+    young_s = context.time_s - RECENT * context.settings.silence_s
     if gone.tree.heir_id == context.unit_id or context.heard_s(gone.tree.heir_id) >= young_s:
         return gone.tree.heir_id
     paired = (unit for unit, row in gone.tree.rows.items() if NO_ID not in gone.tree.pairs[row])

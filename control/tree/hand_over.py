@@ -17,7 +17,7 @@ message loss delays the slot number until the slot ends, the robot is uncontroll
 from dataclasses import replace
 
 from skyherd.control.topology.slots import slot_at
-from skyherd.control.tree.node_state import Changes, HandOver, NodeState, Situation
+from skyherd.control.tree.node_state import HandOver, NodeState, Situation
 from skyherd.control.tree.offers import lost, undisputed
 from skyherd.control.tree.peer_reports import PeerReport
 from skyherd.messages import NO_SLOT
@@ -27,7 +27,7 @@ LEAD = 0.5
 second, so that losing all reports is unlikely; a robot waits at most half a slot longer."""
 
 
-def take(state: NodeState, context: Situation) -> Changes:
+def take(state: NodeState, context: Situation) -> NodeState:
     """Accept robots that other members want to hand over, and take settled ones in their slot.
 
     A robot is not taken if a third unit claims it by then, or if its slot was over when the unit was
@@ -35,7 +35,7 @@ def take(state: NodeState, context: Situation) -> Changes:
     """
     handing = [peer for peer in context.members if peer.tree.handed_ids.size]
     if not state.is_member or not (handing or state.taking or state.accepted):
-        return Changes()
+        return state
     taking = dict(state.taking)
     for peer in context.news:
         settled = _handed_to(context.unit_id, peer)
@@ -45,20 +45,21 @@ def take(state: NodeState, context: Situation) -> Changes:
         robot for robot, giver in due.items() if not _is_claimed(context, robot, excluding=giver)
     }
     handed = frozenset[int]().union(*(_handed_to(context.unit_id, peer) for peer in handing))
-    return Changes(
+    return replace(
+        state,
         own=own,
         taking={robot: settled for robot, settled in taking.items() if robot not in due},
         accepted=(handed & context.visible) - state.controlled,
     )
 
 
-def give(state: NodeState, context: Situation) -> Changes:
+def give(state: NodeState, context: Situation) -> NodeState:
     """Hand robots that left the view to members that see them, and drop robots whose slot has come.
 
     Robots that are promised to a neighbour are kept until its turn is over.
     """
     if not (context.at_slot or state.giving):
-        return Changes()
+        return state
     own = state.own - {r for r, hand_over in state.giving.items() if NO_SLOT < hand_over.slot <= context.slot}
     giving = {r: hand_over for r, hand_over in state.giving.items() if r in own}
     givable = lost(state, context) & own
@@ -74,7 +75,7 @@ def give(state: NodeState, context: Situation) -> Changes:
             to_id = _nearest_member(context, robot)
             if to_id is not None:
                 giving[robot] = HandOver(to_id)
-    return Changes(own=own, giving=giving)
+    return replace(state, own=own, giving=giving)
 
 
 def _handed_to(unit_id: int, peer: PeerReport) -> dict[int, int]:
@@ -91,11 +92,11 @@ def _is_claimed(context: Situation, robot: int, excluding: int) -> bool:
 
 def _slot_ahead(context: Situation) -> int:
     """Return the first slot that begins more than `LEAD` slots from now."""
-    return slot_at(context.time_s + LEAD * context.rule.dwell_s, context.rule.dwell_s) + 1
+    return slot_at(context.time_s + LEAD * context.settings.dwell_s, context.settings.dwell_s) + 1
 
 
 def _nearest_member(context: Situation, robot: int) -> int | None:
     """Return the member that sees a robot nearest to its image centre, within the radius; lowest in ties."""
-    seen = ((peer.distances.get(robot, context.rule.radius), peer.unit_id) for peer in context.members)
-    inside = [(distance, unit_id) for distance, unit_id in seen if distance < context.rule.radius]
+    seen = ((peer.distances.get(robot, context.settings.radius), peer.unit_id) for peer in context.members)
+    inside = [(distance, unit_id) for distance, unit_id in seen if distance < context.settings.radius]
     return min(inside)[1] if inside else None

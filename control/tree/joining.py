@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from skyherd.control.tree.edge import Edge, edge_status, first_turn, turn_time_s
-from skyherd.control.tree.node_state import Changes, Extent, NodeState, Situation
+from skyherd.control.tree.node_state import Extent, NodeState, Situation
 from skyherd.control.tree.offers import offerable
 from skyherd.control.tree.peer_reports import PeerReport
 from skyherd.messages import NO_ID
@@ -17,7 +17,7 @@ PATIENT_SLOTS = 5
 within two; a member with few own robots may never have two to give."""
 
 
-def join_tree(state: NodeState, context: Situation) -> Changes:
+def join_tree(state: NodeState, context: Situation) -> NodeState:
     """Request admission by a member; without a tree, found one or select its founder.
 
     Large control sets couple a team strongly (docs/topology.md), and the founder's set is all that it sees
@@ -27,33 +27,33 @@ def join_tree(state: NodeState, context: Situation) -> Changes:
     founded the tree by then.
     """
     if state.is_member:
-        return Changes()
+        return state
     if context.members:
         return _ask(state, context)
     living = {peer.unit_id: peer for peer in context.living}
     lowest = min(living, default=context.unit_id)
     if lowest < context.unit_id:
-        return _found(context) if lowest in context.askers else Changes()
+        return _found(state, context) if lowest in context.askers else state
     if (
         not context.at_slot
-        or context.time_s - state.since_s < context.rule.dwell_s
+        or context.time_s - state.since_s < context.settings.dwell_s
         or state.asks_id in living
     ):
-        return Changes()
-    inside = {unit: len(peer.near(context.rule.radius)) for unit, peer in living.items()}
+        return state
+    inside = {unit: len(peer.near(context.settings.radius)) for unit, peer in living.items()}
     inside[context.unit_id] = len(context.visible)
     chosen = max(inside, key=lambda unit: (inside[unit], -unit))
     if chosen == context.unit_id:
-        return _found(context)
-    return Changes(asks_id=chosen, ask_turn=first_turn(context.time_s, context.unit_id, chosen))
+        return _found(state, context)
+    return replace(state, asks_id=chosen, ask_turn=first_turn(context.time_s, context.unit_id, chosen))
 
 
-def _found(context: Situation) -> Changes:
+def _found(state: NodeState, context: Situation) -> NodeState:
     """Found the tree, with all robots in view as the unit's own."""
-    return Changes(tree_id=context.unit_id, asks_id=NO_ID, own=context.visible)
+    return replace(state, tree_id=context.unit_id, asks_id=NO_ID, own=context.visible)
 
 
-def _ask(state: NodeState, context: Situation) -> Changes:
+def _ask(state: NodeState, context: Situation) -> NodeState:
     """Open the edge that the requested member grants; otherwise ask the one with most own robots in common.
 
     The request contains the turn at which the edge must begin, a different one each time. A grant that
@@ -61,26 +61,26 @@ def _ask(state: NodeState, context: Situation) -> Changes:
     `PATIENT_SLOTS`. An edge without a pair for as long is removed: the offered robots may have gone to other
     units since. The removal takes place in the unit's own turn, in which the member makes no pair.
     """
-    patience_s = PATIENT_SLOTS * context.rule.dwell_s
+    patience_s = PATIENT_SLOTS * context.settings.dwell_s
     if any(
         edge.pair or not edge.is_my_turn or context.time_s - edge.since_s < patience_s
         for edge in state.edges.values()
     ):
-        return Changes()
+        return state
     for peer in context.members:
         status = edge_status(peer.report, context.unit_id)
         if peer.unit_id == state.asks_id and status and not status.pair and status.turn == state.ask_turn:
             edge = Edge(context.unit_id, peer.unit_id, context.time_s).received(peer.report)
-            return Changes(edges={peer.unit_id: edge})
+            return replace(state, edges={peer.unit_id: edge})
     common = {peer.unit_id: _common(context, peer) for peer in context.members}
     able = sorted((member for member in common if common[member] >= 2), key=lambda m: (-common[m], m))
     asked_s = context.time_s - turn_time_s(state.ask_turn)
     if state.asks_id in able and (len(able) == 1 or asked_s < patience_s):
-        return Changes()
+        return state
     if not able:
-        return Changes() if state.edges else Changes(asks_id=NO_ID)
+        return state if state.edges else replace(state, asks_id=NO_ID)
     best = able[(able.index(state.asks_id) + 1) % len(able) if state.asks_id in able else 0]
-    return Changes(edges={}, asks_id=best, ask_turn=first_turn(context.time_s, context.unit_id, best))
+    return replace(state, edges={}, asks_id=best, ask_turn=first_turn(context.time_s, context.unit_id, best))
 
 
 def _common(context: Situation, member: PeerReport) -> int:
@@ -88,20 +88,20 @@ def _common(context: Situation, member: PeerReport) -> int:
     return len(context.visible.intersection(member.report.secure_ids.tolist()) - member.paired)
 
 
-def admit(state: NodeState, context: Situation) -> Changes:
+def admit(state: NodeState, context: Situation) -> NodeState:
     """Grant an edge, still without a pair, to each unit that requests one."""
     if not state.is_member:
-        return Changes()
+        return state
     for asking in sorted(context.askers - state.edges.keys()):
         offered = offerable(state, context, asking)
         if len(offered) >= 2:
             turn = context.peers.newest[asking].tree.ask_turn
             edge = Edge(context.unit_id, asking, context.time_s, turn=turn, offered=offered)
             state = replace(state, edges={**state.edges, asking: edge})
-    return Changes(edges=state.edges)
+    return state
 
 
-def watch_growth(state: NodeState, context: Situation) -> Changes:
+def watch_growth(state: NodeState, context: Situation) -> NodeState:
     """Detect whether the tree is complete, and whether to search because it does not grow.
 
     The tree is complete if all known units belong to it and all robots to a unit. It also counts as complete
@@ -110,7 +110,7 @@ def watch_growth(state: NodeState, context: Situation) -> Changes:
     can rely on their views.
     """
     if state.ready:
-        return Changes()
+        return state
     outside = {peer.unit_id for peer in context.living if not peer.is_member}
     extent = Extent(
         frozenset(outside if state.is_member else outside | {context.unit_id}),
@@ -120,7 +120,8 @@ def watch_growth(state: NodeState, context: Situation) -> Changes:
     grew_slot = context.slot if extent != state.extent or not is_begun else state.grew_slot
     stalled = state.stalled or context.slot - grew_slot >= STALLED_SLOTS
     ready = state.is_member and _is_complete(state, context, extent)
-    return Changes(
+    return replace(
+        state,
         extent=extent,
         grew_slot=grew_slot,
         stalled=stalled,
@@ -131,5 +132,5 @@ def watch_growth(state: NodeState, context: Situation) -> Changes:
 
 def _is_complete(state: NodeState, context: Situation, extent: Extent) -> bool:
     is_reported = any(peer.tree.ready for peer in context.living)
-    is_patience_over = context.time_s - state.since_s > context.rule.patience_s
+    is_patience_over = context.time_s - state.since_s > context.settings.patience_s
     return is_reported or is_patience_over or (not extent.outside and extent.held >= context.shape.members)

@@ -26,7 +26,7 @@ def lost(state: NodeState, context: Situation) -> Robots:
         robot
         for robot in state.own
         if state.seen_s.get(robot, -np.inf) > state.held_s.get(robot, context.time_s)
-        and context.time_s - state.seen_s[robot] > context.rule.silence_s
+        and context.time_s - state.seen_s[robot] > context.settings.silence_s
     )
 
 

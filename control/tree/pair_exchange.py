@@ -5,14 +5,14 @@ from dataclasses import replace
 import numpy as np
 
 from skyherd.control.tree.edge import NO_ROBOTS, NO_TURN, Edge, Robots, edge_status, first_turn
-from skyherd.control.tree.node_state import Changes, NodeState, Situation
+from skyherd.control.tree.node_state import NodeState, Situation
 from skyherd.control.tree.offers import offerable
 from skyherd.control.tree.pair_selection import choose_pair
 from skyherd.control.tree.peer_reports import PeerReport
 from skyherd.messages import NO_ID
 
 
-def receive_turns(state: NodeState, context: Situation) -> Changes:
+def receive_turns(state: NodeState, context: Situation) -> NodeState:
     """Take the turns that the reports hand over.
 
     The neighbour may have exchanged the pair in its turn. A robot that left the pair is the unit's own again.
@@ -28,7 +28,7 @@ def receive_turns(state: NodeState, context: Situation) -> Changes:
             before = edges[peer.unit_id].pair
             edges[peer.unit_id] = _begun(edges[peer.unit_id].received(peer.report), peer, context)
             own = (own | (before - edges[peer.unit_id].pair)) - edges[peer.unit_id].pair
-    return Changes(own=own, edges=edges)
+    return replace(state, own=own, edges=edges)
 
 
 def _begun(edge: Edge, peer: PeerReport, context: Situation) -> Edge:
@@ -41,7 +41,7 @@ def _begun(edge: Edge, peer: PeerReport, context: Situation) -> Edge:
     return replace(edge, turn=first_turn(context.time_s, context.unit_id, edge.neighbor_id))
 
 
-def use_turns(state: NodeState, context: Situation) -> Changes:
+def use_turns(state: NodeState, context: Situation) -> NodeState:
     """Exchange the pair if the unit has the turn and another pair is better, then hand the turn over.
 
     A unit without a change hands the turn over at once. Otherwise it waits for the next slot, changes the
@@ -49,6 +49,7 @@ def use_turns(state: NodeState, context: Situation) -> Changes:
     when other robots have come into its reach. With the first pair of its first edge a unit becomes a member
     of the neighbour's tree.
     """
+    before = state
     for neighbor in list(state.edges):
         edge = state.edges[neighbor]
         if not edge.is_my_turn:
@@ -65,7 +66,7 @@ def use_turns(state: NodeState, context: Situation) -> Changes:
             offered = offerable(state, context, neighbor)
             edge = edge.handed_over(offered, _to_release(context, edge, offered))
         state = _with_edge(state, edge)
-    return Changes(edges=state.edges, tree_id=state.tree_id, ready=state.ready, asks_id=state.asks_id)
+    return replace(before, edges=state.edges, tree_id=state.tree_id, ready=state.ready, asks_id=state.asks_id)
 
 
 def _with_edge(state: NodeState, edge: Edge) -> NodeState:
@@ -85,9 +86,9 @@ def _better_pair(state: NodeState, context: Situation, edge: Edge) -> Robots | N
     """Return the pair that should replace the present one, or None if no pair is better."""
     neighbor = context.peers.newest[edge.neighbor_id]
     ours = state.controlled - edge.pair
-    within_view = context.visible & (neighbor.near(context.rule.radius) | edge.to_release)
+    within_view = context.visible & (neighbor.near(context.settings.radius) | edge.to_release)
     return choose_pair(
-        context.rule.share,
+        context.settings.share,
         context.shape,
         candidates=frozenset((edge.pair | edge.reach) & neighbor.controlled & within_view - ours),
         distances=context.distances,
@@ -96,7 +97,7 @@ def _better_pair(state: NodeState, context: Situation, edge: Edge) -> Robots | N
         ours=np.array(sorted(ours), dtype=np.int64),
         to_take=edge.to_release,
         to_leave=edge.pair & edge.releasing,
-        gain=context.rule.gain,
+        gain=context.settings.gain,
     )
 
 
@@ -107,8 +108,8 @@ def _to_release(context: Situation, edge: Edge, offered: Robots) -> Robots:
     alternate.
     """
     neighbor = context.peers.newest[edge.neighbor_id]
-    near = neighbor.near(context.rule.radius)
+    near = neighbor.near(context.settings.radius)
     if len((neighbor.controlled - neighbor.paired) & context.visible & near) < 2:
         return NO_ROBOTS
-    leaving = context.rule.radius * (1 + context.rule.hysteresis)
+    leaving = context.settings.radius * (1 + context.settings.hysteresis)
     return frozenset(r for r in offered & near if context.distances.get(r, np.inf) > leaving)

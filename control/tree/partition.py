@@ -1,18 +1,20 @@
 """Detection and repair of partitions: of two trees, or disconnected parts, all except one rejoin."""
 
+from dataclasses import replace
+
 import numpy as np
 
-from skyherd.control.tree.node_state import Changes, NodeState, Situation, resigned
+from skyherd.control.tree.node_state import NodeState, Situation, resigned
 from skyherd.messages import NO_ID
 
 
-def leave_for_lower_tree(state: NodeState, context: Situation) -> Changes:
+def leave_for_lower_tree(state: NodeState, context: Situation) -> NodeState:
     """Leave the tree if one with a lower number exists, so that one of two trees remains."""
     others = [peer.tree.tree_id for peer in context.news]
-    return resigned() if any(NO_ID < tree_id < state.tree_id for tree_id in others) else Changes()
+    return resigned(state) if any(NO_ID < tree_id < state.tree_id for tree_id in others) else state
 
 
-def heal_partition(state: NodeState, context: Situation) -> Changes:
+def heal_partition(state: NodeState, context: Situation) -> NodeState:
     """Leave the tree if the unit's part of it has not been the largest one for a silence timeout.
 
     Two ends of an edge without reports from each other for long each continue without the other. When reports
@@ -22,11 +24,11 @@ def heal_partition(state: NodeState, context: Situation) -> Changes:
     """
     largest = min(_parts(state, context), key=lambda part: (-len(part), min(part)))
     if not state.is_member or context.unit_id in largest:
-        return Changes(minority_s=np.inf)
+        return replace(state, minority_s=np.inf)
     since_s = min(state.minority_s, context.time_s)
-    if context.time_s - since_s < context.rule.silence_s:
-        return Changes(minority_s=since_s)
-    return Changes(minority_s=np.inf, **resigned())
+    if context.time_s - since_s < context.settings.silence_s:
+        return replace(state, minority_s=since_s)
+    return replace(resigned(state), minority_s=np.inf)
 
 
 def _parts(state: NodeState, context: Situation) -> list[set[int]]:

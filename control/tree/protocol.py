@@ -29,7 +29,7 @@ and returns its changes. `TreeProtocol.choose` applies the rules in the order of
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -40,24 +40,24 @@ from skyherd.control.topology.slots import slot_at
 from skyherd.control.tree.failover import fail_over, name_heir
 from skyherd.control.tree.hand_over import give, take
 from skyherd.control.tree.joining import admit, join_tree, watch_growth
-from skyherd.control.tree.node_state import Changes, NodeState, Situation
+from skyherd.control.tree.node_state import NodeState, Situation, TreeSettings
 from skyherd.control.tree.orphans import adopt_orphans, yield_claims
 from skyherd.control.tree.pair_exchange import receive_turns, use_turns
 from skyherd.control.tree.partition import heal_partition, leave_for_lower_tree
 from skyherd.control.tree.peer_reports import PeerReports
-from skyherd.control.tree.settings import TreeSettings
 from skyherd.control.tree.view_targets import seek_robots
 from skyherd.geometry import IntArray
 from skyherd.messages import NO_ID, Detections, TreeStatus, UnitReport
 
 
-def note_view(state: NodeState, context: Situation) -> Changes:
+def note_view(state: NodeState, context: Situation) -> NodeState:
     """Record the time, the slot, and the robots in view.
 
     After a silence timeout without an image, or after a change of its clock, a unit searches again.
     """
-    is_used = context.time_s - state.imaged_s <= context.rule.silence_s
-    return Changes(
+    is_used = context.time_s - state.imaged_s <= context.settings.silence_s
+    return replace(
+        state,
         imaged_s=context.time_s,
         since_s=state.since_s if is_used else context.time_s,
         slot=context.slot,
@@ -65,17 +65,21 @@ def note_view(state: NodeState, context: Situation) -> Changes:
     )
 
 
-def note_holding(state: NodeState, context: Situation) -> Changes:
+def note_holding(state: NodeState, context: Situation) -> NodeState:
     """Record the time since which the unit has each robot of its set, and its own robots never seen."""
     never_seen = state.own - context.distances.keys() - state.seen_s.keys() - state.missed_since_s.keys()
-    return Changes(
+    return replace(
+        state,
         held_s={robot: state.held_s.get(robot, context.time_s) for robot in state.controlled},
         missed_since_s={**state.missed_since_s, **dict.fromkeys(never_seen, context.time_s)},
     )
 
 
-Transition = Callable[[NodeState, Situation], Changes]
-"""A rule of the protocol: a function from a unit's state and context to changes of the state."""
+Transition = Callable[[NodeState, Situation], NodeState]
+"""A rule of the protocol: from a unit's state and situation to the next state.
+
+Its calls of `replace` name the fields that it changes.
+"""
 
 RULES: tuple[tuple[Transition, str], ...] = (
     (note_view, "first: all other rules read the times at which robots were seen"),
@@ -138,7 +142,7 @@ class TreeProtocol(SelectionPolicy):
     def _context(self, seen: Detections, reports: Sequence[UnitReport], shape: Template) -> Situation:
         slot = slot_at(seen.time_s, self.settings.dwell_s)
         return Situation(
-            rule=self.settings,
+            settings=self.settings,
             shape=shape,
             unit_id=seen.unit_id,
             time_s=seen.time_s,
@@ -159,7 +163,9 @@ def tree_status(state: NodeState, context: Situation) -> TreeStatus:
     offers = [(robot, edge.neighbor_id) for edge in edges for robot in sorted(edge.offered)]
     to_release = frozenset[int]().union(*(edge.releasing & edge.offered for edge in edges))
     hidden = state.own - context.distances.keys()
-    missing = [robot for robot in hidden if state.unseen_s(robot, context.time_s) > context.rule.silence_s]
+    missing = [
+        robot for robot in hidden if state.unseen_s(robot, context.time_s) > context.settings.silence_s
+    ]
     return TreeStatus(
         tree_id=state.tree_id,
         asks_id=state.asks_id,

@@ -10,11 +10,13 @@ lost from view. A unit moves aside for sought robots only while its own robots s
 docs/topology.md has the measured effect on the convergence time.
 """
 
-from skyherd.control.tree.node_state import Changes, NodeState, Situation
+from dataclasses import replace
+
+from skyherd.control.tree.node_state import NodeState, Situation
 from skyherd.control.tree.pair_selection import stronger_pair
 
 
-def seek_robots(state: NodeState, context: Situation) -> Changes:
+def seek_robots(state: NodeState, context: Situation) -> NodeState:
     """Select robots to bring into view at a slot: missing robots, and pairs that would strengthen weak edges.
 
     A neighbour reports own robots that it has not seen for a silence timeout. The unit searches for those
@@ -23,7 +25,7 @@ def seek_robots(state: NodeState, context: Situation) -> Changes:
     them. For a weak edge it computes the pair that would couple both units strongly, and flies to see it.
     """
     if not context.at_slot:
-        return Changes()
+        return state
     robots = set(context.shape.members - context.claimed - state.controlled) if state.ready else set[int]()
     missed_since_s = dict(state.missed_since_s)
     for edge in state.edges.values():
@@ -32,15 +34,15 @@ def seek_robots(state: NodeState, context: Situation) -> Changes:
         for robot in missing:
             if robot not in state.seen_s:
                 missed_since_s.setdefault(robot, context.time_s)
-        robots.update(r for r in missing if state.unseen_s(r, context.time_s) < context.rule.patience_s)
-        if context.rule.share == "leverage" and edge.pair and edge.pair <= neighbor.controlled:
+        robots.update(r for r in missing if state.unseen_s(r, context.time_s) < context.settings.patience_s)
+        if context.settings.share == "leverage" and edge.pair and edge.pair <= neighbor.controlled:
             robots |= stronger_pair(
                 context.shape,
                 edge.pair,
                 candidates=(neighbor.controlled - neighbor.paired) - state.controlled,
                 theirs=neighbor.controlled,
                 ours=state.controlled - edge.pair,
-                firm=context.rule.firm,
-                gain=context.rule.gain,
+                firm=context.settings.firm,
+                gain=context.settings.gain,
             )
-    return Changes(sought=frozenset(robots), missed_since_s=missed_since_s)
+    return replace(state, sought=frozenset(robots), missed_since_s=missed_since_s)

@@ -8,9 +8,12 @@ ROOT = Path(__file__).parent.parent.parent
 
 
 def packages() -> dict[str, Path]:
-    """Return the folder of each package with modules, by full name, as `pyproject.toml` lists them."""
-    listed = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["package-dir"]
-    folders = {name: ROOT / folder for name, folder in listed.items()}
+    """Return the folder of each package that has modules, by the package's full name."""
+    places = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["package-dir"]
+    folders = {}
+    for name, place in sorted(places.items()):
+        for init in (ROOT / place).rglob("__init__.py"):
+            folders[".".join((name, *init.parent.relative_to(ROOT / place).parts))] = init.parent
     return {name: folder for name, folder in sorted(folders.items()) if modules(folder) or name == "skyherd"}
 
 

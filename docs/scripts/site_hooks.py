@@ -47,6 +47,7 @@ def on_config(config: MkDocsConfig) -> MkDocsConfig:
     ignore = shutil.ignore_patterns("__pycache__")
     shutil.copytree(ROOT / "src/skyherd", tree / "skyherd", ignore=ignore)
     for part in PARTS:
+        shutil.rmtree(tree / "skyherd" / part, ignore_errors=True)  # the copy of an editor's link
         shutil.copytree(ROOT / part, tree / "skyherd" / part, ignore=ignore)
     config.plugins["mkdocstrings"].config.handlers["python"]["paths"] = [str(tree)]
     library = next(entry["Reference"] for entry in config.nav if "Reference" in entry)

@@ -98,6 +98,7 @@ def test_of_six_it_is_never_below_the_least_and_hardly_above(seed: int) -> None:
     assert -6e-6 <= excess <= (0.01 * best if seed == 0 else 6e-6)
 
 
+@pytest.mark.smoke
 @pytest.mark.parametrize("seed", range(5))
 def test_robots_that_stand_in_the_shape_need_not_move(seed: int) -> None:
     """In any order, at any place, size and turn: to rounding."""

@@ -48,6 +48,7 @@ def test_what_is_not_read_of_a_file_is_one_warning(here, capsys) -> None:
     assert (code, err) == (0, "warning: a.tif: 2 pages; the first is read\n") and "4, 11, 30" in out
 
 
+@pytest.mark.smoke
 def test_a_picture_leaves_a_table_and_an_annotated_picture(here, capsys) -> None:
     Image.fromarray(sheet()).save("a.png")
     code, out, err = call(capsys, "a.png")

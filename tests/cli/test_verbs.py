@@ -81,6 +81,7 @@ def test_a_run_leaves_all_it_promises(tmp_path, capsys, monkeypatch, figures):
     assert summary["steps"] == 11
 
 
+@pytest.mark.smoke
 def test_reaching_the_shape_is_exit_code_0(tmp_path, capsys):
     """A goal so wide that the start is within it."""
     wide = ["--set", "goal.shape_error=9", "--set", "goal.hold_s=0.5"]

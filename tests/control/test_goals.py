@@ -21,6 +21,7 @@ def random_scene(seed: int, make_detections, count: int = 12):
 
 
 class TestMotionGoals:
+    @pytest.mark.smoke
     @pytest.mark.parametrize("seed", range(10))
     def test_send_shared_and_nearest_neighbors(self, make_detections, seed) -> None:
         """The reference is a plain loop over all pairs; distances agree to rounding."""

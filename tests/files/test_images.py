@@ -30,6 +30,7 @@ def read(path: Path, picture: Image.Image, **options) -> np.ndarray:
     return grey
 
 
+@pytest.mark.smoke
 @pytest.mark.parametrize("suffix", ["png", "tif", "bmp", "webp", "gif", "pgm"])
 def test_lossless_formats_come_back_exactly(tmp_path, suffix) -> None:
     options = {"lossless": True} if suffix == "webp" else {}

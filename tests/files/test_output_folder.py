@@ -35,6 +35,7 @@ def recorded(folder: Path) -> dict[str, dict[str, str]]:
     return json.loads((folder / RECORD).read_text())["files"]
 
 
+@pytest.mark.smoke
 def test_the_record_says_what_made_each_file(tmp_path):
     out = tmp_path / "new" / "out"
     make(out)
@@ -170,6 +171,7 @@ with OutputFolder(folder, "run", {NAMES!r}):
     assert sorted(contents(tmp_path / "out")) == [RECORD, *NAMES]
 
 
+@pytest.mark.smoke
 def test_one_process_at_a_time_and_the_other_is_named(tmp_path):
     out = tmp_path / "out"
     said = rf"`skyherd run` writes into it \(process {os.getpid()} on .*, since \d{{4}}-"

@@ -52,6 +52,7 @@ def write(path, images, times_s=None, *, start_s=0.0):
     return path
 
 
+@pytest.mark.smoke
 @pytest.mark.parametrize("held", MATRICES)
 def test_frames_are_as_a_player_shows_them(tmp_path, held):
     matrix, shown = MATRICES[held]

@@ -13,8 +13,8 @@ import numpy as np
 
 from skyherd.control import Template
 from skyherd.control.topology.conditions import check_conditions, control_matrix
+from skyherd.control.tree.node_state import TreeSettings
 from skyherd.control.tree.protocol import TreeProtocol
-from skyherd.control.tree.settings import TreeSettings
 from skyherd.messages import Detections, UnitReport
 
 SIZE_PX = np.array([800, 800])

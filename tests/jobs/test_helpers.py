@@ -53,6 +53,7 @@ class Adder:
         return self.total, os.getpid()
 
 
+@pytest.mark.smoke
 def test_a_helper_answers_in_order_and_keeps_what_it_has():
     adder = Adder()
     adder.add(100)  # before the fork: the helper has it as well

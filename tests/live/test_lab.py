@@ -23,6 +23,7 @@ def webcams(tmp_path) -> Path:
     return file
 
 
+@pytest.mark.smoke
 @pytest.mark.parametrize("name", lab_names())
 def test_examples_are_right_and_stay_on_loopback(name) -> None:
     lab = load_lab(name)

@@ -77,6 +77,7 @@ def wrap(process, process_log):
         core.see = see_and_keep
 
 
+@pytest.mark.smoke
 def test_a_team_forms_its_shape_and_is_replayed_to_the_bit(faults, tmp_path) -> None:
     """Clocks differ by a fraction of a second, and a fifth of all messages is lost or late."""
     rng = np.random.default_rng(2)

@@ -84,6 +84,7 @@ class Scene:
         return order
 
 
+@pytest.mark.smoke
 def test_disarmed_at_start_and_says_what_would_happen() -> None:
     scene = Scene()
     scene.wake()
@@ -95,6 +96,7 @@ def test_disarmed_at_start_and_says_what_would_happen() -> None:
     assert order.wanted_v_mps > 0 and order.wanted_omega_radps > 0
 
 
+@pytest.mark.smoke
 def test_armed_it_drives_within_acceleration_and_speed() -> None:
     scene = Scene()
     order = scene.drive(20)
@@ -104,6 +106,7 @@ def test_armed_it_drives_within_acceleration_and_speed() -> None:
     assert scene.orders[0].v_mps > 0
 
 
+@pytest.mark.smoke
 @pytest.mark.parametrize("offset_s", [0.0, 0.2, -0.9])
 def test_stops_when_goals_are_older_than_the_timeout(offset_s) -> None:
     scene = Scene(offset_s)

@@ -48,6 +48,7 @@ class TwoUnits:
         return [np.array([decision.report.time_s for decision in made[-5:]]) for made in self.decisions]
 
 
+@pytest.mark.smoke
 @pytest.mark.parametrize("offsets_s", [(0.0, 0.4), (0.4, 0.0), (-0.3, 0.5)])
 def test_units_share_one_time_though_their_clocks_differ(make_detections, offsets_s) -> None:
     """It is the time of the clock that is ahead; the other unit knows it to the delay of a message."""

@@ -74,6 +74,7 @@ def body(**parts) -> bytes:
     return json.dumps(record).encode()
 
 
+@pytest.mark.smoke
 @pytest.mark.parametrize(
     ("data", "why"),
     [

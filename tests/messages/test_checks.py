@@ -109,6 +109,7 @@ def seen(**changes):
     return Detections(**one | changes)
 
 
+@pytest.mark.smoke
 @pytest.mark.parametrize(
     ("name", "value"),
     [

@@ -28,6 +28,7 @@ def triangle_in_steps(tree: dict, perception: str, step_s: float) -> list[Step]:
     return list(run_steps(mission))
 
 
+@pytest.mark.smoke
 @pytest.mark.parametrize(
     ("perception", "step_s", "allowed_m"),
     [

@@ -45,6 +45,7 @@ def similarities(draw: st.DrawFn) -> tuple[complex, complex]:
 suite = settings(max_examples=100)
 
 
+@pytest.mark.smoke
 @suite
 @given(template=point_sets(), similarity=similarities())
 def test_fit_recovers_exact_similarity(template, similarity) -> None:

@@ -40,6 +40,7 @@ def test_every_page_extends_the_base_and_leaves_escaping_to_the_engine(package: 
         assert "safe" not in text and "autoescape" not in text
 
 
+@pytest.mark.smoke
 def test_what_is_inserted_never_becomes_markup_or_template() -> None:
     table = {"title": HOSTILE, "note": HOSTILE, "header": [HOSTILE, HOSTILE], "rows": [[HOSTILE, HOSTILE]]}
     values = {"tiles": [], "figures": [], "tables": [table], "environment": [(HOSTILE, HOSTILE)]}

@@ -101,6 +101,7 @@ def test_the_page_is_whole_and_refers_to_nothing_outside(page: Path, on_page: tu
     assert len(ids) == len(set(ids))
 
 
+@pytest.mark.smoke
 def test_every_value_of_the_summary_is_there(page: Path, history: History) -> None:
     text = page.read_text("utf-8")
     summary = summarize(history, 1.5)

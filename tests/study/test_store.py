@@ -20,6 +20,7 @@ from skyherd.study.store import PARTS, Store, open_store
 from skyherd.study.table import good_rows
 
 
+@pytest.mark.smoke
 def test_a_run_is_measured_as_its_recording_would_be() -> None:
     mission = load_mission("triangle", ["perception=ideal", "duration_s=1.0"])
     history = make_history(mission, run_steps(mission))

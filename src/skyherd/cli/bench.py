@@ -1,4 +1,4 @@
-"""`skyherd bench`: measure detectors on drawings, photographs and boards, and the speed of the loop."""
+"""`skyherd bench`: measure detectors on drawings, photographs and boards."""
 
 import os
 from pathlib import Path
@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from skyherd.cli.choices import DETECTORS, complete_dictionary, complete_scenario
+from skyherd.cli.choices import DETECTORS, complete_dictionary
 from skyherd.cli.console import ProgressReporter, say, say_table, warn
 from skyherd.cli.interrupts import NOTHING_LEFT, telling_of_interrupts
 from skyherd.errors import InputError
@@ -110,77 +110,6 @@ def detectors(
         output.keep()
         page = write_outputs(result, out_dir)
     say(f"see {page}")
-    return 0
-
-
-@bench_app.command()
-def loop(
-    scenarios: Annotated[
-        list[str] | None,
-        typer.Argument(
-            metavar="SCENARIO",
-            help="Built-in scenarios or TOML files. Without them, star is measured.",
-            autocompletion=complete_scenario,
-        ),
-    ] = None,
-    duration_s: Annotated[
-        float, typer.Option("--duration", metavar="SECONDS", help="Simulated time of each run.")
-    ] = 20.0,
-    against: Annotated[
-        str | None,
-        typer.Option(
-            metavar="REF",
-            help="Measure in alternation with another version: a commit, a branch or a tag.",
-        ),
-    ] = None,
-    rounds: Annotated[
-        int, typer.Option(metavar="N", help="With --against: number of runs of each version.")
-    ] = 3,
-    whole: Annotated[
-        bool, typer.Option("--whole", help="With --against: also measure the whole of `skyherd run`.")
-    ] = False,
-    repository: Annotated[
-        Path, typer.Option(metavar="DIR", help="With --against: a git repository of skyherd.")
-    ] = Path(),
-    out_dir: Annotated[
-        Path, typer.Option("--out", metavar="DIR", help="Write the results into this folder.")
-    ] = Path("runs/bench-loop"),
-    force: Force = False,
-) -> int:
-    """Measure the speed of the loop, also against another version.
-
-    It runs on one core, prints a table and writes loop.json.
-    """
-    from skyherd.bench.loop_result import RESULT, measure_loop, tables
-    from skyherd.files.output_folder import OutputFolder
-
-    if not 0.5 <= duration_s <= 1e5:
-        raise InputError("--duration", f"{duration_s:g}", "from 0.5 to 100000")
-    if rounds < 1:
-        raise InputError("--rounds", str(rounds), "1 or more")
-    if whole and against is None:
-        raise InputError("--whole", "given without --against", "give --against, or leave --whole out")
-    with (
-        telling_of_interrupts(NOTHING_LEFT),
-        OutputFolder(out_dir, "bench loop", [RESULT], force=force) as output,
-    ):
-        with ProgressReporter() as progress:
-            result = measure_loop(
-                scenarios or ["star"],
-                duration_s,
-                against=against,
-                repository=repository,
-                rounds=rounds,
-                whole=whole,
-                progress=progress,
-            )
-        result.write(out_dir)
-        output.keep()
-    for table in tables(result):
-        say(table.title, bold=True)
-        say_table(table.header, table.rows, right_aligned=table.header[1:])
-        say(table.note)
-    say(f"see {out_dir / RESULT}")
     return 0
 
 

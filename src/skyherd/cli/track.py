@@ -13,7 +13,7 @@ from skyherd.cli.options import BorderBits, Detector, Dictionary, ForceFolder, I
 from skyherd.errors import InputError
 
 if TYPE_CHECKING:
-    from skyherd.live.tracking import GroundTracks
+    from skyherd.tracking import GroundTracks
 
 
 def track(
@@ -58,8 +58,8 @@ def track(
     """
     from skyherd.datasets import refuse_configuration
     from skyherd.inspection import output_name
-    from skyherd.live.tracking import FIGURE, SHAPE, TRACKS, named_shape, scenario_shape, track_videos
     from skyherd.markers.sheet_layout import parse_ids
+    from skyherd.tracking import FIGURE, SHAPE, TRACKS, named_shape, scenario_shape, track_videos
 
     if shape is not None and scenario is not None:
         raise InputError("--shape", "given with --scenario", "one of the two")

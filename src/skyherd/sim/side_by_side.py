@@ -25,7 +25,7 @@ import numpy as np
 from skyherd.errors import OutputError
 from skyherd.geometry import Image
 from skyherd.jobs.helpers import Helper, can_help, one_thread
-from skyherd.sim.perception import RenderedPerception, Scene
+from skyherd.sim.perception import RenderedPerception, Shots
 from skyherd.sim.sight import Perception, Sight
 from skyherd.sim.world import World
 
@@ -103,7 +103,7 @@ class SideBySide(Perception):
             self._fork(perception, [camera.size_px for camera in world.cameras])
         if not units:
             return []
-        request = pickle.dumps(perception.scene(world, units, time_s), pickle.HIGHEST_PROTOCOL)
+        request = pickle.dumps(perception.shots(world, units, time_s), pickle.HIGHEST_PROTOCOL)
         for helper in self._helpers:
             helper.send(request)
         return self._sights(units, self._ask_for_reading(set(units)))
@@ -166,19 +166,19 @@ class _Photographer:
     def __init__(self, perception: RenderedPerception, share: HelperTasks, images: dict[int, Image]) -> None:
         self._perception, self._share, self._images = perception, share, images
 
-    def serve(self, request: Scene | AbstractSet[int]) -> dict[int, Sight]:
-        """Draw the images of a scene; or return what some units see in theirs, without the images."""
-        if isinstance(request, Scene):
-            self._scene = request
-            for view in request.views:
-                if view.unit in self._share.draws:
-                    self._images[view.unit][:] = self._perception.draw(request, view)
+    def serve(self, request: Shots | AbstractSet[int]) -> dict[int, Sight]:
+        """Draw images; or return what some units see in theirs, without the images."""
+        if isinstance(request, Shots):
+            self._shots = request
+            for shot in request.of_units:
+                if shot.stream in self._share.draws:
+                    self._images[shot.stream][:] = self._perception.renderer.render(shot)
                 else:
-                    self._perception.skip(view)
+                    self._perception.skip(shot)
             return {}
-        scene, sights = self._scene, {}
-        for view in scene.views:
-            if view.unit in request:
-                sight = self._perception.read(scene, view, self._images[view.unit])
-                sights[view.unit] = replace(sight, image=None)
+        sights = {}
+        for shot in self._shots.of_units:
+            if shot.stream in request:
+                sight = self._perception.read(shot, self._shots.time_s, self._images[shot.stream])
+                sights[shot.stream] = replace(sight, image=None)
         return sights

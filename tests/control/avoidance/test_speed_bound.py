@@ -242,6 +242,7 @@ def test_avoiding_law_without_neighbors_equals_wheel_law(make_detections) -> Non
     )
 
 
+@pytest.mark.smoke
 def test_detour_velocity_satisfies_all_bounds() -> None:
     """Of two robots that meet head-on each keeps to the right; an unblocked one is unchanged."""
     rng = np.random.default_rng(9)

@@ -33,6 +33,7 @@ def test_height_and_zoom_regulate_farthest_robot(make_detections, farthest, clim
     assert command.zoom_rate_ps == pytest.approx(-0.3 * climb, abs=1e-12)
 
 
+@pytest.mark.smoke
 def test_lateral_velocity_leads_to_middle_of_control_set(make_detections) -> None:
     """The bounding box is that of robots 0-2; robot 3 is another unit's."""
     seen = view_of(make_detections, [0.1 + 0.2j, 0.5 + 0.6j, 0.3 + 0.3j, -0.9 - 0.9j])

@@ -73,6 +73,7 @@ def test_roles_converge_to_one_map(make_report, seed, loss, longest) -> None:
     assert agents.maps() == {name}, "an optimal map is unchanged"
 
 
+@pytest.mark.smoke
 def test_role_exchange_lowers_residual_by_gain(make_report) -> None:
     agents = Agents(make_report, units=1)
     robots = agents.rng.normal(size=N) + 1j * agents.rng.normal(size=N)

@@ -58,6 +58,7 @@ def errors_after(view: View, count: int, images: int, seed: int, **how: bool) ->
 # --- accuracy ---
 
 
+@pytest.mark.smoke
 @pytest.mark.parametrize(("count", "worst"), [(3, 3e-3), (6, 1e-3), (16, 5e-4)])
 def test_single_image_is_rectified_from_its_markers(count, worst):
     """Numbers of 1.3e-4 each; a fit of ten unknowns to few markers makes the error several times as large.

@@ -55,6 +55,7 @@ class Scene:
         return total * np.exp(-1j * self.headings)
 
 
+@pytest.mark.smoke
 @pytest.mark.parametrize("seed", range(20))
 def test_fuse_pixels_equation_4_equals_equation_5(make_detections, seed) -> None:
     """rho^g = rbar Σ_j (x^{d,j} - x) on consistent data; vectors of 100 px, rounding 1e-12 px."""

@@ -115,6 +115,7 @@ def test_unicycle_law_signs_in_all_quadrants(bearing_deg, drives, turns) -> None
     assert omega[0] == pytest.approx(expected_omega, abs=ROUNDING)
 
 
+@pytest.mark.smoke
 @pytest.mark.parametrize(
     "gains", [PixelGains(0.02, 0.7, 0.0), MarkerGains(0.1, 0.7, 0.0, 0.2)], ids=["px", "side"]
 )

@@ -39,6 +39,7 @@ def test_falling_lyapunov_value_keeps_overlapping_sets(one_unit) -> None:
     assert one_unit(lambda t: 100 * np.exp(-0.02 * t)) is None
 
 
+@pytest.mark.smoke
 def test_stalled_lyapunov_value_starts_tree(one_unit) -> None:
     """The first comparison is with an image more than 10 s old."""
     assert one_unit(lambda t: 5.0) == 11

@@ -166,6 +166,7 @@ def test_gradient_of_lyapunov_function_equals_l_p() -> None:
         assert slope == pytest.approx((matrix @ p)[robot], abs=1e-10)
 
 
+@pytest.mark.smoke
 def test_linear_flow_decays_at_slowest_rate() -> None:
     """exp(-L t) on random starts: the late shape error falls by exp(-λ_3) per unit of time.
 

@@ -8,7 +8,7 @@ import pytest
 
 from skyherd.control.selection.safety_radius import centre_distances
 from skyherd.control.topology.convergence_rate import slowest_rate
-from skyherd.control.tree.settings import TreeSettings
+from skyherd.control.tree.node_state import TreeSettings
 from skyherd.datasets import make_mission
 from skyherd.datasets.generated.random_missions import Crowd, random_mission
 from skyherd.loop import Step, run_steps

@@ -33,8 +33,8 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, rule, run_sta
 from protocol_world import ProtocolWorld
 
 from skyherd.control.tree.failover import GRACE
+from skyherd.control.tree.node_state import TreeSettings
 from skyherd.control.tree.protocol import TreeProtocol
-from skyherd.control.tree.settings import TreeSettings
 
 IMAGE_S = 0.9
 """The longest time between two images of a unit."""

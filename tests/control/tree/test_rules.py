@@ -77,7 +77,7 @@ def situation(unit, reports, *, time_s=10.0, sees=None, at_slot=True):
     peers = PeerReports()
     news = peers.take(reports)
     return Situation(
-        rule=RULE,
+        settings=RULE,
         shape=SHAPE,
         unit_id=unit,
         time_s=time_s,
@@ -102,27 +102,27 @@ def out_of_view(*ids, **fields):
 def test_lost_robot_goes_to_nearest_member_inside_radius():
     reports = [report(7, 10.0, sees={1: 0.3, 2: 0.9}), report(9, 10.0, sees={1: 0.2, 3: 0.2})]
     changed = give(out_of_view(1, 2, 3), situation(0, reports))
-    assert changed["giving"] == {1: HandOver(9), 3: HandOver(9)}
-    assert changed["own"] == robots(1, 2, 3), "announced robots are still its own"
+    assert changed.giving == {1: HandOver(9), 3: HandOver(9)}
+    assert changed.own == robots(1, 2, 3), "announced robots are still its own"
 
 
 def test_promised_robot_is_not_handed_over():
     """Robots 1 and 2 left the view and unit 9 sees both; 1 is offered to unit 7."""
     edge = Edge(0, 7, 0.0, turn=1, pair=robots(3, 4), offered=robots(1))
     now = situation(0, [report(9, 10.0, sees={1: 0.1, 2: 0.1})])
-    assert give(out_of_view(1, 2, edges={7: edge}), now)["giving"].keys() == {2}
+    assert give(out_of_view(1, 2, edges={7: edge}), now).giving.keys() == {2}
 
 
 def test_disputed_robot_is_not_handed_over():
     """Of robots 1 and 2, which unit 9 sees, unit 7 claims 1: that dispute must be settled first."""
     reports = [report(7, 10.0, controls=[1]), report(9, 10.0, sees={1: 0.1, 2: 0.1})]
-    assert give(out_of_view(1, 2), situation(0, reports))["giving"].keys() == {2}
+    assert give(out_of_view(1, 2), situation(0, reports)).giving.keys() == {2}
 
 
 def test_settled_hand_over_keeps_its_receiver():
     """Unit 7 sees the robot nearer by now, but unit 9 relies on it."""
     now = situation(0, [report(7, 10.0, sees={1: 0.1}), report(9, 10.0, sees={1: 0.3})])
-    assert give(out_of_view(1, giving={1: HandOver(9, 6)}), now)["giving"] == {1: HandOver(9, 6)}
+    assert give(out_of_view(1, giving={1: HandOver(9, 6)}), now).giving == {1: HandOver(9, 6)}
 
 
 def test_handed_over_robot_is_not_offered():
@@ -135,7 +135,7 @@ def test_handed_over_robot_is_not_offered():
 def test_accepted_hand_over_is_settled_half_a_slot_ahead(time_s, slot):
     """Slots are of 2 s; the sixth begins at 12 s, the seventh at 14 s."""
     now = situation(0, [report(9, time_s, sees={1: 0.1}, accepts=[1])], time_s=time_s, at_slot=False)
-    assert give(out_of_view(1, giving={1: HandOver(9)}), now)["giving"] == {1: HandOver(9, slot)}
+    assert give(out_of_view(1, giving={1: HandOver(9)}), now).giving == {1: HandOver(9, slot)}
 
 
 @pytest.mark.parametrize("at_slot", [True, False])
@@ -143,7 +143,7 @@ def test_unaccepted_hand_over_is_withdrawn(at_slot):
     """Unit 9 no longer sees the robot: at a slot the unit searches for another receiver, without success."""
     now = situation(0, [report(9, 10.0, sees={2: 0.1}, accepts=[2])], at_slot=at_slot)
     changed = give(out_of_view(1, giving={1: HandOver(9)}), now)
-    assert changed["own"] == robots(1) and changed["giving"] == ({} if at_slot else {1: HandOver(9)})
+    assert changed.own == robots(1) and changed.giving == ({} if at_slot else {1: HandOver(9)})
 
 
 @pytest.mark.parametrize(("slot", "own"), [(5, ()), (6, (1,)), (NO_SLOT, (1,))])
@@ -152,8 +152,8 @@ def test_settled_robot_is_dropped_exactly_in_its_slot(slot, own):
     now = situation(0, [report(9, 10.0)], sees={1: 0.1}, at_slot=False)
     state = NodeState(own=robots(1), tree_id=0, giving={1: HandOver(9, slot)}, seen_s={1: 10.0})
     changed = give(state, now)
-    assert changed["own"] == robots(*own)
-    assert changed["giving"] == ({1: HandOver(9, 6)} if slot == 6 else {})
+    assert changed.own == robots(*own)
+    assert changed.giving == ({1: HandOver(9, 6)} if slot == 6 else {})
 
 
 @pytest.mark.parametrize(
@@ -168,7 +168,7 @@ def test_settled_robot_is_dropped_exactly_in_its_slot(slot, own):
 def test_visible_handed_robots_are_accepted(handed, sees, accepted):
     now = situation(1, [report(0, 10.0, controls=handed, handed=handed)], sees=sees)
     changed = take(NodeState(own=robots(4), tree_id=0), now)
-    assert changed["accepted"] == robots(*accepted) and changed["own"] == robots(4)
+    assert changed.accepted == robots(*accepted) and changed.own == robots(4)
 
 
 @pytest.mark.parametrize(
@@ -184,26 +184,27 @@ def test_settled_robot_is_taken_in_its_slot(slot, third, own, taking):
     """This holds even if it is out of view by then: the former unit does not wait."""
     reports = [report(0, 9.9, controls=[5], handed={5: (1, slot)}), report(2, 9.9, controls=third)]
     changed = take(NodeState(tree_id=0), situation(1, reports))
-    assert changed["own"] == robots(*own) and changed["taking"] == taking
+    assert changed.own == robots(*own) and changed.taking == taking
 
 
 def test_stale_report_does_not_repeat_hand_over():
     """The newest report of unit 0 is the one by which robot 5 was taken."""
     now = situation(1, [report(0, 9.9, controls=[5], handed={5: (1, 5)})])
     changed = take(NodeState(tree_id=0, accepted=robots(5)), replace(now, news=()))
-    assert changed["own"] == robots() and not changed["taking"]
+    assert changed.own == robots() and not changed.taking
 
 
 def test_withdrawn_hand_over_is_not_accepted():
     now = situation(1, [report(0, 10.0, controls=[5])], sees={5: 0.5})
-    assert take(NodeState(tree_id=0, accepted=robots(5)), now)["accepted"] == robots()
+    assert take(NodeState(tree_id=0, accepted=robots(5)), now).accepted == robots()
 
 
 def test_unit_leaving_tree_clears_hand_overs():
     """A lower tree exists; none of the agreed robots is the unit's in the new one."""
     state = out_of_view(1, giving={1: HandOver(9, 6)}, taking={2: (9, 6)}, accepted=robots(3))
-    state = replace(replace(state, tree_id=4), **leave_for_lower_tree(state, situation(5, [])))
-    state = replace(state, **leave_for_lower_tree(replace(state, tree_id=4), situation(5, [report(0, 10.0)])))
+    state = leave_for_lower_tree(replace(state, tree_id=4), situation(5, []))
+    assert state.is_member and state.giving
+    state = leave_for_lower_tree(state, situation(5, [report(0, 10.0)]))
     assert not state.is_member and not (state.own or state.giving or state.taking or state.accepted)
 
 
@@ -211,7 +212,7 @@ def test_unit_leaving_tree_clears_hand_overs():
 def test_orphan_at_equal_distance_goes_to_lower_unit(unit, adopts):
     now = situation(unit, [report(1, 10.0, sees={5: 0.25})], sees={5: 0.25})
     state = NodeState(tree_id=0, orphaned_s={5: 0.0}, distances_before=dict(now.peers.newest[1].distances))
-    assert (5 in adopt_orphans(state, now)["own"]) == adopts
+    assert (5 in adopt_orphans(state, now).own) == adopts
 
 
 def test_orphan_goes_to_nearer_unit():
@@ -219,7 +220,7 @@ def test_orphan_goes_to_nearer_unit():
         now = situation(unit, [report(1, 10.0, sees={5: 0.25})], sees={5: 0.2})
         near = NodeState(tree_id=0, orphaned_s={5: 0.0}, distances_before={5: 0.2})
         far = NodeState(tree_id=0, orphaned_s={5: 0.0}, distances_before={5: 0.3})
-        assert 5 in adopt_orphans(near, now)["own"] and 5 not in adopt_orphans(far, now)["own"]
+        assert 5 in adopt_orphans(near, now).own and 5 not in adopt_orphans(far, now).own
 
 
 def test_heir_inherits_unclaimed_robots():
@@ -228,7 +229,7 @@ def test_heir_inherits_unclaimed_robots():
     now = situation(0, [gone, report(2, 10.0, controls=[4])])
     state = NodeState(own=robots(6), edges={1: Edge(0, 1, 0.0, turn=4, pair=robots(1, 2))}, tree_id=0)
     changed = fail_over(state, now)
-    assert changed["own"] == robots(1, 2, 3, 6) and not changed["edges"]
+    assert changed.own == robots(1, 2, 3, 6) and not changed.edges
 
 
 def test_heir_opens_edges_of_dead_unit_to_living_units():
@@ -237,7 +238,7 @@ def test_heir_opens_edges_of_dead_unit_to_living_units():
     )
     now = situation(0, [gone, report(2, 10.0, controls=[3, 4])])
     state = NodeState(edges={1: Edge(0, 1, 0.0, turn=4, pair=robots(1, 2))}, tree_id=0)
-    edges = fail_over(state, now)["edges"]
+    edges = fail_over(state, now).edges
     assert edges.keys() == {2} and edges[2].pair == robots(3, 4)
 
 
@@ -246,7 +247,7 @@ def test_new_edge_survives_one_silence_timeout(since_s, stays):
     """A stale report of the neighbour is no evidence against an edge younger than a silence timeout."""
     old = report(1, 0.0, controls=[1, 2], edges=[(0, 4, [1, 2])], heir=0)
     state = NodeState(edges={1: Edge(0, 1, since_s, turn=4, pair=robots(1, 2))}, tree_id=0)
-    assert (1 in fail_over(state, situation(0, [old]))["edges"]) == stays
+    assert (1 in fail_over(state, situation(0, [old])).edges) == stays
 
 
 @pytest.mark.parametrize(("own", "granted"), [((1,), False), ((1, 2), True)])
@@ -254,7 +255,7 @@ def test_edge_is_granted_only_with_two_robots(own, granted):
     asks = report(5, 10.0, sees={1: 0.1, 2: 0.1}, tree_id=NO_ID, asks=0)
     state = NodeState(own=robots(*own), tree_id=0)
     now = replace(situation(0, [asks], sees={1: 0.1, 2: 0.1}), slot=0)
-    assert (5 in admit(state, now)["edges"]) == granted
+    assert (5 in admit(state, now).edges) == granted
 
 
 def test_own_robots_do_not_enter_pair():
@@ -267,7 +268,7 @@ def test_own_robots_do_not_enter_pair():
     edge = Edge(0, 1, 0.0, turn=4, pair=robots(1, 2), reach=robots(3, 4))
     for own, pair in ((robots(3), robots(1, 4)), (robots(), robots(3, 4))):
         state = NodeState(own=own, edges={1: edge}, tree_id=0)
-        assert use_turns(state, situation(0, [peer], sees=sees))["edges"][1].pair == pair
+        assert use_turns(state, situation(0, [peer], sees=sees)).edges[1].pair == pair
 
 
 def test_unit_without_change_hands_turn_over_at_once():
@@ -277,8 +278,8 @@ def test_unit_without_change_hands_turn_over_at_once():
         peer = report(1, 10.0, controls=[1, 2, *reach], sees=sees, edges=[(0, 4, [1, 2])])
         edge = Edge(0, 1, 0.0, turn=4, pair=robots(1, 2), reach=reach)
         plain = TreeSettings(share="nearest", gain=1.0)
-        now = replace(situation(0, [peer], sees=sees), at_slot=False, rule=plain)
-        changed = use_turns(NodeState(edges={1: edge}, tree_id=0), now)["edges"][1]
+        now = replace(situation(0, [peer], sees=sees), at_slot=False, settings=plain)
+        changed = use_turns(NodeState(edges={1: edge}, tree_id=0), now).edges[1]
         assert (changed.turn, changed.pair, changed.wants) == (turn, robots(1, 2), turn == 4)
 
 
@@ -296,28 +297,30 @@ def test_repeated_and_late_reports_are_no_news():
 @pytest.mark.parametrize(("tree_id", "leaves"), [(NO_ID, False), (2, True), (3, False), (4, False)])
 def test_tree_with_lower_number_remains(tree_id, leaves):
     now = situation(5, [report(1, 10.0, tree_id=tree_id)])
-    assert bool(leave_for_lower_tree(NodeState(tree_id=3), now)) == leaves
+    state = NodeState(tree_id=3)
+    assert (leave_for_lower_tree(state, now) != state) == leaves
 
 
 @pytest.mark.parametrize("since_s", [3.0, 10.0 - RULE.silence_s, 10.0 - RULE.silence_s + 0.1, 10.0])
 def test_smaller_part_of_tree_resigns_after_silence_timeout(since_s):
     """Units 0 and 1 report an edge between them; unit 5 has none. It resigns exactly at the timeout."""
     others = [report(0, 10.0, edges=[(1, 4, [1, 2])]), report(1, 10.0, edges=[(0, 4, [1, 2])])]
-    changed = heal_partition(NodeState(tree_id=0, minority_s=since_s), situation(5, others))
+    state = NodeState(tree_id=0, minority_s=since_s)
+    changed = heal_partition(state, situation(5, others))
     if 10.0 - since_s >= RULE.silence_s:
-        assert changed["tree_id"] == NO_ID and changed["minority_s"] == np.inf
+        assert changed.tree_id == NO_ID and changed.minority_s == np.inf
     else:
-        assert changed == {"minority_s": since_s}
+        assert changed == state
 
 
 def test_larger_part_of_tree_remains_with_ties_to_lowest_unit():
     alone = NodeState(tree_id=0, minority_s=0.0)
     for unit, stays in ((5, False), (0, True)):
         now = situation(unit, [report(3, 10.0)])
-        assert ("tree_id" not in heal_partition(alone, now)) == stays
+        assert heal_partition(alone, now).is_member == stays
     now = situation(5, [report(0, 10.0), report(6, 10.0, edges=[(5, 4, [1, 2])])])
     paired = replace(alone, edges={6: Edge(5, 6, 0.0, turn=4, pair=robots(1, 2))})
-    assert heal_partition(paired, now) == {"minority_s": np.inf}
+    assert heal_partition(paired, now) == replace(paired, minority_s=np.inf)
 
 
 def test_unseen_time_of_robot():
@@ -331,11 +334,12 @@ def test_unchanged_state_is_identical_object():
     edge = Edge(1, 2, 0.0, pair=robots(4, 5))
     state = NodeState(own=robots(1), edges={2: edge}, held_s={1: 3.0})
     assert state.controlled == robots(1, 4, 5)
-    assert state.after({}) is state
-    assert state.after({"own": robots(1), "edges": {2: replace(edge)}, "minority_s": np.inf}) is state
+    assert state.after(state) is state
+    assert state.after(replace(state, own=robots(1), edges={2: replace(edge)}, minority_s=np.inf)) is state
     for changes in ({"edges": {}}, {"own": robots(1, 2)}, {"held_s": {1: 4.0}}, {"ready": True}):
-        assert state.after({"slot": -1, **changes}) == replace(state, **changes) != state
-    assert state.after({"edges": {}}).controlled == robots(1)
+        new = replace(state, slot=-1, **changes)
+        assert state.after(new) == new != state
+    assert state.after(replace(state, edges={})).controlled == robots(1)
 
 
 def test_controlled_or_claimed_robot_is_no_orphan():
@@ -345,7 +349,7 @@ def test_controlled_or_claimed_robot_is_no_orphan():
     waited = dict.fromkeys(range(1, 6), 0.0)
     state = NodeState(own=robots(3), edges={7: edge}, tree_id=0, orphaned_s=waited, distances_before=sees)
     changed = adopt_orphans(state, situation(0, [report(9, 10.0, controls=[4])], sees=sees))
-    assert changed["own"] == robots(3, 5) and changed["orphaned_s"].keys() == {5}
+    assert changed.own == robots(3, 5) and changed.orphaned_s.keys() == {5}
 
 
 def test_common_robots_are_offered_in_pairs_by_slot():
@@ -365,7 +369,7 @@ def test_common_robots_are_offered_in_pairs_by_slot():
 def test_heir_needs_pair_and_report(pair, heard, heir):
     state = NodeState(edges={7: Edge(0, 7, 0.0, turn=1, pair=robots(*pair))}, tree_id=0)
     now = situation(0, [report(7, 10.0, controls=[1, 2])] if heard else [])
-    assert name_heir(state, now)["heir_id"] == heir
+    assert name_heir(state, now).heir_id == heir
 
 
 def test_settings_defaults_equal_scenario_defaults():
@@ -390,16 +394,16 @@ def test_weak_edge_makes_unit_seek_unshared_robots():
     """Of its neighbour's robots 2 to 7 it has 2 and 3; 4 and 5 are in another pair of the neighbour."""
     peer = report(1, 10.0, controls=range(2, 8), edges=[(0, 4, [2, 3]), (9, 4, [4, 5])])
     rule = TreeSettings(share="leverage", firm=1e6, gain=1.0)
-    now = replace(situation(0, [peer]), rule=rule)
+    now = replace(situation(0, [peer]), settings=rule)
     edge = Edge(0, 1, 0.0, turn=4, pair=robots(2, 3))
-    sought = seek_robots(NodeState(own=robots(0, 1), edges={1: edge}, tree_id=0), now)["sought"]
+    sought = seek_robots(NodeState(own=robots(0, 1), edges={1: edge}, tree_id=0), now).sought
     assert sought & robots(6, 7) and sought <= robots(2, 3, 6, 7)
 
 
 @pytest.mark.parametrize(("since_s", "stays"), [(9.5, True), (0.0, False)])
 def test_edge_to_silent_neighbor_is_removed_after_timeout(since_s, stays):
     state = NodeState(edges={1: Edge(0, 1, since_s, turn=4, pair=robots(1, 2))}, tree_id=0)
-    assert (1 in fail_over(state, situation(0, []))["edges"]) == stays
+    assert (1 in fail_over(state, situation(0, [])).edges) == stays
 
 
 def test_successor_without_heir_is_lowest_living_neighbor() -> None:
@@ -429,18 +433,16 @@ def test_two_waiting_ends_start_with_lower_unit() -> None:
         unit: report(unit, 9.9, controls=sorted(ends[unit].controlled), edges=[(other, NO_TURN, pair)])
         for unit, other, pair in ((1, 4, (2, 3)), (4, 1, (5, 6)))
     }
-    lower = replace(ends[1], **receive_turns(ends[1], situation(1, [news[4]])))
-    higher = replace(ends[4], **receive_turns(ends[4], situation(4, [news[1]])))
+    lower = receive_turns(ends[1], situation(1, [news[4]]))
+    higher = receive_turns(ends[4], situation(4, [news[1]]))
     assert lower.edges[4].is_my_turn and lower.edges[4].pair == {2, 3}
     assert higher.edges[1].turn == NO_TURN, "the higher one waits"
     told = report(1, 10.1, controls=[0, 2, 3], edges=[(4, lower.edges[4].turn + 1, (2, 3))])
-    higher = replace(higher, **receive_turns(higher, situation(4, [told], time_s=10.2)))
+    higher = receive_turns(higher, situation(4, [told], time_s=10.2))
     assert higher.edges[1].pair == {2, 3} and higher.own == {5, 6, 7}
     assert higher.controlled & lower.controlled == {2, 3}
     unheard = report(4, 9.9, controls=[5], edges=[(1, 8, (2, 3))])
-    assert receive_turns(ends[1], situation(1, [unheard]))["edges"][4].turn == 8, (
-        "a turn that is told is taken"
-    )
+    assert receive_turns(ends[1], situation(1, [unheard])).edges[4].turn == 8, "a turn that is told is taken"
 
 
 @pytest.mark.parametrize(
@@ -450,11 +452,11 @@ def test_uncontrolled_robots_are_sought(ready, living, sought):
     """Robots 0 to 5 are the unit's, 6 another's, which may be silent, and 7 is uncontrolled."""
     state = NodeState(own=robots(0, 1, 2, 3, 4, 5), tree_id=0, ready=ready)
     now = situation(0, [report(1, living, controls=[6])])
-    assert seek_robots(state, now)["sought"] == sought
+    assert seek_robots(state, now).sought == sought
 
 
 @pytest.mark.parametrize(("imaged_s", "since_s"), [(9.8, 1.0), (7.1, 1.0), (6.9, 10.0), (-np.inf, 10.0)])
 def test_unit_searches_again_after_silence_or_clock_change(imaged_s, since_s):
     """Its time counts from the image at 10 s if the one before is more than a silence timeout (3 s) ago."""
     noted = note_view(NodeState(imaged_s=imaged_s, since_s=1.0), situation(0, []))
-    assert (noted["since_s"], noted["imaged_s"]) == (since_s, 10.0)
+    assert (noted.since_s, noted.imaged_s) == (since_s, 10.0)

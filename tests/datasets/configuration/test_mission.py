@@ -125,12 +125,14 @@ BAD = {
 }
 
 
+@pytest.mark.smoke
 @pytest.mark.parametrize("name", scenario_names())
 def test_built_in_scenarios_are_good_and_start_far_from_their_goal(name):
     mission = load_mission(name)
     assert mission.template.ids.tolist() == mission.ids.tolist() == list(range(mission.ids.size))
 
 
+@pytest.mark.smoke
 @pytest.mark.parametrize("case", BAD)
 def test_what_is_wrong_is_said_in_one_line(tmp_path, case):
     old, new, said = BAD[case]

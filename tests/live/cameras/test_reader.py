@@ -78,6 +78,7 @@ def end(reader, script) -> None:
     reader.close()
 
 
+@pytest.mark.smoke
 def test_only_the_newest_is_given_and_each_once(clock) -> None:
     script = Script([Picture(image(k)) for k in range(5)])
     reader = reader_of(script, clock)

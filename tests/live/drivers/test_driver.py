@@ -107,6 +107,7 @@ def test_a_link_that_fails_is_told_and_tried_again(rig) -> None:
     assert driver.trouble is None and driver.written == len(wire.written)
 
 
+@pytest.mark.smoke
 def test_commands_are_limited_before_they_are_written(rig) -> None:
     driver, wire, steps = rig
     for motion in (Motion(float("nan"), 0.0), Motion(1e300, float("-inf")), Motion(50.0, -50.0)):

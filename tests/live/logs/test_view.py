@@ -39,6 +39,7 @@ def decision_on(lab, points, ids=None):
     return unit.see(seen(points, np.arange(len(points)) if ids is None else ids), 100.0).decision
 
 
+@pytest.mark.smoke
 def test_a_shape_that_is_formed_has_no_error_and_its_goals_are_where_the_robots_are(lab) -> None:
     points = 320 + 240j + 40 * np.exp(0.7j) * lab.template.points_px
     view = view_of(decision_on(lab, points), lab.template)

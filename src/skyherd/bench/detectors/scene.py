@@ -105,7 +105,7 @@ def make_view(cell: Cell, rng: np.random.Generator) -> tuple[Camera, CameraPose]
 
 
 @dataclass(frozen=True)
-class Shot:
+class PlannedShot:
     """What one image shows; markers have sides of 1 m.
 
     Attributes:
@@ -129,14 +129,14 @@ class Shot:
     headings_rad: Array
 
 
-def camera_shots(cell: Cell, dictionary: str, unit: int, rng: np.random.Generator) -> Iterator[Shot]:
+def camera_shots(cell: Cell, dictionary: str, unit: int, rng: np.random.Generator) -> Iterator[PlannedShot]:
     """Iterate over the shots of one camera of a cell, in the order of time; the camera stands still."""
     camera, pose = make_view(cell, rng)
     team = make_team(cell, dictionary, rng)
     ground_image: Array = np.asarray(np.linalg.inv(homography_image_ground(camera, pose)), dtype=np.float64)
     for index in range(cell.frames):
         points_px, headings = team.at(index)
-        yield Shot(
+        yield PlannedShot(
             unit_id=unit,
             time_s=index / FRAME_RATE_HZ,
             camera=camera,
@@ -148,7 +148,7 @@ def camera_shots(cell: Cell, dictionary: str, unit: int, rng: np.random.Generato
         )
 
 
-def covering_discs(cell: Cell, shot: Shot, rng: np.random.Generator) -> list[Disc]:
+def covering_discs(cell: Cell, shot: PlannedShot, rng: np.random.Generator) -> list[Disc]:
     """A disc about a random corner of each marker; a quarter of it covers `cell.occlusion` of the square."""
     if not cell.occlusion:
         return []
@@ -158,7 +158,7 @@ def covering_discs(cell: Cell, shot: Shot, rng: np.random.Generator) -> list[Dis
     return [Disc((float(x), float(y)), radius, COVER_LEVEL) for x, y in places]
 
 
-def touching_squares(cell: Cell, shot: Shot) -> list[Quad]:
+def touching_squares(cell: Cell, shot: PlannedShot) -> list[Quad]:
     """Black squares outside of the markers' corners, each of which touches its marker in that one point."""
     if not cell.touching:
         return []

@@ -3,18 +3,26 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+from skyherd.assembly import (
+    REPORT_LIFETIME_S,
+    REPORTS_MISSED,
+    make_body_rule,
+    make_flight,
+    make_roles,
+    make_selection,
+    make_size,
+)
 from skyherd.control import (
     AerialController,
     AvoidanceRule,
     Hover,
     MarkerGains,
     Rectifier,
-    RoleRule,
-    SizeRule,
     TeamClock,
     Template,
     Wheels,
 )
+from skyherd.datasets import RolesModel
 from skyherd.errors import InputError
 from skyherd.live.drivers.driver import HOLD_S, RATE_HZ
 from skyherd.live.drivers.limits import SpeedLimits
@@ -22,17 +30,10 @@ from skyherd.live.lab.models import LabCamera, LabModel, LabRobot
 from skyherd.live.peers import ClockLimits
 from skyherd.live.robot_core import RobotCore, RobotLimits
 from skyherd.live.unit_core import UnitCore
-from skyherd.sim.agents import (
-    REPORT_LIFETIME_S,
-    REPORTS_MISSED,
-    make_body_rule,
-    make_flight,
-    make_selection,
-)
 from skyherd.sim.robot_teams import Timing, make_avoidance_rule
 
 NOMINAL_AGE_SHARE = 0.5
-"""Age of images at which robots are fastest, as a share of the age at which goals expire. Chosen: a typical
+"""Age of images at which robots are fastest, as a share of `goal_timeout_s`. Chosen: a typical
 age. It has no part in safety."""
 
 
@@ -99,8 +100,8 @@ class Lab:
             rectifier=Rectifier() if model.control.rectify else None,
             nearest=model.control.neighbors,
             report_lifetime_s=max(REPORT_LIFETIME_S, REPORTS_MISSED * model.limits.goal_timeout_s),
-            roles=RoleRule(period_s=1.0, gain=0.05, classes=None) if model.shape.exchange else None,
-            size=self._size(),
+            roles=make_roles(RolesModel(exchange=model.shape.exchange)),
+            size=make_size(model.shape.size, self.template, model.markers.side_m),
             bodies=make_body_rule(model.avoidance, model.avoidance.body_radius_sides, model.obstacles),
             clock=TeamClock(),
         )
@@ -117,16 +118,6 @@ class Lab:
             oldest_s=self.model.limits.goal_timeout_s,
             clock_limits=self.clock_limits,
         )
-
-    def _size(self) -> SizeRule:
-        """Bounds on the shape's size, in marker sides."""
-        model = self.model.shape.size
-        if model.unit_m is not None:
-            sides = self.template.spacing_px * model.unit_m / self.model.markers.side_m
-            return SizeRule(sides, sides)
-        if model.spacing_sides is not None:
-            return SizeRule(model.spacing_sides, model.spacing_sides)
-        return SizeRule(model.min_spacing_sides)
 
     @property
     def body_ids(self) -> list[int]:

@@ -13,9 +13,9 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from skyherd.analysis.ground import positions_in_sides
 from skyherd.control import Decision
 from skyherd.drawing.palette import INK, PAPER, UNIT_COLORS
-from skyherd.live.ground import positions_in_sides
 from skyherd.live.logs.view import View
 from skyherd.messages import Detections, rows_of
 from skyherd.recording import foxglove

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from skyherd.analysis.goal_points import desired_points_px
+from skyherd.analysis.ground import shape_residual
 from skyherd.control import Decision, Template
 from skyherd.geometry import Array, IntArray, to_complex
-from skyherd.live.ground import shape_residual
 
 
 @dataclass(frozen=True)

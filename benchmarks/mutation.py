@@ -60,8 +60,11 @@ PARTS = {
     "output_folder": Part(("files/output_folder.py",), "tests/files/test_output_folder.py"),
     "driver": Part(("live/drivers/driver.py",), "tests/live/drivers/test_driver.py"),
     "robot_core": Part(("live/robot_core.py",), "tests/live/test_robot_core.py"),
-    "session": Part(("live/session.py",), "tests/live/test_session.py"),
+    "session": Part(("live/session.py",), "tests/live/test_operator.py tests/live/test_session.py"),
     "operator": Part(("live/operator.py",), "tests/live/test_operator.py"),
+    "stop_latch": Part(
+        ("live/stop_latch.py",), "tests/live/test_stop_latch.py tests/live/test_stop_model.py"
+    ),
     "peers": Part(("live/peers.py",), "tests/live/test_peers.py"),
 }
 """The parts, by name."""

@@ -1,9 +1,11 @@
 """Clocks and instances of other processes, learnt from the stamps and ids of their messages."""
 
+import numpy as np
 import pytest
 
 from skyherd.live.peers import CONFLICT_S, FORGET_S, MAX_FORMER, MAX_PEERS, ClockLimits, Instances, PeerClocks
 from skyherd.live.wire import Envelope, Heartbeat
+from skyherd.messages import MotionGoals
 
 LIMITS = ClockLimits(1.0, 0.1)
 
@@ -100,3 +102,21 @@ def test_former_instances_are_bounded() -> None:
     for number in range(100):
         instances.hear(str(number), 0.0)
     assert len(instances.former) == MAX_FORMER
+
+
+def test_uncertainty_counts_in_favour_of_a_clock_near_its_limit() -> None:
+    """An offset of 0.96 s known to 0.08 s may be within the limit of 1 s, and one of 1.04 s may be too."""
+    assert compared(0.96, 0.08).distrust("unit/0", 100.3) is None
+    assert compared(1.04, 0.08).distrust("unit/0", 100.3) is None
+    assert "off, more than 1 s" in compared(1.04, 0.02).distrust("unit/0", 100.2)
+
+
+def test_a_message_of_a_distrusted_clock_counts_as_sent_before() -> None:
+    assert not compared(5.0).was_sent_after(heartbeat(1e6), 100.1, 100.3)
+    assert not PeerClocks("robot/1", LIMITS).was_sent_after(heartbeat(1e6), 100.1, 100.3)
+
+
+def test_times_of_messages_are_shifted_by_the_offset() -> None:
+    goals = MotionGoals(0, 107.5, [3], [1.0], [0.0], [20.0], np.zeros((1, 0)), np.zeros((1, 0)))
+    ours = compared(0.4).in_our_time(goals, "unit/0", 100.3)
+    assert ours.time_s == pytest.approx(107.1, abs=1e-3) and ours.ids.tolist() == [3]

@@ -5,7 +5,7 @@ import pytest
 
 from skyherd.assembly import make_body_rule, make_roles, make_size
 from skyherd.control import RoleRule, SizeRule, Template
-from skyherd.datasets import AvoidanceModel, ObstacleModel, RolesModel, SizeModel, load_mission
+from skyherd.datasets import AvoidanceModel, ObstacleMarkerModel, RolesModel, SizeModel, load_mission
 from skyherd.live.lab import load_lab, make_lab
 from skyherd.sim.agents import make_controller
 
@@ -33,7 +33,7 @@ def test_roles_and_bodies_are_none_unless_asked_for():
         period_s=1.0, gain=0.05, classes=(0, 1)
     )
     assert make_body_rule(AvoidanceModel(), 1.0, []) is None
-    box = ObstacleModel(id=7, position_m=(0.0, 0.0), radius_sides=2.0)
+    box = ObstacleMarkerModel(id=7, radius_sides=2.0)
     assert make_body_rule(AvoidanceModel(on=True), 1.5, [box]).obstacles == {7: 2.0}
 
 

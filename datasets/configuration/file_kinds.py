@@ -96,7 +96,7 @@ LAB = FileKind(
 STUDY = FileKind(
     "study",
     "skyherd.study.specs",
-    "skyherd study gains --show",
+    "skyherd study noise --show",
     "skyherd study --schema",
     "`skyherd study`",
     _keys("scenario keep"),

@@ -137,7 +137,7 @@ def test_a_version_that_is_not_there_is_refused(unpacked, repository, reference,
     [
         (["--duration", "0"], "--duration: 0; from 0.5 to 100000"),
         (["--rounds", "0"], "--rounds: 0; 1 or more"),
-        (["--whole"], "--whole: given without --against; give --against, or"),
+        (["--whole"], "--whole: given without --against; both or none"),
         (["nonsense"], "nonsense"),
         (["--against", "v1", "--repository", "/"], "--against v1: fatal: not a git repository"),
     ],

@@ -80,7 +80,7 @@ def test_a_scenario_or_a_recording_in_the_wrong_place_is_named(verb, wanted, cap
             ["scenario", "show", "webcams"],
             "'webcams': is a lab, not a scenario; give it to `skyherd live run`",
         ),
-        (["live", "show", "gains"], "'gains': is a study, not a lab; give it to `skyherd study`"),
+        (["live", "show", "noise"], "'noise': is a study, not a lab; give it to `skyherd study`"),
         (["dataset", "show", "grid"], "'grid': is a scenario, not a dataset spec; give it to `skyherd run`"),
         (
             ["study", "small", "--show"],

@@ -62,7 +62,7 @@ def test_a_file_of_another_kind_names_the_verb_that_takes_it(kind, name, wanted,
         (SCENARIO, "webcams", "'webcams': is a lab, not a scenario; give it to `skyherd live run`"),
         (LAB, "grid", "'grid': is a scenario, not a lab; give it to `skyherd run`"),
         (STUDY, "small", "'small': is a dataset spec, not a study; give it to `skyherd dataset make`"),
-        (DATASET, "gains", "'gains': is a study, not a dataset spec; give it to `skyherd study`"),
+        (DATASET, "noise", "'noise': is a study, not a dataset spec; give it to `skyherd study`"),
     ],
 )
 def test_a_built_in_name_of_another_kind_is_recognized(wanted, name, said):

@@ -206,7 +206,7 @@ def test_what_crashes_is_started_again_and_all_end_together(tmp_path) -> None:
     supervisor.add("unit/0", ["--version"])
     child = supervisor.children[0]
     wait_for(lambda: (supervisor.tend(), child.code == 0)[1], "an end")
-    assert child.restarts == 0 and not supervisor.goes_on()
+    assert child.restarts == 0 and not supervisor.is_active()
     robot = Child("robot/1", [sys.executable, "-c", sleeper])
     supervisor.take(robot)
     wait_for(lambda: (supervisor.tend(), any("here" in line for line in said))[1], "a start")

@@ -112,7 +112,7 @@ def test_a_broker_that_hangs_gets_few_old_commands(broker) -> None:
     link = Mqtt(f"mqtt://127.0.0.1:{port}", 0)
     process.send_signal(signal.SIGSTOP)
     taken = 0
-    with pytest.raises(OSError, match=r"takes nothing|no connection"):
+    with pytest.raises(OSError, match=r"accepts no data|no connection"):
         for taken in range(200_000):  # noqa: B007
             link.write(STILL)
     assert taken < 100_000

@@ -171,14 +171,14 @@ def _tables(session: SessionHistory) -> list[Table]:
     return [
         Table(
             "Processes",
-            "All starts of each process together. Other reasons: the most frequent reason for standing still.",
+            "All starts of each process together. Other reasons: the longest reason for standing still.",
             ("process", "starts", "decisions", "drove", "other reasons", "refused", "dropped", "end"),
             [_process_row(session, logs) for logs in session.runs.values()],
         ),
         Table(
             "Clocks",
-            "For each process, the unit whose clock offset is least certain, estimated from the time stamps of "
-            "messages; medians over the run.",
+            "For each process, the unit whose clock offset is least certain, estimated from the time stamps "
+            "of messages; medians over the run.",
             ("process", "compared with", "offset", "uncertainty"),
             [row for name in session.runs for row in _clock_rows(session, name)],
         ),
@@ -233,9 +233,7 @@ def _lines(session: SessionHistory) -> list[str]:
         for number, log in enumerate(logs):
             began_s, ended_s = session.times_s(log, log.times_s).tolist()
             timed_lines.append((began_s, f"{name}: {'re' * bool(number)}started"))
-            timed_lines.append(
-                (ended_s, f"{name}: {'ended' if log.ended else 'its recording is cut off'}")
-            )
+            timed_lines.append((ended_s, f"{name}: {'ended' if log.ended else 'its recording is cut off'}"))
             times_s = session.times_s(log, [time_s for time_s, _ in log.lines]).tolist()
             texts = [line.removeprefix(f"{name}: ") for _, line in log.lines]
             timed_lines += [(time_s, f"{name}: {text}") for time_s, text in zip(times_s, texts, strict=True)]

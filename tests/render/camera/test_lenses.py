@@ -139,9 +139,15 @@ def test_a_zoom_lens_bends_otherwise_at_each_zoom():
     [
         ({"lens": "equidistant", "half_angle_deg": 62.0}, ["camera.lens", "degrees off the axis", "83"]),
         ({"lens": "equidistant", "half_angle_deg": 40.0, "zoom_k1": 0.1}, ["zoom_k1", "perspective"]),
-        ({"lens": "equidistant", "half_angle_deg": 40.0, "distortion": {"k1": 0.1}}, ["distortion", "leave it out"]),
+        (
+            {"lens": "equidistant", "half_angle_deg": 40.0, "distortion": {"k1": 0.1}},
+            ["distortion", "leave it out"],
+        ),
         ({"preset": "fish"}, ["no preset 'fish'", "fisheye"]),
-        ({"preset": "phone", "focal_px": 500.0, "half_angle_deg": 20.0}, ["focal_px and half_angle_deg", "exactly one"]),
+        (
+            {"preset": "phone", "focal_px": 500.0, "half_angle_deg": 20.0},
+            ["focal_px and half_angle_deg", "exactly one"],
+        ),
         (
             {"half_angle_deg": 30.0, "distortion": {"k1": -0.2}, "zoom_k1": 0.5},
             ["camera.distortion", "folds"],

@@ -4,7 +4,7 @@ import pytest
 
 from skyherd.live.lab import load_lab
 from skyherd.live.mailbox import Air, Mailbox
-from skyherd.live.operator import REPEAT_S, SETTLE_S, ArmCommand, StopCommand, arm, stop, watch
+from skyherd.live.operator import REPEAT_S, SETTLE_S, ArmCommand, Outcome, StopCommand, arm, stop, watch
 from skyherd.live.session import Session, outcome_lines
 from skyherd.live.stop_latch import MAX_STOP, NO_COMMAND, StopLatch
 from skyherd.live.wire import Arm, Heartbeat, Stop
@@ -290,3 +290,29 @@ def test_a_silent_robot_is_reported_by_what_units_heard_of_it() -> None:
     team.watched.listen = with_unit
     outcome = stop(LAB, team.watched, "test")
     assert outcome.missing == {0: f"silent; unit/0 heard it {2.0 + SETTLE_S:.1f} s ago"}
+
+
+@pytest.mark.parametrize(
+    ("outcome", "complete"),
+    [
+        (Outcome([1], {}), True),
+        (Outcome([1], {2: "never heard"}), False),
+        (Outcome([1], {}, "a stop is newer"), False),
+    ],
+)
+def test_outcome_is_complete_without_missing_and_failure(outcome, complete) -> None:
+    assert outcome.is_complete == complete
+
+
+@pytest.mark.parametrize(("cleared", "counts"), [(6, False), (7, True), (8, True)])
+def test_armed_robot_counts_if_it_knows_the_cleared_stop(cleared, counts) -> None:
+    """A heartbeat with a lower number was sent before the arm command."""
+    team = ScriptedTeam()
+    team.watched.latch = StopLatch(stop=7)
+    command = ArmCommand(LAB, team.watched)
+    team.robots[3].frozen = True
+    team.robots[3].armed, team.robots[3].latch = True, StopLatch(stop=7, cleared=cleared)
+    team.robots[3].beat()
+    team.pass_time(0.05)
+    command.advance()
+    assert (3 in command.outcome().done) == counts

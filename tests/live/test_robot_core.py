@@ -1,6 +1,7 @@
 """Safety rules of a robot: for any input, wheels turn only while every condition holds."""
 
 import math
+import re
 from dataclasses import replace
 
 import hypothesis.strategies as st
@@ -10,7 +11,7 @@ from hypothesis import given, settings
 
 from skyherd.control import MarkerGains, Wheels
 from skyherd.live.drivers import SpeedLimits
-from skyherd.live.peers import CONFLICT_S, ClockLimits
+from skyherd.live.peers import CONFLICT_S, ClockLimits, PeerClocks
 from skyherd.live.robot_core import DRIVING, RobotCore, RobotLimits
 from skyherd.live.stop_latch import NO_COMMAND, StopLatch
 from skyherd.live.wire import Arm, Envelope, Heartbeat, Sighting, Stop
@@ -180,7 +181,7 @@ def test_goals_without_sightings_do_not_move_robot() -> None:
     assert order.v_mps == 0 and order.reason == "no unit sees its marker"
 
 
-@pytest.mark.parametrize("jump_s", [-5.0, 3.0, math.nan, math.inf])
+@pytest.mark.parametrize("jump_s", [-5.0, -0.5, 3.0, math.nan, math.inf])
 def test_jump_of_own_clock_stops_robot(jump_s) -> None:
     scene = Scene()
     scene.drive()
@@ -399,6 +400,46 @@ def test_robot_after_sleep_waits_for_newly_sent_message() -> None:
     assert scene.step().reason == "no message from a unit since the process started or woke up"
     scene.see()
     assert scene.step().reason == DRIVING
+
+
+def test_image_age_is_that_of_the_newest_goal() -> None:
+    scene = Scene(offset_s=0.3)
+    assert scene.core.image_age_s(scene.now_s) is None
+    scene.drive()
+    scene.see(age_s=0.1)
+    assert scene.core.image_age_s(scene.now_s + 0.2) == pytest.approx(0.2 + STEP_S, abs=1e-3)
+    assert scene.core.image_age_s(scene.now_s) == pytest.approx(STEP_S, abs=1e-3)
+
+
+@pytest.mark.parametrize(("ahead_s", "accepted"), [(0.09, True), (0.15, False)])
+def test_future_image_is_accepted_within_uncertainty(ahead_s, accepted) -> None:
+    """Clocks are known to 0.06 s here; beyond that, `FUTURE_S` of 0.05 s is allowed."""
+    scene = Scene()
+    scene.wake()
+    scene.core.clocks = PeerClocks("robot/3", ClockLimits(1.0, 0.1))
+    sent_s = scene.now_s - 0.12
+    scene.core.receive(
+        Envelope("unit/0", sent_s + 0.06, Heartbeat({"robot/3": (sent_s, sent_s + 0.06)})), scene.now_s
+    )
+    assert scene.core.clocks.estimate("unit/0", scene.now_s).uncertainty_s == pytest.approx(0.06, abs=1e-3)
+    scene.core.receive(Envelope("unit/0", scene.now_s - 0.05, goals(scene.now_s + ahead_s)), scene.now_s)
+    assert (scene.core.image_age_s(scene.now_s) is not None) == accepted
+    if not accepted:
+        assert re.fullmatch(r"image of unit/0 is 0\.1\d s in the future", scene.step().reason)
+
+
+@pytest.mark.parametrize("other", [ROBOT - 1, ROBOT + 1])
+def test_goal_of_another_robot_is_left_out(other) -> None:
+    scene = Scene()
+    scene.wake()
+    empty = np.zeros((2, 0))
+    ids, rho = sorted([ROBOT, other]), [1.0, 1.0]
+    both = MotionGoals(0, scene.now_s, ids, rho, [0.1 * robot for robot in ids], [20.0, 20.0], empty, empty)
+    scene.unit_says(replace(goals(scene.now_s), ids=[other]))
+    assert scene.core.image_age_s(scene.now_s) is None
+    scene.unit_says(both)
+    assert scene.core.image_age_s(scene.now_s) == pytest.approx(0.0, abs=1e-3)
+    assert scene.step().wanted_omega_radps == pytest.approx(4.0 * 0.1 * ROBOT, rel=0.2)
 
 
 actions = st.one_of(

@@ -1,4 +1,4 @@
-"""Collisions, gaps and paths of a run, as its summary tells them."""
+"""Collisions, gaps and paths in a run's summary."""
 
 from dataclasses import replace
 
@@ -15,7 +15,7 @@ SIDE_M = 0.5
 
 @pytest.fixture(scope="module")
 def history(scenario_tree) -> History:
-    """The triangle of six with bodies 0.5 m across and an obstacle at the origin, for a second."""
+    """Return one second of the triangle of six with bodies 0.5 m across and an obstacle at the origin."""
     tree = scenario_tree("triangle") | {"perception": "ideal", "duration_s": 1.0}
     tree["marker"]["side_m"] = SIDE_M
     tree["robots"]["body_radius_sides"] = 0.5
@@ -25,7 +25,7 @@ def history(scenario_tree) -> History:
 
 
 def moved(history: History, *changes: tuple[int, int, tuple[float, float]]) -> History:
-    """Robots on a wide grid all the time, but for those put elsewhere at a step."""
+    """Return robots on a static wide grid, except for those displaced at a step."""
     steps = len(history.times_s)
     grid = np.column_stack([3.0 * np.arange(6), np.full(6, 10.0)])
     positions = np.repeat(grid[None], steps, axis=0)

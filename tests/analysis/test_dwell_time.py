@@ -1,4 +1,4 @@
-"""The dwell times of a run, and what Proposition 1 asks for, against the linear flow computed apart."""
+"""Dwell times of a run and Proposition 1, against an independently computed linear flow."""
 
 from dataclasses import replace
 
@@ -16,10 +16,10 @@ from skyherd.loop import run_steps
 from skyherd.sim.truth_metrics import TruthObserver
 
 CHAIN = [[range(8), range(6, 12), range(10, 16)], [range(6), range(4, 10), range(8, 16)]]
-"""Two topologies of TC1-TC5 over 16 robots, three units in a line each."""
+"""Two topologies of TC1-TC5 over 16 robots, each a chain of three units."""
 
 SLOT, STEP_S = 20, 0.1
-"""Steps from one change to the next, and the time of a step."""
+"""Steps between switches, and the time of a step, s."""
 
 
 @pytest.fixture(scope="module")
@@ -29,12 +29,12 @@ def base() -> History:
 
 
 def form(mission: Mission, sets: list[range]) -> np.ndarray:
-    """L in the sense of the ground."""
+    """Return L in ground sense."""
     return laplacian(mission.template.points_of(mission.ids).conj(), [np.array(members) for members in sets])
 
 
 def flown(base: History, slots: int, positions: np.ndarray | None = None) -> History:
-    """A history of the exact linear flow with the two topologies in turn, a slot each."""
+    """Return a history of the exact linear flow with the two topologies in turn, a slot each."""
     mission = base.mission
     flows = [expm(-mission.scenario.control.k * STEP_S * form(mission, sets)) for sets in CHAIN]
     p = to_complex(mission.positions_m) if positions is None else positions
@@ -65,14 +65,14 @@ def flown(base: History, slots: int, positions: np.ndarray | None = None) -> His
 
 
 def before_a_change(base: History, errors: np.ndarray) -> np.ndarray:
-    """Positions that the first topology brings to the shape plus these errors within a slot."""
+    """Return positions that the first topology maps to the shape plus these errors within a slot."""
     shape = base.mission.template.points_of(base.mission.ids).conj()
     flow = expm(base.mission.scenario.control.k * SLOT * STEP_S * form(base.mission, CHAIN[0]))
     return shape + flow @ (errors / np.abs(errors).max())
 
 
 def eigenvectors(base: History) -> np.ndarray:
-    """Errors (N, N - 2) by how much V rises as the second topology takes the first one's place, ascending."""
+    """Return errors (N, N - 2), ascending by the rise of V at the switch to the second topology."""
     first, second = (form(base.mission, sets) for sets in CHAIN)
     free = np.linalg.eigh(first)[1][:, 2:]
     return free @ eigh(free.conj().T @ second @ free, free.conj().T @ first @ free)[1]
@@ -198,7 +198,7 @@ def test_topologies_without_tc1_and_tc2_count_as_changes_and_tell_neither_ratio_
 
 
 def before_change(history: History, row: int) -> float:
-    """V at a step by the sets of the step before."""
+    """Return V at a step by the sets of the previous step."""
     p, sets = to_complex(history.positions_m[row]), CHAIN[(row - 1) // SLOT % 2]
     return float(np.vdot(p, form(history.mission, sets) @ p).real) / 2
 

@@ -1,4 +1,4 @@
-"""What methods are compared by: affine images, the shortest way, waypoints, and what had to be told."""
+"""Measures for comparing methods: affine images, shortest path, waypoints, and traffic."""
 
 import math
 import sys

@@ -1,4 +1,4 @@
-"""The shortest way in hindsight: against all assignments, its invariances, what it is asked to keep."""
+"""Shortest path: comparison with all assignments, invariances, and constraints."""
 
 from itertools import permutations
 
@@ -16,7 +16,7 @@ def random_points(rng: np.random.Generator, count: int) -> ComplexArray:
 
 
 def min_sum(points: ComplexArray, starts: ComplexArray, min_size: float) -> float:
-    """The least `Σ |a p + b - x|`, by a quasi-Newton method from the least squares, on smoothed distances.
+    """Minimise `Σ |a p + b - x|` by a quasi-Newton method from least squares, on smoothed distances.
 
     `sqrt(d² + s²)` with s = 1e-7 is above d by 1e-7 at most. `|a| = min_size + t²`.
     """
@@ -40,13 +40,13 @@ def min_sum(points: ComplexArray, starts: ComplexArray, min_size: float) -> floa
 
 
 def least_squares(points: ComplexArray, starts: ComplexArray) -> float:
-    """The least `Σ |a p + b - x|²` of any size; its root is a lower bound of the least `Σ |a p + b - x|`."""
+    """Minimise `Σ |a p + b - x|²` at any size; its root is a lower bound of the least `Σ |a p + b - x|`."""
     arms, way = points - points.mean(), starts - starts.mean()
     return float((np.abs(way) ** 2).sum() - np.abs(arms.conj() @ way) ** 2 / (np.abs(arms) ** 2).sum())
 
 
 def assert_places_belong(path, template: ComplexArray, starts: ComplexArray) -> complex:
-    """The places are a similarity of the template in the order told, as far from the starts as told."""
+    """Check that the places are a similarity of the template in the given order, at the given distance."""
     assert sorted(path.order.tolist()) == list(range(template.size))
     assert path.length == pytest.approx(np.abs(path.places - starts).sum(), rel=1e-12)
     a, b = np.polyfit(template[path.order], path.places, 1)

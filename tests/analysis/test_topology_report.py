@@ -1,4 +1,4 @@
-"""A topology judged: breaches name units and robots, rates agree with what the law does."""
+"""Topology report: breaches name units and robots, and rates agree with the control law."""
 
 import numpy as np
 import pytest
@@ -87,7 +87,7 @@ def test_a_path_breaks_nothing() -> None:
     ],
 )
 def test_breaches_name_units_and_robots(sets, conditions, said) -> None:
-    """Exactly the violated conditions have breaches, and each says who."""
+    """Exactly the violated conditions have breaches, and each names its cause."""
     found = breaches(*sets)
     assert sorted(found) == conditions
     for condition, words in said.items():
@@ -144,7 +144,7 @@ def test_too_short_a_stretch_has_no_rate() -> None:
 
 @pytest.fixture(scope="module")
 def small() -> History:
-    """Three units, twelve robots, no speed limit worth the name, for half a minute after the last switch."""
+    """Return a history of 3 units and 12 robots for 30 s after the last switch, without speed limit."""
     tree = random_mission(3, Crowd(3, 4)) | {"perception": "ideal", "duration_s": 90.0}
     tree["robots"] |= {"max_speed_mps": 5.0}
     tree.setdefault("control", {})["rectify"] = False

@@ -1,4 +1,4 @@
-"""`skyherd bench detectors`: its cells and frames, a stranger's detector, what it writes, what it refuses."""
+"""`skyherd bench detectors`: cells and frames, a user's detector, outputs, and rejected input."""
 
 import json
 import sys
@@ -59,7 +59,7 @@ def make_frames(cell, seed=3, dictionary="4X4_50"):
 
 
 frames = cache(make_frames)
-"""The same, made once for all tests that look at them."""
+"""Return the same frames, made once for all tests."""
 
 
 def test_the_design_covers_every_factor_and_fixes_all_others():
@@ -136,12 +136,12 @@ def test_markers_move_slowly_enough_to_be_tracked():
 
 @cache
 def first_frame(cell):
-    """The first frame of a cell's first camera."""
+    """Return the first frame of a cell's first camera."""
     return next(rendered_frames(replace(cell, cameras=1, frames=1), "4X4_50", 3))
 
 
 def frame_of(**factors):
-    """The first frame of a cell that differs by these factors, and of one that does not; without noise."""
+    """Return noise-free first frames of a cell with these factors, and of one without them."""
     cell = Cell(noise=0.01, blur_px=0.8)
     return [first_frame(c) for c in (replace(cell, **factors), cell)]
 
@@ -287,7 +287,7 @@ def test_the_bound_grows_with_noise_and_shrinks_with_the_side():
 
 @pytest.fixture
 def stranger(tmp_path, monkeypatch):
-    """A module of detectors in the working folder, as a user of the command has it."""
+    """Write a module of detectors in the working folder, as a user would."""
     (tmp_path / "strange_detectors.py").write_text(STRANGER, "utf-8")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", list(sys.path))
@@ -381,9 +381,7 @@ def test_a_detector_that_has_spent_its_time_leaves():
 
 @pytest.fixture(scope="module", params=["base", pytest.param("all", marks=pytest.mark.slow)])
 def result(request):
-    """Of the quick design, each cell measured; or the base cell and those without markers, the first of which
-    stand in for all others.
-    """
+    """Return the result of the quick design, each cell measured, or of the base cell and the empty cells."""
     plan = Plan(("opencv", "photometric"), "4X4_50", seed=1)
     cells = [cell for cell in quick_design(2) if cell.side_px < 60]
     cells = [replace(cell, cameras=1, frames=1) for cell in cells]

@@ -1,7 +1,7 @@
-"""`skyherd bench boards`: on synthetic boards its errors are the noise that was put in, and nothing else.
+"""`skyherd bench boards`: on synthetic boards, errors match the simulated noise.
 
-Corners are made directly, so that the truth is known: a board with errors of its own, seen through a
-homography and a lens, by detectors whose noise is given.
+Corners are made directly, so that the truth is known: a board with its own errors, seen through a homography
+and a lens, by detectors of given noise.
 """
 
 import json
@@ -33,13 +33,13 @@ K1 = -0.08
 
 
 def lens(points_px):
-    """Radial distortion about (400, 300): 8 % at 400 px."""
+    """Return radial distortion about (400, 300): 8 % at 400 px."""
     away = (points_px - [400.0, 300.0]) / 400.0
     return [400.0, 300.0] + 400.0 * away * (1 + K1 * (away**2).sum(axis=-1, keepdims=True))
 
 
 def view(rng):
-    """A homography that shows the whole board at 35 to 45 px a side."""
+    """Return a homography that shows the whole board at 35 to 45 px per side."""
     turn, size = rng.uniform(-0.3, 0.3), rng.uniform(35, 45)
     similarity = size * np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
     whole = np.eye(3)
@@ -55,15 +55,15 @@ def sightings(corners_px, ids=IDS, covariances=None):
 
 
 def synthetic(detectors, *, board_error=0.0, shared_px=0.0, seed=1, images=IMAGES, degree=4):
-    """Fits of images, and the planted board errors.
+    """Return fits of images, and the simulated board errors.
 
     Args:
         detectors: by name, functions of a random generator that give errors (K, 4, 2), px.
         board_error: standard deviation of the board's errors, marker sides.
-        shared_px: of an error of each marker that all detectors have, px.
-        seed: of everything.
+        shared_px: standard deviation of an error of each marker that all detectors have, px.
+        seed: seed of all random draws.
         images: number of images.
-        degree: of the polynomials that are fitted.
+        degree: degree of the fitted polynomials.
     """
     rng = np.random.default_rng(seed)
     planted = rng.normal(0, board_error, NOMINAL.shape)
@@ -90,7 +90,7 @@ def errors_of(fits, name, learned):
 
 
 def nothing(images=IMAGES):
-    """Board errors that are known to be none."""
+    """Return zero board errors."""
     shape = NOMINAL.shape
     return BoardErrors(np.zeros(shape), np.zeros((images, *shape)), np.zeros((len(IDS), 8, 8)))
 
@@ -328,7 +328,7 @@ def test_only_keeps_the_markers_named():
 
 @pytest.fixture
 def photographed(tmp_path):
-    """Three photographs of a grid of markers, warped and noisy, with their sets."""
+    """Return three photographs of a grid of markers, warped and noisy, with their sets."""
     folder = tmp_path / "images"
     folder.mkdir()
     board = cv2.aruco.GridBoard((5, 4), 1.0, 0.5, load_dictionary("4X4_50"))

@@ -1,4 +1,4 @@
-"""The benchmark of pairs: its times are the law's, and its rules are what they are called."""
+"""Benchmark of pair rules: times follow the law, and rules match their names."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""`skyherd bench photographs`: what counts as confirmed, what is counted, what is written and refused."""
+"""`skyherd bench photographs`: confirmation, counts, outputs, and rejected input."""
 
 import csv
 import json
@@ -57,7 +57,7 @@ class Liar:
 
 
 def seen(*markers):
-    """Sightings of (id, centre, side)."""
+    """Return sightings of (id, centre, side)."""
     ids = np.array([marker[0] for marker in markers], dtype=np.int64)
     corners = np.array([np.add(center, side * SQUARE) for _, center, side in markers]).reshape(-1, 4, 2)
     return Sightings(ids, corners, np.zeros((ids.size, 3, 3)))
@@ -68,7 +68,7 @@ def places(found):
 
 
 def draw(path, markers, size=(260, 320), ground=200):
-    """A picture of markers (id, left, top, side), a little blurred."""
+    """Draw a picture of markers (id, left, top, side), slightly blurred."""
     image = np.full(size, ground, np.uint8)
     for marker_id, left, top, side in markers:
         cells = marker_cells("4X4_50", marker_id).astype(np.uint8)

@@ -1,4 +1,4 @@
-"""The benchmark's scorer on made-up detections whose figures are known beforehand."""
+"""Scorer of the benchmark on artificial detections with known results."""
 
 from types import SimpleNamespace
 
@@ -12,7 +12,7 @@ SIDE_PX = 20.0
 
 
 def frame(ids, centers, headings=None, whole=None, bound=(0.01, 0.01, 0.001)):
-    """A frame of markers of 20 px whose bound has these standard deviations of u, v and heading."""
+    """Return a frame of markers of 20 px whose bound has these standard deviations of u, v and heading."""
     count = len(ids)
     return LabelledFrame(
         image=np.zeros((4, 4), np.uint8),
@@ -29,7 +29,7 @@ def frame(ids, centers, headings=None, whole=None, bound=(0.01, 0.01, 0.001)):
 
 
 def answer(ids, centers, headings=None, deviation=None):
-    """Detections, with a repeated id if one likes, which `Detections` itself would refuse."""
+    """Return detections, optionally with a repeated id, which `Detections` itself would reject."""
     count = len(ids)
     covariance = np.zeros((3, 3)) if deviation is None else np.diag(np.square(deviation))
     return SimpleNamespace(
@@ -122,7 +122,7 @@ def test_the_ratio_to_the_bound_is_of_the_same_markers():
 
 
 def gaussian(count, deviation, claimed, seed):
-    """Score of `count` detections with Gaussian errors, whose covariance says `claimed`."""
+    """Return the score of `count` detections with Gaussian errors, whose stated covariance is `claimed`."""
     rng = np.random.default_rng(seed)
     scorer = Scorer()
     for _ in range(count // 50):

@@ -1,4 +1,4 @@
-"""Any picture file comes in as the same grey image; what is no picture is one line."""
+"""Every picture format gives the same grey image; other files give one error line."""
 
 import contextlib
 import io
@@ -18,7 +18,7 @@ from skyherd.files.images import decode_jpeg, read_grey
 
 RNG = np.random.default_rng(5)
 GREY = RNG.integers(0, 256, (30, 44)).astype(np.uint8)
-"""Noise: any mistake in a place or a level shows."""
+"""Noise, which reveals any error in position or level."""
 
 SMOOTH = cv2.GaussianBlur(GREY, (0, 0), 4)
 

@@ -1,4 +1,4 @@
-"""Output folders: what is ours is known, and nothing else is ever replaced or removed."""
+"""Output folders: own files are known, and foreign files are never replaced or removed."""
 
 import json
 import os
@@ -19,7 +19,7 @@ NAMES = ["a.txt", "figures/b.txt"]
 
 
 def make(folder: Path, content: str = "made", *, verb: str = "run", names=NAMES, **options) -> None:
-    """What a verb does: claims names, and writes a file by each."""
+    """Act as a verb: claim names, and write a file of each."""
     with OutputFolder(folder, verb, names, **options):
         for name in names:
             (folder / name).parent.mkdir(exist_ok=True)

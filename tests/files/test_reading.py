@@ -1,4 +1,4 @@
-"""The door through which files come in: regular files of a size, explicit decoders, nothing that waits."""
+"""Validated file input: regular files of limited size, explicit decoders, no waiting."""
 
 import io
 import json
@@ -28,7 +28,7 @@ showpage
 
 @pytest.fixture
 def pipe(tmp_path):
-    """A FIFO that nobody writes to: who opens it as a file waits for ever."""
+    """Return a FIFO without a writer: opening it as a file blocks for ever."""
     os.mkfifo(tmp_path / "pipe")
     return tmp_path / "pipe"
 

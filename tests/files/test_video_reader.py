@@ -1,4 +1,4 @@
-"""Videos come in upright and with their streams' own times, whatever the camera wrote."""
+"""Videos are read upright, with the time stamps of their streams."""
 
 import gc
 from fractions import Fraction
@@ -16,10 +16,10 @@ from skyherd.files.video_reader import open_clip, read_clip
 from skyherd.files.video_writer import VideoSink, read_frames
 
 UNEVEN_S = (0.0, 0.04, 0.2, 0.21, 0.9)
-"""Times of frames of no even rate, multiples of 0.01 s."""
+"""Uneven frame times, multiples of 0.01 s."""
 
 LEVELS = np.kron(np.array([[30, 90], [150, 220]], np.uint8), np.ones((32, 48), np.uint8))
-"""A picture (64, 96) whose quarters tell how it lies."""
+"""Picture (64, 96) whose quarters show its orientation."""
 
 MATRICES = {
     "upright": ((1, 0, 0, 1), lambda image: image),
@@ -31,11 +31,11 @@ MATRICES = {
     "transposed": ((0, 1, 1, 0), lambda image: image.T),
     "transposed, half turn": ((0, -1, -1, 0), lambda image: np.rot90(image.T, 2)),
 }
-"""Display matrices (a, b, c, d) of MP4 files, and what a player then does to the picture."""
+"""Display matrices (a, b, c, d) of MP4 files, and the picture's transformation by a player."""
 
 
 def write(path, images, times_s=None, *, start_s=0.0):
-    """A video of grey images at given times, 25 a second if left out, and its path."""
+    """Write a video of grey images at given times, by default 25 per second, and return its path."""
     times_s = np.arange(len(images)) / 25 if times_s is None else times_s
     with av.open(str(path), "w") as container:
         stream = container.add_stream("mpeg4", rate=25)
@@ -105,14 +105,14 @@ FORMATS = [
     *("yuv420p", "yuvj420p", "yuv422p", "yuvj422p", "yuv444p", "nv12", "yuyv422", "gray", "rgb24", "bgr24"),
     *("gbrp", "yuv420p10le", "yuv422p10le", "p010le", "gray10le"),
 ]
-"""Pixel formats of cameras and files: planes, packed, colours, and ten bits."""
+"""Pixel formats of cameras and files: planar, packed, coloured, and ten bits."""
 
 RANGES = {"not said": 0, "16 to 235": 1, "0 to 255": 2}
 """Ranges of grey levels, by FFmpeg's numbers."""
 
 
 def coloured(form, levels, size_px=(802, 600)):
-    """A decoded frame of noise and of colours in a pixel format and a range of levels."""
+    """Return a decoded frame of noise and of colours in a pixel format and a range of levels."""
     width, height = size_px
     picture = np.random.default_rng(7).integers(0, 256, (height, width, 3), dtype=np.uint8)
     picture[: height // 2] = np.arange(width, dtype=np.uint32)[:, None] % 256
@@ -176,7 +176,7 @@ def test_a_frame_is_given_back_as_soon_as_its_image_is(tmp_path, held):
 
 
 def noisy(count=30):
-    """Images of which each is as large in the file as the others."""
+    """Return images of equal encoded size."""
     levels = np.random.default_rng(3).integers(0, 256, (count, 64, 96))
     return list(levels.astype(np.uint8))
 

@@ -21,11 +21,11 @@ pytestmark = pytest.mark.skipif(not can_help(), reason="processes are forked on 
 GONE = OutputError("the helper is gone")
 
 LIMIT_S = 60.0
-"""Time after which a test gives up waiting for a process, s. Chosen: thousands of times what it takes."""
+"""Timeout of a test for a process, s. Chosen: thousands of times the usual duration."""
 
 
 def alive(pid):
-    """Whether a process is there and no zombie."""
+    """Return whether a process exists and is not a zombie."""
     try:
         with open(f"/proc/{pid}/stat") as stat:
             return stat.read().rsplit(")", 1)[1].split()[0] != "Z"
@@ -41,7 +41,7 @@ def wait_until(true):
 
 
 class Adder:
-    """Adds up what it is asked, and tells its process."""
+    """Sums of all requests, with the process id."""
 
     def __init__(self):
         self.total = 0
@@ -129,7 +129,7 @@ def test_signals_are_left_to_the_maker():
 
 @pytest.mark.parametrize("how", ["killed", "killed at work", "ended without closing"])
 def test_helpers_end_with_their_maker(how):
-    """Three of them: those forked later have copies of the pipes of those before."""
+    """Three helpers: later forks have copies of the earlier ones' pipes."""
     code = f"""
 import time
 from skyherd.jobs.helpers import Helper

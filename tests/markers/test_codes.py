@@ -1,5 +1,4 @@
-"""Generated dictionaries: distances by brute force over every pair, turn and mirror image, not by the code's
-theory."""
+"""Generated dictionaries: distances by brute force over every pair, rotation and mirror image."""
 
 import cv2
 import numpy as np
@@ -24,17 +23,17 @@ FROZEN = [
 ]
 
 SOME = [pytest.param(name, marks=pytest.mark.slow if name.startswith("6X6") else ()) for name in CODES]
-"""The least and the largest. What all are, `FROZEN` tells; slow tests take those of 6 x 6 bits, too."""
+"""The smallest and the largest. `FROZEN` covers all; slow tests include those of 6x6 bits."""
 
 
 def images_of(bits: np.ndarray, mirrored: bool) -> list[np.ndarray]:
-    """Four quarter turns (N, n²), as -1 and 1."""
+    """Return four quarter turns (N, n²), as -1 and 1."""
     side = bits[:, :, ::-1] if mirrored else bits
     return [np.rot90(side, k, (1, 2)).reshape(len(bits), -1) * np.float32(2) - 1 for k in range(4)]
 
 
 def min_distance(bits: np.ndarray, *, mirrored: bool, every: int = 1) -> int:
-    """Of each marker, or of one in so many, to all in all turns; to itself unturned is left out."""
+    """Return the least distance of every `step`-th marker to all in all turns, except to itself."""
     n = bits[0].size
     chosen = np.arange(0, len(bits), every)
     own, least = images_of(bits, False)[0], n
@@ -100,7 +99,7 @@ def test_opencv_takes_them_with_half_the_distance_to_correct(name: str) -> None:
 
 
 def sheet_of(name: str, ids: list[int]) -> np.ndarray:
-    """Markers of 60 px side by side, each turned once more than the one before."""
+    """Draw markers of 60 px side by side, each turned once more than the previous one."""
     n = cells_per_side(name)
     image = np.full((100, 100 * len(ids)), 255, np.uint8)
     for k, marker_id in enumerate(ids):

@@ -1,4 +1,4 @@
-"""The Cramér–Rao bound against published figures, a brute-force Fisher matrix, and simulated estimation."""
+"""Cramér–Rao bound against published values, a brute-force Fisher matrix, and simulated estimation."""
 
 import numpy as np
 import pytest
@@ -22,13 +22,13 @@ TABLE = {
 
 
 def similarity(side_px, heading_rad=0.0, center_px=(0.0, 0.0)):
-    """From marker coordinates (forward, left) to pixels: left is a quarter turn against the image's sense."""
+    """Return the map from marker coordinates (forward, left) to pixels: left is against the image's sense."""
     c, s = side_px * np.cos(heading_rad), side_px * np.sin(heading_rad)
     return np.array([[c, s, center_px[0]], [s, -c, center_px[1]], [0.0, 0.0, 1.0]])
 
 
 def tilted(markers, tilt_rad=0.26, focal_px=400.0, middle_px=100.0):
-    """Seen by a camera turned about its u axis, `K R K⁻¹`, and cut so that the middle stays in its place."""
+    """Return the view of a camera rotated about its u axis, `K R K⁻¹`, cropped to keep the centre."""
     c, s = np.cos(tilt_rad), np.sin(tilt_rad)
     intrinsic = np.array([[focal_px, 0.0, middle_px], [0.0, focal_px, middle_px], [0.0, 0.0, 1.0]])
     turn = np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
@@ -81,7 +81,7 @@ ROUNDING = 1.0 / 12.0
 
 
 def scanned_card(dictionary, marker_id, image_marker, pixels, sigma_px, black, white, ground):
-    """Grey levels (P,) at pixels (P, 2): exact along u on scan lines, which are summed along v.
+    """Return grey levels (P,) at pixels (P, 2): exact along u on scan lines, summed along v.
 
     On a scan line the card is piecewise constant between its crossings with the cells' edges, whatever the
     homography, and a Gaussian over a constant piece is a difference of normal distributions.
@@ -117,7 +117,7 @@ def pose(image_marker):
 
 
 def brute_force_covariances(ids, markers, psf_px, noise, slanted):
-    """Joint Fisher matrix of all unknowns by central differences of scanned images, inverted in one piece.
+    """Invert the joint Fisher matrix of all unknowns, by central differences of scanned images.
 
     Unknowns of a marker: shift, turn, log scale on its plane, gain, offset, log blur, ground level; then
     entries of one homography of the image: two affine, two projective.
@@ -128,7 +128,7 @@ def brute_force_covariances(ids, markers, psf_px, noise, slanted):
     fisher, derivatives = np.zeros((total, total)), np.zeros((len(ids), 3, total))
 
     def changed(marker, k, by):
-        """Homography, sigma, gain, offset and ground with unknown k changed."""
+        """Return homography, sigma, gain, offset and ground with unknown k changed."""
         near, far = np.eye(3), np.eye(3)
         if k == 0:
             near[0, 2] = by

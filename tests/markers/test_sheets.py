@@ -1,4 +1,4 @@
-"""Marker sheets: read back from the PDF's drawing commands, and detected in a raster of the pages."""
+"""Marker sheets: parsed from the PDF's drawing commands, and detected in a raster of the pages."""
 
 import io
 import re
@@ -17,11 +17,11 @@ from skyherd.vision import create_detector
 
 POINTS_PER_MM = 72 / 25.4
 ROUNDING_MM = 2e-6 / POINTS_PER_MM
-"""The PDF's numbers have six decimals of a point; a side is the difference of two."""
+"""Tolerance of sides, mm: coordinates have six decimals of a point, and a side is a difference of two."""
 
 
 def pages_of(pdf: bytes) -> list[str]:
-    """Drawing commands of each page."""
+    """Return the drawing commands of each page."""
     streams = [
         zlib.decompress(data) for data in re.findall(rb"stream\r?\n(x.*?)\r?\nendstream", pdf, re.DOTALL)
     ]
@@ -29,7 +29,7 @@ def pages_of(pdf: bytes) -> list[str]:
 
 
 def squares_mm(page: str, side_mm: float) -> np.ndarray:
-    """Lower left corners (N, 2) of the filled squares of that side, mm."""
+    """Return the lower left corners (N, 2), mm, of the filled squares of that side."""
     path = r"([\d.]+) ([\d.]+) m\n([\d.]+) ([\d.]+) l\n([\d.]+) ([\d.]+) l\n([\d.]+) ([\d.]+) l\nh\s+f"
     corners = np.array([[float(x) for x in found] for found in re.findall(path, page)]).reshape(-1, 4, 2)
     corners /= POINTS_PER_MM
@@ -65,7 +65,7 @@ def test_a_square_of_another_side_is_told_apart(tmp_path) -> None:
     "dictionary", ["4X4_50", "6X6_1900", pytest.param("APRILTAG_36h11", marks=pytest.mark.slow)]
 )
 def test_pages_are_detected_at_true_size_heading_up(dictionary: str) -> None:
-    """At 254 dots an inch, ten a millimetre: edges are rounded to whole dots, so sides are right to one."""
+    """At 254 dpi, ten dots per mm: edges are rounded to dots, so that sides are right to one."""
     ids = [0, 7, 15, 300][: 3 if dictionary == "4X4_50" else 4]
     layout = lay_out("A5", 50.0, dictionary)
     found = []

@@ -1,4 +1,4 @@
-"""Figures: every panel is there, shows the history and nothing else, and comes out the same each time."""
+"""Figures: all panels exist, match the history, and are reproducible."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -31,7 +31,7 @@ def short_run(name: str, duration_s: float, *settings: str) -> History:
 
 @pytest.fixture(scope="module", autouse=True)
 def fine_figures() -> Iterator[None]:
-    """Figures have the resolution that users get."""
+    """Set the resolution of users' figures."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(panels, "DPI", DPI)
         yield
@@ -51,7 +51,7 @@ def one_step_one_unit() -> History:
 
 @pytest.fixture(scope="module", params=["one_step_one_unit", pytest.param("history", marks=pytest.mark.slow)])
 def shown(request: pytest.FixtureRequest) -> History:
-    """One step of one unit, or two seconds of three."""
+    """Return one step of one unit, or two seconds of three."""
     return request.getfixturevalue(request.param)
 
 
@@ -62,7 +62,7 @@ def figures(shown: History, tmp_path_factory: pytest.TempPathFactory) -> list[Fi
 
 @pytest.fixture(scope="module")
 def draw() -> Callable[[Callable[[History], Figure], History], Figure]:
-    """Draw a figure in the style that the files have, and lay it out."""
+    """Draw a figure in the style of the files, and lay it out."""
 
     def draw_it(panel: Callable[[History], Figure], history: History) -> Figure:
         with drawing_style():
@@ -78,7 +78,7 @@ def each_column(values: np.ndarray) -> list[np.ndarray]:
 
 
 def drawn(axes: Any, label_start: str) -> list[np.ndarray]:
-    """Vertical data of the axes' lines whose label starts so."""
+    """Return the vertical data of lines whose label starts with the text."""
     return [np.asarray(line.get_ydata()) for line in axes.lines if line.get_label().startswith(label_start)]
 
 

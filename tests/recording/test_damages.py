@@ -1,9 +1,9 @@
-"""A recording damaged at random: never a traceback, never read as whole, never more lost than was hit.
+"""Random damage of a recording: no traceback, never read as whole, and no excess loss.
 
-What was hit follows from the file as it was written: the chunks whose bytes a damage touched. Every step of
-every other chunk must come back, equal to what was written. The damages are drawn from a fixed seed: flipped
-bits and bytes, pieces overwritten, cut out or put in, chunks swapped, repeated and cut out, and files that
-break off, each of a file that was closed and of one whose writer was killed.
+The chunks hit by a damage follow from the original file. Every step of every other chunk must be read back
+unchanged. The damages are drawn from a fixed seed: flipped bits and bytes, pieces overwritten, removed or
+inserted, chunks swapped, repeated and removed, and truncated files. Each applies to a closed file and to one
+whose writer was killed.
 """
 
 import errno
@@ -26,7 +26,7 @@ from skyherd.recording.survey import Flaw, describe_flaws, survey
 from skyherd.recording.writer import McapRecorder
 
 CHUNK_OPCODE, CHUNK_HEAD = 6, 9 + 8 + 8 + 8 + 4 + 4 + 4 + 8
-"""Opcode of a chunk, and bytes before what it packs: record, times, size, checksum, compression, length."""
+"""Opcode of a chunk, and bytes before its content: record, times, size, checksum, compression, length."""
 
 
 CHECKSUM = 9 + 8 + 8 + 8
@@ -35,7 +35,7 @@ CHECKSUM = 9 + 8 + 8 + 8
 
 @dataclass
 class Written:
-    """A recording as it was written: its bytes, where its chunks lie, and which steps each of them holds."""
+    """An undamaged recording: its bytes, the positions of its chunks, and the steps in each."""
 
     data: bytes
     spans: list[tuple[int, int]]
@@ -49,7 +49,7 @@ def packed_length(data, start):
 
 @pytest.fixture(scope="module")
 def closed(tmp_path_factory) -> Written:
-    """Five seconds of six robots, two steps a chunk."""
+    """Return five seconds of six robots, two steps per chunk."""
     path = tmp_path_factory.mktemp("closed") / "run.mcap"
     mission = load_mission(
         "triangle", ["perception=ideal", "duration_s=5.0", "step_s=0.25", "units.*.frame_rate_hz=4.0"]
@@ -74,14 +74,14 @@ def closed(tmp_path_factory) -> Written:
 
 @pytest.fixture(scope="module")
 def killed(closed) -> Written:
-    """The same without its end, as SIGKILL leaves it right after the last flush."""
+    """Return the same file without its end, as SIGKILL leaves it right after the last flush."""
     return Written(
         closed.data[: closed.spans[-2][1]], closed.spans[:-1], closed.rows[:-1], closed.positions_m
     )
 
 
 def hit_by(written, low, high):
-    """Numbers of the chunks that the bytes from `low` to `high` touch."""
+    """Return the numbers of the chunks that overlap the bytes from `low` to `high`."""
     return {n for n, (start, end) in enumerate(written.spans) if start < high and low < end}
 
 
@@ -105,7 +105,7 @@ def flip_opcode_of_chunk(written, rng):
 
 
 def flip_end(written, rng):
-    """In the metadata, the summary or the footer."""
+    """Flip a bit in the metadata, the summary or the footer."""
     at, data = int(rng.integers(written.spans[-1][1], len(written.data))), bytearray(written.data)
     data[at] ^= 1 << int(rng.integers(8))
     return bytes(data), set()
@@ -140,7 +140,7 @@ def cut_chunk(written, rng):
 
 
 def repeat_chunk(written, rng):
-    """Anywhere between two chunks, in place of nothing."""
+    """Insert a copy of a chunk between two chunks."""
     start, end = written.spans[int(rng.integers(len(written.spans)))]
     at = written.spans[int(rng.integers(len(written.spans)))][0]
     return written.data[:at] + written.data[start:end] + written.data[at:], set()
@@ -169,7 +169,7 @@ DAMAGES = (
 
 
 def check_damage(written, number, path):
-    """Damage a recording in the way of a number, and see what is read of it."""
+    """Damage a recording by a numbered method, and check the data read from it."""
     rng = np.random.default_rng([20, number])
     kind = DAMAGES[number % len(DAMAGES)]
     if kind is flip_end and len(written.data) == written.spans[-1][1]:

@@ -1,4 +1,4 @@
-"""Foxglove's messages: each is as its schema says, points are where Foxglove has them, angles turn right."""
+"""Foxglove messages: schemas, pixel coordinates, and sense of rotation."""
 
 import base64
 

@@ -1,7 +1,7 @@
-"""Recordings that no run of this version wrote: checksums and footer are right, what they say is not.
+"""Recordings with valid checksums and footer but altered content.
 
-A value somewhere in a recording is replaced by one that does not belong there. Either the recording is
-refused in one line, or everything that reads recordings can work with what it gives: nothing fails later.
+A value in a recording is replaced by an invalid one. Either the recording is rejected in one line, or all
+readers of recordings can process it: nothing fails later.
 """
 
 import json
@@ -25,7 +25,7 @@ NASTY = (
     None, True, -1, 0, 1, 2**40, 2**64 - 1, 1e300, -1e300, 1e-320, 0.5, "", "nan", "x" * 3000, "\0",
     [], {}, [[]], [None], [1e300, 0], [[[1, 2]]], {"a": 1}, [0] * 500, {"scenario": 3},
 )  # fmt: skip
-"""What values are replaced by."""
+"""Replacement values."""
 
 SETTINGS = [
     "duration_s=0.2",
@@ -40,12 +40,12 @@ SETTINGS = [
 
 @pytest.fixture(scope="module")
 def messages(tmp_path_factory):
-    """Of the recording of a tree of units."""
+    """Return the messages of a recording with a tree of units."""
     return recorded(load_mission("chain", SETTINGS), tmp_path_factory.mktemp("real") / "run.mcap")
 
 
 def recorded(mission, path):
-    """Topic, time and content of a recording's messages, each content as JSON text."""
+    """Return topic, time and content of a recording's messages, each content as JSON text."""
     with McapRecorder(path, mission) as recorder:
         for step in run_steps(mission):
             recorder.write(step)
@@ -98,7 +98,7 @@ def test_a_single_id_that_belongs_to_nobody_is_refused(tmp_path, topic, key, why
 
 
 def places(tree, at=()):
-    """Ways to every value in a tree of JSON values."""
+    """Return the paths to every value in a tree of JSON values."""
     yield at
     items = tree.items() if isinstance(tree, dict) else enumerate(tree[:4]) if isinstance(tree, list) else ()
     for key, value in items:
@@ -106,7 +106,7 @@ def places(tree, at=()):
 
 
 def changed(text, rng):
-    """A message's text with one value replaced, or one key or item gone; and what was done."""
+    """Return a message's text with one value replaced, or one key or item removed, and a description."""
     tree = json.loads(text)
     ways = list(places(tree))
     way = ways[int(rng.integers(len(ways)))]
@@ -124,7 +124,7 @@ def changed(text, rng):
 
 
 def read_all(path):
-    """What verbs do with a recording."""
+    """Perform what verbs do with a recording."""
     recording = read_recording(path)
     history = make_history(recording.mission, recording.steps)
     json.dumps(summarize(history, recording.wall_s))

@@ -1,4 +1,4 @@
-"""A run that is killed at any moment loses at most half a second of simulated time, and says what it has."""
+"""A killed run loses at most half a second of simulated time, and reports the rest."""
 
 import io
 import os
@@ -32,11 +32,11 @@ with open(sys.argv[2], "w", buffering=1) as clock:
     print("begun", file=clock)
     run_mission(mission, Path(sys.argv[1]), video=False, on_step=lambda step: print(step.time_s, file=clock))
 """
-"""A run that writes the time of each step into a file as it is taken, and lasts until it is killed."""
+"""Program of a run that writes the time of each step into a file, and lasts until it is killed."""
 
 
 def killed_after(folder, clock, wait_s):
-    """Kill a run some time after it began, and return the simulated time that it reached; None for none."""
+    """Kill a run after some time, and return the simulated time that it reached; None for none."""
     clock.write_text("")
     run = subprocess.Popen([sys.executable, "-c", RUN, str(folder), str(clock)], stderr=subprocess.DEVNULL)
     try:

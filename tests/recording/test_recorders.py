@@ -1,4 +1,4 @@
-"""A third recorder, written from the docstring of `Recorder` alone, and the progress that a run reports."""
+"""A third recorder, written from the docstring of `Recorder` alone, and progress of a run."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -15,7 +15,7 @@ from skyherd.runner import RECORDING, run_mission
 
 
 class PathRecorder:
-    """Writes the first robot's path to a text file."""
+    """Recorder of the first robot's path as a text file."""
 
     def __init__(self, path: Path) -> None:
         self.path, self.times_s, self.ends = path, list[float](), list[type[BaseException] | None]()
@@ -37,7 +37,7 @@ class PathRecorder:
 
 
 class Reported:
-    """Keeps what it is told of the progress."""
+    """Progress that keeps all reports."""
 
     def __init__(self) -> None:
         self.calls: list[tuple[str, float, float | None, str | None]] = []
@@ -48,7 +48,7 @@ class Reported:
 
 @pytest.fixture
 def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
-    """Runs half a second of a mission; figures and page are left out."""
+    """Run half a second of a mission, without figures and page."""
     monkeypatch.setattr(runner, "make_report", lambda folder, film: {"folder": folder})
     monkeypatch.setattr(runner, "write_figures", lambda history, folder, jobs: [])
     mission = load_mission("triangle", ["perception=ideal", "duration_s=0.5"])

@@ -1,4 +1,4 @@
-"""A recording gives back what was written, as far as it goes."""
+"""A recording returns the written data, as far as the file goes."""
 
 import io
 from dataclasses import replace
@@ -31,7 +31,7 @@ def steps(mission):
 
 @pytest.fixture(scope="module")
 def steps_again(mission):
-    """The same mission, run a second time."""
+    """Return the steps of the same mission, run a second time."""
     return list(run_steps(mission))
 
 
@@ -125,13 +125,13 @@ def test_what_is_no_recording_is_refused(tmp_path):
 
 
 def older_scenario(topic, record):
-    """Before steering had a name it was switched on."""
+    """Return a scenario of a version before steering had a name."""
     if topic == "/mission":
         record["scenario"]["avoidance"]["detour"] = True
 
 
 def older_step(topic, record):
-    """A world that did not yet say how high the units fly."""
+    """Return a world of a version without unit heights."""
     if topic == "/world":
         del record["fleet"]
 

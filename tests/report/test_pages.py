@@ -1,4 +1,4 @@
-"""The template engine of the pages: whatever is inserted is escaped, and markup is in templates alone."""
+"""Template engine of the pages: inserted text is escaped, and markup is in templates only."""
 
 import ast
 from importlib.resources import files
@@ -25,7 +25,7 @@ PAGES = {
         "methods.html": "study.html",
     },
 }
-"""Templates of each package, with what they extend."""
+"""Templates of each package, with their base templates."""
 HOSTILE = '<script>alert(1)</script> & "quoted" {{ title }}'
 
 

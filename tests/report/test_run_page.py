@@ -1,4 +1,4 @@
-"""The report's page, as text and as a browser shows it."""
+"""The report's page, as text and in a browser."""
 
 import dataclasses
 from collections.abc import Callable, Iterator
@@ -24,7 +24,7 @@ from skyherd.report.run_page import write_page
 
 WIDTHS = {"desktop": (1280, 900), "phone": (390, 844)}
 FEW = tuple(panel for panel in PANELS if panel.name in {"paths", "cost", "topology"})
-"""One figure of each kind is enough to see that a page shows what it is given; slow tests show all."""
+"""One figure of each kind suffices to test the page; slow tests use all."""
 
 VERSIONS = MappingProxyType({"skyherd": "0.1.0", "numpy": np.__version__})
 
@@ -36,7 +36,7 @@ def history() -> History:
 
 
 def write_video(path: Path) -> None:
-    """Two seconds, from dark to bright."""
+    """Write a video of two seconds, from dark to bright."""
     with VideoSink(path, (160, 120), 10) as sink:
         for grey in np.linspace(0, 255, 20).astype(np.uint8):
             sink.write(np.full((120, 160, 3), grey))
@@ -62,7 +62,7 @@ def page(history: History, on_page: tuple[Panel, ...], tmp_path_factory: pytest.
 
 
 class Outline(HTMLParser):
-    """Tags in the order met; checks that each is closed where it should be."""
+    """Tags in document order; checks that each is closed in the right place."""
 
     VOID = frozenset({"meta", "link", "img", "br"})
 
@@ -182,7 +182,7 @@ def test_a_page_that_cannot_be_written_is_named(history: History, tmp_path: Path
 
 @dataclass
 class Window:
-    """The page in a window, and what it has asked for and complained of so far."""
+    """The page in a browser window, with its requests and console messages so far."""
 
     page: Any
     requests: list[str] = dataclasses.field(default_factory=list)
@@ -193,7 +193,7 @@ class Window:
     scope="module", params=[(w, scheme) for w in WIDTHS for scheme in ("light", "dark")], ids="-".join
 )
 def window(browser: Any, page: Path, request: pytest.FixtureRequest) -> Iterator[Window]:
-    """The page as loaded, once for all tests: loading takes most of their time."""
+    """Load the page once for all tests: loading takes most of their time."""
     width, scheme = request.param
     size = dict(zip(("width", "height"), WIDTHS[width], strict=True))
     opened = Window(browser.new_page(viewport=size, color_scheme=scheme))
@@ -211,7 +211,7 @@ CLOSE = "open => document.querySelectorAll('details').forEach((e, k) => { e.open
 
 @pytest.fixture
 def shown(window: Window, page: Path) -> Iterator[Any]:
-    """The page in a window, left as it was found; it asks for nothing and complains of nothing meanwhile."""
+    """Return the page in a clean window, and check that it makes no request and logs no error."""
     before = window.page.evaluate(OPENED)
     yield window.page
     window.page.evaluate(CLOSE, before)
@@ -273,7 +273,7 @@ def test_text_stands_out_from_its_ground(shown: Any) -> None:
 
 
 def luminance(rgb: list[int]) -> float:
-    """Relative luminance of an 8-bit sRGB colour (WCAG 2)."""
+    """Return the relative luminance of an 8-bit sRGB colour (WCAG 2)."""
     share = np.array(rgb) / 255
     linear = np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
     return float(linear @ [0.2126, 0.7152, 0.0722])

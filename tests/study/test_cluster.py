@@ -1,4 +1,4 @@
-"""Studies through Dask: no kill at any moment changes the table."""
+"""Studies through Dask: a kill at any moment does not change the table."""
 
 import json
 import signal
@@ -42,12 +42,11 @@ def append_and_act(self, outcomes):
 Store.append = append_and_act
 main()
 """
-"""skyherd, doing something right after a part was written: so it happens in the middle of the study, however
-fast the machine is."""
+"""Program that acts right after a part was written, in the middle of the study on any machine."""
 
 
 def start(path: Path, out: Path, *options: str, **at_part: str) -> subprocess.Popen[str]:
-    """A study in another process; `part_3="kill_worker()"` is done after its third part is there."""
+    """Start a study in another process; `part_3="kill_worker()"` runs after its third part is written."""
     acts = {int(name.removeprefix("part_")): act for name, act in at_part.items()}
     program = PROGRAM.replace("{at_part}", repr(acts))
     return subprocess.Popen(
@@ -68,7 +67,7 @@ def finish(path: Path, out: Path, *options: str) -> bytes:
 
 @pytest.fixture(scope="module")
 def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> bytes:
-    """The table of the same study, run one after the other without any cluster."""
+    """Return the table of the same study, run sequentially without a cluster."""
     out = tmp_path_factory.mktemp("study")
     path = out / "small.toml"
     path.write_text(SLOW_ENOUGH, "utf-8")
@@ -98,7 +97,7 @@ def test_worker_and_client_killed_in_mid_study_and_resumed_give_the_undisturbed_
 
 @pytest.fixture
 def loopback(tmp_path: Path) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
-    """A scheduler in a process of its own, with one worker: its address, and its process."""
+    """Start a scheduler in its own process, with one worker; return its address and its process."""
     file = tmp_path / "scheduler.json"
     place = ["--host", "127.0.0.1", "--no-dashboard"]
 

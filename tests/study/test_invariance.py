@@ -1,4 +1,4 @@
-"""The invariance report: goals and predictions against geometry, a small study's page, what is refused."""
+"""Invariance report: goals and predictions against geometry, a small study's page, rejected input."""
 
 from pathlib import Path
 from typing import Any
@@ -38,7 +38,7 @@ grid = { "units.0.camera" = [{ preset = "fisheye" }] }
 
 
 def small_text() -> str:
-    """The built-in study with three sweeps, exact projection and few images."""
+    """Return the built-in study with three sweeps, exact projection and few images."""
     text = study_text("invariance")
     head = text[: text.index("[[sweeps]]")].replace('["ideal", "rendered"]', '["ideal"]')
     head = head.replace("duration_s = 12.0", "duration_s = 3.0").replace("seed = [1, 2, 3]", "seed = [1]")
@@ -79,7 +79,7 @@ def test_an_ideal_cameras_goals_are_exact() -> None:
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Plan, Path]:
-    """The small study, and its folder."""
+    """Return the small study and its folder."""
     folder = tmp_path_factory.mktemp("study")
     (folder / "small.toml").write_text(small_text(), "utf-8")
     plan = make_plan(load_study(str(folder / "small.toml")))

@@ -1,4 +1,4 @@
-"""Formation controllers on the same tasks: what is made of a table, and what the study asks of its file."""
+"""Formation controllers on the same tasks: outputs from a table, and requirements of the study's file."""
 
 import re
 from pathlib import Path
@@ -47,7 +47,7 @@ ROOT = Path(__file__).parents[2]
 
 
 def row(method: str, task: str, **values: Any) -> dict[str, Any]:
-    """A row of the table, of a run that formed the shape."""
+    """Return a table row of a run that formed the shape."""
     told = "complex-laplacian" if method == "theirs" else "similarity"
     fields = {
         "reached_s": 10.0,

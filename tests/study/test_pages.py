@@ -1,4 +1,4 @@
-"""What is made of a study's table."""
+"""Outputs from a study's table."""
 
 from pathlib import Path
 from typing import Any

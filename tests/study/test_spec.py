@@ -1,4 +1,4 @@
-"""What a study's file means: grids, sweeps, draws, keys."""
+"""Interpretation of a study's file: grids, sweeps, draws, keys."""
 
 from pathlib import Path
 from typing import Any

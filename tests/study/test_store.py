@@ -1,4 +1,4 @@
-"""What is kept of a study's runs, and what is made again."""
+"""Stored outcomes of a study's runs, and repeated runs."""
 
 from pathlib import Path
 from typing import Any

@@ -1,4 +1,4 @@
-"""Studies from the command line: what is refused, listed and shown."""
+"""Studies on the command line: rejected input, listing and display."""
 
 import json
 import subprocess

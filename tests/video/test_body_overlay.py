@@ -1,4 +1,4 @@
-"""Bodies in pictures: where they are and as large as they are; overlaps and new places are plain to see."""
+"""Bodies in pictures: position, size, overlaps and exchanged roles."""
 
 from dataclasses import replace
 from typing import Any
@@ -22,7 +22,7 @@ OBSTACLE = {"id": 40, "position_m": [0.4, 0.2], "radius_sides": 1.5}
 
 @pytest.fixture(scope="module")
 def run(scenario_tree) -> tuple[Mission, list[Step]]:
-    """The triangle with bodies and an obstacle, for a second."""
+    """Run the triangle with bodies and an obstacle for a second."""
     tree = scenario_tree("triangle") | {"perception": "ideal", "duration_s": 1.0, "obstacles": [OBSTACLE]}
     tree["robots"]["body_radius_sides"] = 1.0
     tree["avoidance"] = {"margin_sides": 0.6, "on": True}
@@ -32,13 +32,13 @@ def run(scenario_tree) -> tuple[Mission, list[Step]]:
 
 
 def pixels_of(picture: np.ndarray, color: str, tolerance: int = 12) -> np.ndarray:
-    """(M, 2) places (u, v) of a colour."""
+    """Return the positions (M, 2), (u, v), of a colour."""
     rows, columns = (np.abs(picture.astype(int) - rgb(color)).max(axis=2) <= tolerance).nonzero()
     return np.column_stack([columns, rows])
 
 
 def side_by_side(mission: Mission, step: Step, first: int, second: int) -> Step:
-    """The step with one robot half a body's radius beside another."""
+    """Return the step with one robot half a body radius beside another."""
     positions = step.positions_m.copy()
     positions[first] = positions[second] + [0.5 * mission.bodies.radius_m, 0]
     return replace(step, positions_m=positions)

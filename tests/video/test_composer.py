@@ -24,8 +24,8 @@ SIZE_PX = (64, 48)
 COLORS = [(200, 30, 40), (20, 180, 60), (10, 40, 220), (255, 255, 255), (0, 0, 0), *map(unit_rgb, range(7))]
 
 CODEC_TOLERANCE = 5.0
-"""Studio range has 219 levels for 256, so luma and chroma are off by up to half a step of 1.2 each, and
-blue takes up to 2.1 times chroma's error; quantising a flat frame adds about one level of luma."""
+"""Studio range has 219 levels for 256, so that luma and chroma are off by up to half a step of 1.2 each. Blue
+has up to 2.1 times chroma's error, and quantising a flat frame adds about one level of luma."""
 
 
 def solid(color: tuple[int, int, int]) -> np.ndarray:
@@ -161,7 +161,7 @@ def test_what_is_no_video_is_said_so(tmp_path: Path) -> None:
 
 
 def similarity_by_least_squares(template: np.ndarray, current: np.ndarray) -> np.ndarray:
-    """Template points moved by the u' = a u - b v + s, v' = b u + a v + t nearest to current ones."""
+    """Fit u' = a u - b v + s, v' = b u + a v + t of template points to current ones."""
     one, zero = np.ones(template.size), np.zeros(template.size)
     rows_u = np.stack([template.real, -template.imag, one, zero], axis=1)
     rows_v = np.stack([template.imag, template.real, zero, one], axis=1)

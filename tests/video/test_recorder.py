@@ -1,4 +1,4 @@
-"""The video beside the loop is the one in its process; whatever happens, half of one is never left."""
+"""The video of a parallel process equals that of the loop's process; no partial video is left."""
 
 import hashlib
 import os

@@ -1,4 +1,4 @@
-"""The tree in the video: what units last said, and what is drawn of it."""
+"""Tree of units in the video: last statuses, and their drawing."""
 
 from dataclasses import replace
 
@@ -20,7 +20,7 @@ NONE = np.zeros(0, dtype=np.int64)
 
 
 def word(*edges: tuple[int, int, tuple[int, int]], tree_id=0, asks_id=NO_ID, heir_id=NO_ID, ready=True):
-    """What a unit says: an edge is (neighbour, turn, pair)."""
+    """Return a unit's status; an edge is (neighbour, turn, pair)."""
     return TreeStatus(
         tree_id=tree_id,
         asks_id=asks_id,

@@ -57,11 +57,11 @@ from skyherd.sim.truth_metrics import TruthMetrics
 from skyherd.version import __version__
 
 JPEG_QUALITY = 90
-"""Quality of recorded images, in per cent. Chosen: a video made of them looks like one of the originals; they
-are not for measuring, since JPEG moves edges."""
+"""Quality of recorded images, per cent. Chosen: a video made of them looks like one of the originals; they
+are not for measurements, since JPEG moves edges."""
 
 OBJECT: dict[str, Any] = {"type": "object"}
-"""JSON schema of messages that are no dataclass."""
+"""JSON schema of messages that are not dataclasses."""
 
 UNIT_TOPICS: Mapping[str, Schema] = {
     "detections": ("skyherd.Detections", Detections),
@@ -77,9 +77,9 @@ UNIT_TOPICS: Mapping[str, Schema] = {
 
 
 def recorded_topics(units: int) -> dict[str, Schema]:
-    """The topics of a run of so many units, in the order of their channels' numbers, and their schemas.
+    """Return the topics of a run of so many units, in the order of channel numbers, with their schemas.
 
-    All are registered at the start, so that no chunk is needed to understand another one.
+    All are registered at the start, so that no chunk depends on another.
     """
     of_team: dict[str, Schema] = {
         "/mission": ("skyherd.Mission", OBJECT),
@@ -94,41 +94,42 @@ def recorded_topics(units: int) -> dict[str, Schema]:
 
 
 class Recorder(Protocol):
-    """Whatever keeps the steps of a run; `skyherd.runner.run_mission` takes any number of them.
+    """Receiver of the steps of a run; `skyherd.runner.run_mission` accepts any number of them.
 
-    A recorder is a context manager, whose context the run enters before its first step and leaves after its
-    last. `write` is called once a step, in the order of time, from one thread, and the run waits for it. A
-    step is what `skyherd.loop.run_steps` yields: it may be kept as it is, but for the camera images in
-    `step.frames[unit].sight.image`, which take much memory (`step.without_images()` is the same step without
+    A recorder is a context manager. The run enters it before its first step and exits it after its last.
+    `write` is called once per step, in the order of time, from one thread, and the run waits for it.
+
+    A step is an item of `skyherd.loop.run_steps`. It may be kept unchanged, except for the camera images in
+    `step.frames[unit].sight.image`, which take much memory (`step.without_images()` returns the step without
     them). A recorder must not change a step.
 
-    If the context is left without an exception, whatever is recorded must be whole and closed. If it is left
-    with one (the run was interrupted, a file could not be written), the recorder closes its files and lets
-    the exception pass; whether a part of a recording is useful is its own decision. An exception that `write`
-    raises ends the run: `skyherd.errors.OutputError` or OSError where something cannot be written.
+    If the context is exited without an exception, the recording must be complete and closed. If it is exited
+    with one (an interrupt, a failed write), the recorder closes its files and lets the exception pass. It
+    decides itself whether a partial recording is useful. An exception from `write` ends the run:
+    `skyherd.errors.OutputError` or OSError where writing failed.
     """
 
     def write(self, step: Step) -> None:
         """Record one step."""
 
     def __enter__(self) -> Any:
-        """The run begins."""
+        """Begin the run."""
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None, /
     ) -> bool | None:
-        """The run is over: close all files. Returns nothing true, since exceptions pass."""
+        """End the run: close all files. Returns nothing true, since exceptions pass."""
 
 
 class McapRecorder:
     """A `Recorder` that writes a run's messages to an MCAP file.
 
-    Leaving the context closes the file, and `finish`, called before that, marks a run that came to its end:
-    without it the file reads as a run that was cut short.
+    Exiting the context closes the file. `finish`, called before that, marks a normal end of the run; without
+    it the file reads as an incomplete run.
 
     Args:
-        path: the file to make; one that is there is replaced.
-        mission: what is run.
+        path: the file to create; an existing one is replaced.
+        mission: mission of the run.
         images: record the cameras' images as well, as JPEG.
 
     Raises:
@@ -147,7 +148,7 @@ class McapRecorder:
             self._log.flush()
 
     def write(self, step: Step) -> None:
-        """Append all messages of one step, and flush what would be too much to lose."""
+        """Append all messages of one step, and flush if too much is pending."""
         for unit, frame in step.frames.items():
             self._write_frame(f"/unit/{unit}", step.time_s, frame)
         self._log.put("/robots/command", step.time_s, step.command)
@@ -171,7 +172,7 @@ class McapRecorder:
 
         Args:
             time_s: simulated time of the last step.
-            wall_s: wall time that the run took.
+            wall_s: wall time of the run.
         """
         self._log.put("/end", time_s, {"steps": self._steps})
         self._log.flush()

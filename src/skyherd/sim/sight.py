@@ -18,7 +18,7 @@ class Sight:
         whole_ids: robots and obstacles whose whole marker card is in the image.
         found_ids: those of them that were detected.
         false_detections: detections of neither robot nor obstacle, or farther than half a side from theirs.
-        image: the picture, if one was made.
+        image: the grey picture, if one was made.
     """
 
     detections: Detections

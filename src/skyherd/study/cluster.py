@@ -130,7 +130,7 @@ def run_missions(
 
 
 def _threads(client: Client) -> int:
-    """Threads that the cluster has now, 1 at least; OutputError if the scheduler went between two batches."""
+    """Return the cluster's current threads, at least 1; OutputError if the scheduler is gone."""
     try:
         threads: int = sum(client.nthreads().values())
     except OSError:
@@ -237,7 +237,7 @@ def _connect(address: str) -> Iterator[Client]:
 
 
 def _version() -> str:
-    """Version of skyherd where this is called: on a worker."""
+    """Return skyherd's version at the place of the call: on a worker."""
     return __version__
 
 

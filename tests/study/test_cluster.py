@@ -183,7 +183,7 @@ def test_an_interrupt_leaves_a_whole_folder(write_study: Any, tmp_path: Path, nu
     process = start(path, out, "--jobs", "2", part_1=f"os.kill(os.getpid(), {int(number)})")
     _, err = process.communicate(timeout=600)
     assert process.returncode == 128 + number
-    assert err.count("\n") == 1 and "goes on from here" in err
+    assert err.count("\n") == 1 and "continues from here" in err
     assert len(Store(out).keys()) >= 1
     assert not (out / TABLE).exists()
     assert not list(out.rglob("*.part"))

@@ -93,13 +93,13 @@ _NAMES_BY_MODULE = {
     "skyherd.runner": ("run_mission",),
     "skyherd.vision": ("create_detector",),
 }
-"""The module that each name is imported from; a test compares it with the imports above."""
+"""Names imported from each module; a test compares them with the imports above."""
 
 _MODULE_BY_NAME = {name: module for module, names in _NAMES_BY_MODULE.items() for name in names}
 
 
 def __getattr__(name: str) -> object:
-    """Import a public name from its module when it is first used (PEP 562), and keep it."""
+    """Import a public name from its module on first use (PEP 562), and keep it."""
     if name not in _MODULE_BY_NAME:
         raise AttributeError(f"module 'skyherd' has no attribute {name!r}")
     value: object = getattr(import_module(_MODULE_BY_NAME[name]), name)
@@ -108,5 +108,5 @@ def __getattr__(name: str) -> object:
 
 
 def __dir__() -> list[str]:
-    """The public names, whether imported yet or not, beside what every module has."""
+    """Return the module's attributes and all public names, imported or not."""
     return sorted({*globals(), *__all__})

@@ -1,10 +1,10 @@
-"""The program, `skyherd` and `python -m skyherd`."""
+"""Entry point of `skyherd` and `python -m skyherd`."""
 
 import sys
 
 
 def main() -> None:
-    """Load the command line and run it; an interrupt is obeyed while it still loads.
+    """Load and run the command line; honour an interrupt while it is still loading.
 
     Exits with the command's code (`skyherd.cli` lists them), or with 130 after an interrupt.
     """

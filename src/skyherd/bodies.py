@@ -1,8 +1,8 @@
-"""Round bodies on the ground: the gaps between robots, and between robots and obstacles.
+"""Round bodies on the ground: gaps between robots, and between robots and obstacles.
 
-Bodies are discs about the centres of their markers. This is the one definition of a gap, used by the check of
-a start, by the summary's count of collisions and by the video alike. It is the truth in metres: the
-controller knows bodies only through marker sides in images (`skyherd.control.avoidance.proximity`).
+Bodies are discs about the centres of their markers. This is the only definition of a gap. The start check,
+the summary's collision count and the video use it. It is ground truth in metres. The controller knows bodies
+only through marker sides in images (`skyherd.control.avoidance.proximity`).
 """
 
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ from skyherd.geometry import Array, IntArray
 
 @dataclass(frozen=True)
 class Bodies:
-    """Robots with bodies of one radius, and K obstacles that stand still.
+    """Robots with bodies of one radius, and K static obstacles.
 
     The methods number the N robots 0 to N - 1 and the obstacles N to N + K - 1. Pairs come in one order: all
     pairs of robots first, then each robot with each obstacle. Two obstacles form no pair; they may touch.
@@ -31,17 +31,17 @@ class Bodies:
     obstacle_radii_m: Array
 
     def pairs(self, count: int) -> IntArray:
-        """Numbers (P, 2) of the two bodies of each pair, `P = N (N - 1) / 2 + N K` for N = `count` robots."""
+        """Return the numbers (P, 2) of the bodies of each pair, `P = N (N - 1) / 2 + N K`, N = `count`."""
         robots = np.stack(np.triu_indices(count, 1), axis=1)
         first, second = np.meshgrid(np.arange(count), count + np.arange(len(self.obstacles_m)), indexing="ij")
         return np.concatenate([robots, np.stack([first.ravel(), second.ravel()], axis=1)])
 
     def gaps_m(self, positions_m: Array) -> Array:
-        """Gaps (P,) between the bodies of each pair, robots at positions (N, 2); negative in an overlap."""
+        """Return the gaps (P,) of all pairs for robots at positions (N, 2); overlaps are negative."""
         robots = pdist(positions_m) - 2 * self.radius_m
         obstacles = cdist(positions_m, self.obstacles_m) - (self.radius_m + self.obstacle_radii_m)
         return np.concatenate([robots, obstacles.ravel()])
 
     def overlapping(self, positions_m: Array, tolerance_m: float = 0.0) -> IntArray:
-        """Numbers (Q, 2) of the bodies of the pairs that overlap by more than `tolerance_m`."""
+        """Return the numbers (Q, 2) of the pairs that overlap by more than `tolerance_m`."""
         return self.pairs(len(positions_m))[self.gaps_m(positions_m) < -tolerance_m]

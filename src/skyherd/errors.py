@@ -1,14 +1,14 @@
-"""Every error that skyherd raises on purpose. They have one root, so that a caller can catch them all."""
+"""Errors that skyherd raises on purpose, with one common base class."""
 
 from skyherd.text import shorten
 
 MAX_CHARACTERS = 470
-"""Characters of an InputError's three parts together. Chosen: the line on the terminal stays below 500
-whatever was given, and nearly all lists of allowed values fit."""
+"""Maximum length of an InputError's three parts together, characters. Chosen: a terminal line stays below
+500 characters, and nearly all lists of allowed values fit."""
 
 
 class SkyherdError(Exception):
-    """Root of all errors that skyherd raises on purpose.
+    """Base class of all errors that skyherd raises on purpose.
 
     Attributes:
         exit_code: exit status of the command line when the error ends it.
@@ -18,7 +18,7 @@ class SkyherdError(Exception):
 
 
 class InputError(SkyherdError, ValueError):
-    """An input of the user is wrong; the message is one line, `where: what; allowed`, of few characters.
+    """Invalid user input; the message is one short line, `where: what; allowed`.
 
     Args:
         where: the file, key or argument.
@@ -34,16 +34,16 @@ class InputError(SkyherdError, ValueError):
         super().__init__(f"{self.where}: {self.what}; {self.allowed}")
 
     def __reduce__(self) -> tuple[type["InputError"], tuple[str, str, str], dict[str, object]]:
-        """How it is pickled, on its way between processes: by its three parts, and with its notes."""
+        """Pickle the error by its three parts, with its notes."""
         return type(self), (self.where, self.what, self.allowed), vars(self)
 
 
 class InputWarning(UserWarning):
-    """An input of the user is read in part only; the message is one line, `where: what; what is read`."""
+    """User input that is only partly read; the message is `where: what; what is read`."""
 
 
 def _fitted(*parts: str) -> list[str]:
-    """The parts, the longest of them shortened to one length, so that all have `MAX_CHARACTERS` together."""
+    """Return the parts, the longest shortened to one length, with `MAX_CHARACTERS` at most in total."""
     most = next(
         length
         for length in range(MAX_CHARACTERS, 0, -1)
@@ -53,18 +53,18 @@ def _fitted(*parts: str) -> list[str]:
 
 
 class MessageError(SkyherdError, ValueError):
-    """A message between the parts of the system has a wrong shape, type or value."""
+    """Message between parts of the system with a wrong shape, type or value."""
 
 
 class DegenerateSetError(SkyherdError, ValueError):
-    """A set of points defines no similarity: there are fewer than two, or all lie in one place."""
+    """Point set that defines no similarity: fewer than two points, or all coincident."""
 
 
 class SingularSetError(DegenerateSetError):
-    """A set of points is fitted best by a similarity of scale zero, so that no rotation fits best."""
+    """Point set whose best similarity has scale zero, so that the rotation is undefined."""
 
 
 class OutputError(SkyherdError, OSError):
-    """A file could not be written, or not completely."""
+    """File that could not be written, or not completely."""
 
     exit_code = 2

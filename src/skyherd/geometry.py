@@ -1,4 +1,4 @@
-"""Plane geometry that every part uses: angles, points as complex numbers, homographies, images of squares.
+"""Plane geometry shared by all parts: angles, complex points, homographies, images of squares.
 
 Points of the plane are complex numbers where that makes a law shorter: `x + iy` on the ground,
 `u + iv` in an image. A proper similarity is then `z ↦ a z + b`, with scale `|a|` and rotation `arg a`; an
@@ -20,11 +20,11 @@ IntArray = npt.NDArray[np.int64]
 """An array of 64-bit integers: ids, rows, counts."""
 
 BoolArray = npt.NDArray[np.bool_]
-"""An array of truth values, mostly a mask."""
+"""An array of booleans, mostly a mask."""
 
 UNIFORM_VARIANCE = 1.0 / 12.0
-"""Variance of a value spread evenly over an interval of length 1: of the error of rounding to whole numbers
-(grey levels squared), and of a square pixel along one axis (px²). Derived: `∫ x² dx` from -1/2 to 1/2."""
+"""Variance of a uniform distribution over an interval of length 1. Applies to rounding errors (grey levels
+squared) and to a square pixel along one axis (px²). Derived: `∫ x² dx` from -1/2 to 1/2."""
 
 MEDIAN_PER_SIGMA = 0.6745
 """Median of the magnitude of a normal variable of unit variance. Derived: Φ(0.6745) = 3/4."""
@@ -39,18 +39,18 @@ corners of a marker on the ground, relative to its centre, in sides."""
 
 
 def wrap_angle(angle_rad: npt.ArrayLike) -> Array:
-    """Angles (any shape), rad, taken to [-pi, pi) by multiples of 2 pi; pi itself becomes -pi."""
+    """Return angles (any shape), rad, wrapped to [-pi, pi); pi itself becomes -pi."""
     return np.asarray((np.asarray(angle_rad, dtype=float) + np.pi) % (2 * np.pi) - np.pi)
 
 
 def to_complex(points: npt.ArrayLike) -> ComplexArray:
-    """Points (..., 2) as complex numbers (...), `x + iy`."""
+    """Return points (..., 2) as complex numbers (...), `x + iy`."""
     points = np.asarray(points, dtype=float)
     return np.asarray(points[..., 0] + 1j * points[..., 1])
 
 
 def to_points(z: npt.ArrayLike) -> Array:
-    """Complex numbers (...) as points (..., 2): the inverse of `to_complex`."""
+    """Return complex numbers (...) as points (..., 2): the inverse of `to_complex`."""
     z = np.asarray(z, dtype=complex)
     points = np.empty((*z.shape, 2))
     points[..., 0], points[..., 1] = z.real, z.imag
@@ -58,9 +58,9 @@ def to_points(z: npt.ArrayLike) -> Array:
 
 
 def apply_homography(homography: Array, points: npt.ArrayLike) -> Array:
-    """Points (..., 2) mapped by a homography (3, 3), `(x', y', 1) ~ H (x, y, 1)`.
+    """Map points (..., 2) by a homography (3, 3), `(x', y', 1) ~ H (x, y, 1)`.
 
-    A point on the line that the homography takes to infinity gives infinite values.
+    A point on the line that the homography maps to infinity gives infinite values.
     """
     points = np.asarray(points, dtype=float)
     mapped = points @ homography[:, :2].T + homography[:, 2]
@@ -68,7 +68,7 @@ def apply_homography(homography: Array, points: npt.ArrayLike) -> Array:
 
 
 def inverse(matrices: npt.ArrayLike) -> Array:
-    """Inverses of matrices (..., n, n), such as homographies and covariances.
+    """Return the inverses of matrices (..., n, n), such as homographies and covariances.
 
     Raises:
         numpy.linalg.LinAlgError: a matrix is singular.
@@ -100,10 +100,10 @@ class SquareImages:
 
 
 def fit_squares(corners: ComplexArray) -> SquareImages:
-    """Affine images that fit the corners p (N, 4), complex, of N squares with the least squared error.
+    """Fit affine images to the corners p (N, 4), complex, of N squares by least squares.
 
-    The corners q_k of the unit square are orthogonal to their conjugates and to the constant, so that the
-    three unknowns separate:
+    The corners q_k of the unit square are orthogonal to their conjugates and to the constant. The three
+    unknowns therefore separate:
 
         center = Σ p_k / 4,  arm = Σ p_k q̄_k / Σ |q_k|²,  squeeze = Σ p_k q_k / Σ |q_k|².
     """

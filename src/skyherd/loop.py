@@ -1,4 +1,4 @@
-"""The loop: images in, formation out. Everything else hangs off the steps that it yields."""
+"""Closed control loop from images to formation. All outputs derive from the steps that it yields."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -21,17 +21,17 @@ from skyherd.sim.truth_metrics import TruthMetrics, TruthObserver
 from skyherd.sim.world import Fleet
 
 FRAME_ROUNDING = 1e-9
-"""Share of a frame's time by which a tick may fall short of it. Derived: above the rounding of a tick's
-time."""
+"""Tolerance by which a tick may fall short of a frame time, as a share of it. Derived: exceeds the rounding
+of a tick's time."""
 
 
 @dataclass(frozen=True)
 class UnitFrame:
-    """One unit's image and what the unit decided on it.
+    """One unit's image and its decision.
 
     Attributes:
-        sight: what the camera gave, with the detections as the detector found them.
-        decision: of the unit's controller, with the detections as it took them.
+        sight: camera output, with the detections as the detector returned them.
+        decision: output of the unit's controller, with the detections that it accepted.
     """
 
     sight: Sight
@@ -40,19 +40,19 @@ class UnitFrame:
 
 @dataclass(frozen=True)
 class Step:
-    """All that happened at one instant, before the world moves on.
+    """State of the system at one instant, before the world moves on.
 
     Attributes:
         time_s: simulated time.
         positions_m: (N, 2) the robots' markers on the ground.
         headings_rad: (N,) counter-clockwise from +x.
         fleet: places, heights, yaws, tilts and zooms of the units.
-        frames: by unit, of the units whose image was taken now and not lost.
+        frames: frame of each unit whose image was taken now and not lost.
         command: what the robots do until the next step.
-        commanded_ids: robots that follow a goal that is not too old; the others hold still.
+        commanded_ids: robots with a goal that is not stale; the others stand still.
         control_sets: S_j^c of each unit, as it declared it last.
-        metrics: what the truth says of the formation and the topology.
-        roles: (N,) row of the template's point that each robot goes to.
+        metrics: ground-truth metrics of formation and topology.
+        roles: (N,) template row assigned to each robot.
     """
 
     time_s: float
@@ -67,7 +67,7 @@ class Step:
     roles: IntArray
 
     def without_images(self) -> "Step":
-        """The same step without the pictures, which take nearly all of its memory."""
+        """Return the same step without images, which take nearly all of its memory."""
         frames = {
             unit: replace(frame, sight=replace(frame.sight, image=None))
             for unit, frame in self.frames.items()
@@ -82,18 +82,19 @@ def run_steps(
     controller_for: ControllerFactory = make_controller,
     team_for: TeamFactory = make_team,
 ) -> Iterator[Step]:
-    """Run a mission, yielding each step as it is decided and before the world moves.
+    """Run a mission and yield each step after its decisions, before the world moves.
 
-    The same mission gives the same steps: every random draw comes from the scenario's seed.
+    The same mission gives the same steps, since every random draw derives from the scenario's seed.
 
     Args:
         mission: what to run.
-        perception: from the world to each unit's detections; by default as the scenario asks for.
-        controller_for: makes the controller of a unit (mission, unit), at the start and in each outage anew.
-        team_for: makes the robots (mission, world).
+        perception: source of each unit's detections; by default the scenario's.
+        controller_for: factory of a unit's controller (mission, unit); called at the start and in each
+            outage.
+        team_for: factory of the robots (mission, world).
 
     Raises:
-        InputError: `mission` is none.
+        InputError: `mission` is not a Mission.
     """
     check_kind("run_steps: mission", mission, Mission, "a Mission, as load_mission returns it")
     scenario = mission.scenario
@@ -138,7 +139,7 @@ def run_steps(
 
 
 def dead_units(scenario: Scenario, time_s: float) -> list[int]:
-    """Units that are in an outage now."""
+    """Return the units that are in an outage now."""
     return [
         unit
         for unit, model in enumerate(scenario.units)
@@ -147,7 +148,7 @@ def dead_units(scenario: Scenario, time_s: float) -> list[int]:
 
 
 def _units_with_frame(scenario: Scenario, tick: int, dead: list[int]) -> list[int]:
-    """Living units that take an image in this tick: each keeps its own frame rate."""
+    """Return the living units that take an image in this tick, each at its own frame rate."""
     step = scenario.step_s
 
     def frames_by(ticks: int, rate_hz: float) -> int:

@@ -1,4 +1,4 @@
-"""Parts of one's own, given as `module:factory`: imported from the working directory too."""
+"""Import of user code named `module:factory`, also from the working directory."""
 
 import os
 import sys
@@ -10,16 +10,16 @@ from skyherd.errors import InputError
 
 
 def import_factory(name: str, where: str, allowed: str) -> Callable[..., Any]:
-    """The callable that `module:factory` names, imported from the working directory too.
+    """Import the callable named by `module:factory`, also from the working directory.
 
     Args:
         name: `module:factory`.
-        where: what a complaint calls it, such as `detector own:Square`.
-        allowed: what the factory has to be, in words.
+        where: name in error messages, such as `detector own:Square`.
+        allowed: description of the required factory.
 
     Raises:
-        InputError: the name lacks a part, the module cannot be imported, has no such attribute, or that
-            cannot be called.
+        InputError: a part of the name is missing, the import fails, or the attribute is missing or not
+            callable.
     """
     module_name, _, factory_name = name.partition(":")
     if not module_name or not factory_name:

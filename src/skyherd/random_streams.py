@@ -1,9 +1,8 @@
-"""Streams of random numbers: one for each purpose, all from one seed, listed here and nowhere else.
+"""Random number streams, one per purpose, all derived from one seed and listed here.
 
-A stream's number is part of the seed sequence that NumPy's generator starts from, so that streams are
-independent, and drawing more from one changes no other. The same seed therefore gives the same numbers for a
-purpose whatever else a run contains. Two purposes with one number would draw the same numbers: `unique`
-refuses that when the module is read.
+A stream's number is part of the seed sequence of NumPy's generator. Streams are therefore independent, and
+more draws from one stream change no other stream. Two purposes with one number would draw the same values:
+`unique` rejects that on import.
 """
 
 from enum import IntEnum, unique
@@ -13,9 +12,9 @@ import numpy as np
 
 @unique
 class RunStream(IntEnum):
-    """What is drawn from the seed of a scenario or of a generated mission.
+    """Streams of random numbers of a scenario or a generated mission.
 
-    A number never changes, so that a seed gives the same run with every version.
+    Numbers never change, so that a seed gives the same run in every version.
     """
 
     START_PLACES = 0
@@ -34,7 +33,7 @@ class RunStream(IntEnum):
 
 @unique
 class LabelledSetStream(IntEnum):
-    """What is drawn from the seed of a labelled image set."""
+    """Streams of random numbers of a labelled image set."""
 
     CAMERA = 0
     IMAGE = 1
@@ -43,5 +42,5 @@ class LabelledSetStream(IntEnum):
 
 
 def generator(seed: int, stream: RunStream | LabelledSetStream, *number: int) -> np.random.Generator:
-    """The generator of a stream; `number` tells several of one kind apart, such as the cameras of a set."""
+    """Return the generator of a stream; `number` distinguishes several of one kind, such as cameras."""
     return np.random.default_rng([seed, int(stream), *number])

@@ -1,10 +1,10 @@
-"""A run from start to finish: the loop, its recording and video, and what is made of them.
+"""A run from start to finish: loop, recording, video, figures, summary and page.
 
-Left in the output folder: `run.mcap`, `video.mp4`, `figures/`, `summary.json`, `report.html`.
+The output folder receives `run.mcap`, `video.mp4`, `figures/`, `summary.json` and `report.html`.
 
-The recording comes first: messages are written to MCAP while the run goes on, and figures, summary and page
-are always made from the file read back. `skyherd report` therefore is the same code as the end of `skyherd
-run`, and a run that was killed still has its report, up to half a second before that.
+The run writes its messages to MCAP as it proceeds. Figures, summary and page are always made from the
+recording, so that `skyherd report` is the same code as the end of `skyherd run`. A killed run still has a
+report, which lacks at most the last half second.
 """
 
 import json
@@ -37,29 +37,27 @@ from skyherd.sim.side_by_side import SideBySide
 from skyherd.video.recorder import VideoRecorder
 
 RECORDING, SUMMARY, FIGURES = "run.mcap", "summary.json", "figures"
-"""Names of the recording, of the summary, and of the folder of figures, in a run's folder."""
+"""Names of the recording, of the summary and of the figures' folder within a run's folder."""
 
 VERB = "run"
-"""Verb by which a folder's record knows the files of a run, those that `skyherd report` makes again among
-them."""
+"""Verb under which a folder's record lists the files of a run, including those of `skyherd report`."""
 
 MAX_JOBS = 4096
-"""Cores that a run may be told to use. *Chosen*: more than any machine has."""
+"""Maximum number of cores of a run. *Chosen*: exceeds any machine."""
 
 FREE_BYTES = 100 * 2**20
-"""Least free space on the disk, in bytes, to begin a run with. Chosen: more than the files of a mission of
-some minutes without recorded images; half of it would let long runs fill the disk, twice as much would refuse
-disks that are large enough."""
+"""Minimum free disk space to start a run, bytes. Chosen: covers some minutes without recorded images; half of
+it could fill the disk, twice as much would refuse sufficient disks."""
 
 
 def output_names() -> list[str]:
-    """Names of all files that a run leaves in its folder, relative to it."""
+    """Return the names of all files of a run, relative to its folder."""
     figures = [f"{FIGURES}/{panel.name}{kind}" for panel in panels.PANELS for kind in (".png", ".svg")]
     return [RECORDING, VIDEO, SUMMARY, PAGE, *figures]
 
 
 def _check_free_space(folder: Path) -> None:
-    """Refuse a disk that has less than `FREE_BYTES` left; the folder need not be there yet."""
+    """Reject a disk with less than `FREE_BYTES` free; the folder need not exist yet."""
     there = next((place for place in (folder, *folder.absolute().parents) if place.is_dir()), Path())
     free = shutil.disk_usage(there).free
     if free < FREE_BYTES:
@@ -80,30 +78,28 @@ def run_mission(
 ) -> dict[str, Any]:
     """Run a mission into a folder, and make its report.
 
-    The first step is taken before the folder is touched, so that an error in the mission's input leaves the
-    results of an earlier run whole. A run that is interrupted, or whose disk is full, leaves its recording,
-    of which `make_report` makes a report; one that is refused later leaves nothing.
+    The first step is computed before the folder changes, so that invalid input leaves earlier results intact.
+    An interrupted run, or one with a full disk, leaves its recording, from which `make_report` makes a
+    report. A run that is refused later leaves nothing.
 
     Args:
-        mission: what to run.
-        folder: where results go.
-        force: write into a folder that exists, and remove what an earlier run left there, and nothing else.
+        mission: mission to run.
+        folder: folder of the results.
+        force: write into an existing folder, and remove only what an earlier run left there.
         video: make a video.
         record_images: keep the cameras' images in the recording, as JPEG.
-        jobs: number of cores to use, where processes can be forked. With more than one, cameras are drawn
-            side by side, the video is made beside the loop and figures beside each other. Results are the
-            same.
-        recorders: further ones beside the recording and the video; they are entered and left here.
-        progress: is told the simulated time, and as the state V and how many markers were detected.
-        on_step: called with every step after it is recorded.
+        jobs: number of cores to use, where processes can be forked. With more than one, cameras, video and
+            figures are drawn in parallel. Results are the same.
+        recorders: additional recorders; they are entered and exited here.
+        progress: receives the simulated time, and as the state V and the number of detected markers.
+        on_step: callback for every recorded step.
 
     Returns:
         the run's summary, as `skyherd.analysis.summary.summarize` makes it.
 
     Raises:
-        InputError: an argument is not what is meant; the folder exists without `force`, holds a file that a
-            run would replace and did not make, or cannot be used; or an image that the mission names
-            cannot be read.
+        InputError: an argument has a wrong type; the folder exists without `force`, holds a foreign file of
+            the same name, or is not usable; or an image of the mission cannot be read.
         OutputError: a file could not be written, as on a full disk.
     """
     check_kind("run_mission: folder", folder, (str, Path), "a path")
@@ -145,7 +141,7 @@ def run_mission(
 
 
 def _report_step(progress: Progress, mission: Mission, step: Step) -> None:
-    """Report the simulated time, V, and how many of the markers that are whole in an image were detected."""
+    """Report the simulated time, V, and the share of whole markers that were detected."""
     name, duration_s = mission.scenario.name, mission.scenario.duration_s
     sights = [frame.sight for frame in step.frames.values()]
     found, whole = sum(s.found_ids.size for s in sights), sum(s.whole_ids.size for s in sights)
@@ -158,16 +154,15 @@ def _report_step(progress: Progress, mission: Mission, step: Step) -> None:
 def make_report(folder: Path, *, film: bool = True, jobs: int = 1) -> dict[str, Any]:
     """Make figures, summary and page from the recording in a folder, and return the summary.
 
-    Its key `recording` says what the recording lacks, if it is not whole.
+    The summary's key `recording` lists what an incomplete recording lacks.
 
     Args:
         folder: a run's folder.
-        film: make the video anew as well, if the recording has the cameras' images.
+        film: also remake the video, if the recording has the cameras' images.
         jobs: number of cores to use, as in `run_mission`.
 
     Raises:
-        InputError: the folder holds no readable recording, or a file that the report would replace and that
-            skyherd did not make.
+        InputError: the folder holds no readable recording, or a foreign file that the report would replace.
         OutputError: a file could not be written.
     """
     recording = read_recording(folder / RECORDING)

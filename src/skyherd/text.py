@@ -1,32 +1,32 @@
-"""Texts that come from outside (names of files, values that a user gave), made harmless to show.
+"""Sanitizing of external text (file names, user values) for display.
 
-A file's name may hold line breaks, escape sequences of the terminal, marks that turn the direction of
-writing, and bytes that are no UTF-8, which Python keeps as lone surrogates. `printable` shows all of these
-escaped, and `shorten` shows a long text by its beginning and its end.
+A file name may hold line breaks, terminal escape sequences, bidirectional marks, and bytes that are not
+UTF-8, which Python keeps as lone surrogates. `printable` escapes all of these. `shorten` keeps the beginning
+and the end of a long text.
 """
 
 import unicodedata
 
 SURROGATES = range(0xDC80, 0xDD00)
-"""Code points that stand for bytes, 0x80 to 0xff, of a name that is no UTF-8. *Defined* by Python's error
-handler `surrogateescape`."""
+"""Code points of the bytes 0x80 to 0xff of a name that is not UTF-8. *Defined* by Python's error handler
+`surrogateescape`."""
 
 HIDDEN = frozenset({"Cc", "Cf", "Cs", "Zl", "Zp"})
-"""Unicode categories that are escaped: control and format characters, surrogates, separators of lines and
-paragraphs. *Chosen*: all that a terminal obeys or does not show."""
+"""Escaped Unicode categories: control and format characters, surrogates, line and paragraph separators.
+*Chosen*: everything that a terminal interprets or does not show."""
 
 FORMULA_STARTS = ("=", "+", "-", "@")
-"""What a text begins with that spreadsheets take for a formula. *Defined* by the spreadsheets."""
+"""First characters that make spreadsheets read a text as a formula. *Defined* by the spreadsheets."""
 
 
 def printable(text: str, keep: str = "") -> str:
-    r"""Return a text with all that a terminal would obey or hide escaped, such as `\x1b`; the rest stays.
+    r"""Return a text with all control and hidden characters escaped, such as `\x1b`.
 
-    A byte that is no UTF-8 is shown as that byte, such as `\xff`. What is returned can always be encoded.
+    A byte that is not UTF-8 is shown as that byte, such as `\xff`. The result can always be encoded.
 
     Args:
         text: any text.
-        keep: characters that are left as they are, such as a line break.
+        keep: characters that are not escaped, such as a line break.
     """
     if text.isascii() and text.isprintable():
         return text
@@ -43,7 +43,7 @@ def _escaped(char: str) -> str:
 
 
 def shorten(text: str, most: int) -> str:
-    """Return a text of at most `most` characters: a longer one by its beginning, an ellipsis, and its end."""
+    """Return a text of at most `most` characters: the beginning, an ellipsis and the end if longer."""
     if len(text) <= most:
         return text
     tail = (most - 1) // 3
@@ -51,10 +51,9 @@ def shorten(text: str, most: int) -> str:
 
 
 def table_cell(text: str) -> str:
-    """Return a text as it goes into a table for people and spreadsheets: printable, and never a formula.
+    """Return a text for tables read by people and spreadsheets: printable, and never a formula.
 
-    A text that a spreadsheet would take for a formula gets an apostrophe before it, which spreadsheets show
-    as the mark of a plain text.
+    A text that a spreadsheet would read as a formula is prefixed with an apostrophe, the mark of plain text.
     """
     text = printable(text)
     return f"'{text}" if text.startswith(FORMULA_STARTS) else text

@@ -1,1 +1,1 @@
-"""What is computed from a run's steps: its history as arrays, its summary, and a report on its topology."""
+"""Analysis of a run's steps: history as arrays, summary, and topology report."""

@@ -1,27 +1,27 @@
-"""How long a run's topologies lasted, beside the average dwell time τ_d of the paper's Proposition 1.
+"""Dwell times of a run's topologies and the average dwell time τ_d of the paper's Proposition 1.
 
-The proposition says that a finite τ_d exists, and rests on two things: V_p <= μ V_q for any two topologies p
-and q at the same positions (eq. 15), and that V_p falls while p lasts. If it does so at a rate λ_0 or faster,
-then N changes within a time T leave
+Proposition 1 states that a finite τ_d exists. It requires V_p <= μ V_q for any two topologies p and q at the
+same positions (eq. 15), and that the Lyapunov function V_p decreases while p is active. If V_p decreases at a
+rate of at least λ_0, then N switches within a time T give
 
     V(T) <= μ^N exp(-λ_0 T) V(0),    which vanishes if T / N > τ_d = ln μ / λ_0
 
-(Hespanha and Morse 1999, with λ_0 for their 2 λ_0). A τ_d is sufficient and not necessary: V as one sum is
-not the only function that can show convergence, and `docs/topology.md` has one that falls at every change.
+(Hespanha and Morse 1999, with λ_0 for their 2 λ_0). A τ_d is sufficient but not necessary: V as one sum is
+not the only Lyapunov function, and `docs/topology.md` has one that decreases at every switch.
 
-Two pairs of μ and λ_0 are had here, and neither is a proof for the run's robots:
+Two pairs of μ and λ_0 are computed. Neither is a proof for the run's robots:
 
-- *As measured*: the greatest V after over V before, at the changes that were, and the least rate at which V
-  fell between two. μ of eq. 15 is over all positions, so that this one is an estimate from below, of the run
-  that was; λ_0 has turning robots, limits of speed, delays and noise in it.
+- *As measured*: μ is the greatest ratio of V after to V before a switch; λ_0 is the least rate between two
+  switches. The μ of eq. 15 covers all positions, so that this one is an estimate from below. The λ_0 includes
+  turning robots, speed limits, delays and noise.
 - *Of the linear model* `dp/dt = -k L p`: μ is the greatest eigenvalue of L_q against L_p over all positions,
-  a bound for the changes that were, and V falls at 2 k λ_3(L_p) at least. A bound for robots that drive
-  straight to their goals at one gain; robots at their limit of speed are slower.
+  a bound for the switches of the run. V decreases at 2 k λ_3(L_p) at least. The bound holds for robots that
+  drive straight to their goals at one gain; robots at their speed limit are slower.
 
-Counted are the steps from when robots may move at which the shape error is not below its goal: in the shape
-noise and the stop threshold decide what V does. Topologies without TC1 or TC2 have no μ, since V is 0 for
-wrong shapes too: changes from and to them count as changes and not in μ. New roles and new shapes end a
-stretch of V; they are no changes of the topology.
+Steps count from the time when robots may move, and only while the shape error exceeds its goal. Within the
+goal, noise and the stop threshold dominate V. Topologies without TC1 or TC2 have no μ, since V is 0 for wrong
+shapes too. Switches from and to them count as switches but not in μ. New roles and new shapes end a stretch
+of V without being topology switches.
 """
 
 from collections.abc import Iterator
@@ -37,33 +37,34 @@ from skyherd.messages import TIME_TOLERANCE_S
 from skyherd.sim.truth_metrics import total_cost
 
 MIN_RATE = 1e-9
-"""A third eigenvalue of L below this is zero, and the shape free. Derived: above rounding, 1e-15 a robot."""
+"""Threshold below which a third eigenvalue of L is zero, so that the shape is free. Derived: exceeds
+rounding, 1e-15 per robot."""
 
 DIGITS = 12
-"""Significant digits that are told. Chosen: sums over arrays that lie elsewhere in memory differ in the
-sixteenth, and a recording that is read again is to have the same summary."""
+"""Significant digits of reported values. Chosen: sums differ in the sixteenth digit with the memory layout,
+and a recording must give the same summary when read again."""
 
 MAX_ROBOTS = 200
-"""Most robots of which the bound is worked out. Chosen: the eigenvalues of a change then take a hundredth of
-a second, and their time grows with the third power."""
+"""Maximum number of robots for which the bound is computed. Chosen: the eigenvalues of a switch then take
+10 ms, and their time grows with the third power."""
 
 
 @dataclass(frozen=True)
 class DwellTime:
-    """The dwell times of a run and what Proposition 1 asks for; see the module for how it is had.
+    """Dwell times of a run and the requirement of Proposition 1; the module explains the method.
 
-    All of them are None for a run in which V never fell, or no robot ever might move.
+    All values are None for a run in which V never decreased, or in which no robot was allowed to move.
 
     Attributes:
-        min_s: least time between two changes of the topology; None with fewer than two.
-        mean_s: the time counted over the number of changes in it; None without any.
-        switch_ratio: μ as measured, V after over V before at the change that raised it most; below 1 if V
-            fell at all of them, None without a change between topologies that satisfy TC1 and TC2.
-        decay_ps: λ_0 as measured, 1/s; negative if V rose between two changes.
-        needed_s: τ_d of both, an estimate. 0 if V rose at no change: then any dwell time is enough. None
-            without a change, where Theorem 1 holds and nothing is asked, or if V did not fall somewhere.
-        bound_s: τ_d of the linear model, for any positions. None without a change, for gains in pixels or
-            laws other than the paper's, of which no rate is known, and for more than `MAX_ROBOTS`.
+        min_s: least time between two topology switches; None with fewer than two.
+        mean_s: counted time over the number of switches in it; None without any.
+        switch_ratio: μ as measured: V after over V before at the switch that raised it most. Below 1 if V
+            decreased at all of them; None without a switch between topologies that satisfy TC1 and TC2.
+        decay_ps: λ_0 as measured, 1/s; negative if V rose between two switches.
+        needed_s: τ_d from both, an estimate. 0 if V rose at no switch: any dwell time then suffices. None
+            without a switch, where Theorem 1 applies, or if V did not decrease somewhere.
+        bound_s: τ_d of the linear model, for any positions. None without a switch, for gains in pixels, for
+            laws other than the paper's, whose rate is unknown, and for more than `MAX_ROBOTS`.
     """
 
     min_s: float | None = None
@@ -76,12 +77,12 @@ class DwellTime:
 
 @dataclass(frozen=True)
 class _Stretch:
-    """Steps `first` to `last` with the same sets, roles and shape, but that others may come with the last.
+    """Steps `first` to `last` with constant sets, roles and shape; the last step may start others.
 
     Attributes:
         V_last: V at the last step by the sets, roles and shape of the first.
-        switches: whether it ends with a change of the sets alone, and μ exists for it.
-        has_kernel: whether TC1 and TC2 hold, so that V vanishes in the shape only.
+        switches: True if it ends with a switch of the sets alone, and μ exists for it.
+        has_kernel: True if TC1 and TC2 hold, so that V vanishes in the shape only.
     """
 
     first: int
@@ -92,7 +93,7 @@ class _Stretch:
 
 
 def estimate_dwell_time(history: History) -> DwellTime:
-    """The dwell times of a run beside what Proposition 1 asks for."""
+    """Compute the dwell times of a run and the requirement of Proposition 1."""
     stretches = list(_stretches(history))
     switched = np.flatnonzero(_change(history.controlled))
     counted = _counted(history)
@@ -114,32 +115,32 @@ def estimate_dwell_time(history: History) -> DwellTime:
 
 
 def _rounded(value: float | None) -> float | None:
-    """The value to `DIGITS`."""
+    """Round a value to `DIGITS` significant digits."""
     return None if value is None else float(f"{value:.{DIGITS}g}")
 
 
 def _dwell_s(ratio: float | None, rate_ps: float | None) -> float | None:
-    """The dwell time ln μ / λ_0, 0 for μ below 1; None if either is not known, or V does not fall."""
+    """Return ln μ / λ_0, 0 for μ below 1; None if either is unknown or V does not decrease."""
     if ratio is None or rate_ps is None or rate_ps <= 0:
         return None
     return float(np.log(max(ratio, 1.0))) / rate_ps
 
 
 def _counted(history: History) -> BoolArray:
-    """Whether each step (T,) counts: robots may move, and are not yet in the shape."""
+    """Return whether each step (T,) counts: robots may move, and are not yet in the shape."""
     counted: BoolArray = history.shape_error >= history.mission.scenario.goal.shape_error
     counted[: len(counted) if history.ready_row is None else history.ready_row] = False
     return counted
 
 
 def _change(values: np.ndarray) -> BoolArray:
-    """Whether values (T, ...) of each step (T,) are not what they were a step before."""
+    """Return whether values (T, ...) of each step (T,) differ from those of the previous step."""
     differs = (values[1:] != values[:-1]).any(axis=tuple(range(1, values.ndim)))
     return np.concatenate([[False], differs])
 
 
 def _stretches(history: History) -> Iterator[_Stretch]:
-    """The stretches between all changes of sets, roles and shape, as far as their steps count."""
+    """Return the stretches between all changes of sets, roles and shape, within the counted steps."""
     mission, times_s = history.mission, history.times_s
     counted, switched = _counted(history), _change(history.controlled)
     shapes = np.searchsorted(np.array([at_s - TIME_TOLERANCE_S for at_s, _ in mission.later]), times_s)
@@ -159,13 +160,13 @@ def _stretches(history: History) -> Iterator[_Stretch]:
 
 
 def _rate_ps(history: History, stretch: _Stretch) -> float:
-    """Rate, 1/s, at which V fell along a stretch."""
+    """Return the rate, 1/s, at which V decreased along a stretch."""
     lasted_s = float(history.times_s[stretch.last] - history.times_s[stretch.first])
     return float(np.log(history.V[stretch.first] / stretch.V_last)) / lasted_s
 
 
 def _of_linear_model(history: History, stretches: list[_Stretch]) -> tuple[float | None, float | None]:
-    """μ over all positions for the changes that were, and the least 2 k λ_3, 1/s; None where not known."""
+    """Return μ over all positions for the run's switches, and the least 2 k λ_3, 1/s, or None."""
     control = history.mission.scenario.control
     if control.method != "similarity" or control.gains != "marker" or history.ids.size > MAX_ROBOTS:
         return None, None
@@ -187,6 +188,6 @@ def _of_linear_model(history: History, stretches: list[_Stretch]) -> tuple[float
 
 
 def _form(history: History, row: int) -> ComplexArray:
-    """L (N, N) of a step's topology: V = 1/2 p* L p."""
+    """Return L (N, N) of a step's topology: V = 1/2 p* L p."""
     shape = history.mission.shape_at(float(history.times_s[row]), history.roles[row])
     return laplacian(shape.points_of(history.ids), [np.flatnonzero(mine) for mine in history.controlled[row]])

@@ -1,7 +1,7 @@
-"""Where units ask robots to be in the image, and how far from the truth that is on the ground.
+"""Desired points of robots in the image, and their ground-truth errors.
 
-The errors are the one place where goals are compared with the true cameras and the true places of the robots.
-They are for reports; nothing of the loop reads them.
+Only this module compares goals with the true cameras and robot positions. Reports use the errors; the loop
+does not.
 """
 
 import numpy as np
@@ -15,11 +15,11 @@ from skyherd.render import Camera, CameraPose, homography_image_ground, undistor
 
 
 def rectified_goals_px(decision: Decision) -> Array:
-    """Desired points (N, 2) of the robots of a unit's goals, px, in the unit's rectified image.
+    """Return the desired points (N, 2) of a unit's goals, px, in its rectified image.
 
-    A goal is a length rho and a bearing in the robot's own frame, counter-clockwise from its heading. Angles
-    of the image are clockwise seen from above, so that there rho points along `heading - bearing`. No rows
-    where the unit set no goals.
+    A goal is a length rho and a bearing in the robot's own frame, counter-clockwise from its heading. Image
+    angles are clockwise seen from above, so that rho points along `heading - bearing` there. The result has
+    no rows if the unit set no goals.
     """
     goals, robots = decision.goals, decision.detections
     if goals is None:
@@ -30,7 +30,7 @@ def rectified_goals_px(decision: Decision) -> Array:
 
 
 def desired_points_px(decision: Decision) -> Array:
-    """Desired points (N, 2) of the robots of a unit's goals, px, in the image as the camera took it."""
+    """Return the desired points (N, 2) of a unit's goals, px, in the camera's original image."""
     desired_px = rectified_goals_px(decision)
     if decision.ground_map.ideal:
         return desired_px
@@ -38,13 +38,13 @@ def desired_points_px(decision: Decision) -> Array:
 
 
 def rows_of(robots: Detections, ids: IntArray) -> IntArray:
-    """Rows (N,) of the detections that are of the robots `ids`, all of which must have been detected."""
+    """Return the rows (N,) of the detections of the robots `ids`, all of which must be detected."""
     order = np.argsort(robots.ids)
     return np.asarray(order[np.searchsorted(robots.ids, ids, sorter=order)])
 
 
 def desired_on_ground(template: ComplexArray, positions: ComplexArray) -> ComplexArray:
-    """Desired points x^d (N,) on the ground for true positions (N,), both in the same sense of rotation.
+    """Return the desired points x^d (N,) on the ground for true positions (N,), in the same sense.
 
     x^d = a p + b, with the similarity (a, b) that minimises Σ |a p_i + b - x_i|² for the template's points p.
 
@@ -57,17 +57,17 @@ def desired_on_ground(template: ComplexArray, positions: ComplexArray) -> Comple
 def goal_error_m(
     frame: UnitFrame, camera: Camera, pose: CameraPose, template: ComplexArray, positions: ComplexArray
 ) -> float:
-    """Largest distance on the ground, in metres, from a unit's desired points to those that the truth gives.
+    """Return the largest ground distance, m, between a unit's desired points and the true ones.
 
     Args:
         frame: the unit's image and decision.
         camera: the camera that took the image.
-        pose: where the camera was.
-        template: (N,) the template's points of the robots of the unit's goals, in map sense (y up).
-        positions: (N,) true places of these robots, metres.
+        pose: pose of the camera.
+        template: (N,) template points of the robots in the unit's goals, in map sense (y up).
+        positions: (N,) true positions of these robots, m.
 
     Returns:
-        NaN where there are no goals, or where a desired point is not on a ray of the camera.
+        NaN without goals, or if a desired point is not on a ray of the camera.
     """
     if frame.decision.goals is None:
         return float("nan")

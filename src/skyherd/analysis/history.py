@@ -1,4 +1,4 @@
-"""A run as arrays over time, from which figures and summary are made."""
+"""A run as arrays over time, the source of figures and summary."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -19,17 +19,17 @@ from skyherd.messages import TIME_TOLERANCE_S
 from skyherd.sim.truth_metrics import affine_error
 
 WAYPOINTS = 61
-"""Most places of each robot that `History.waypoints_m` has. Chosen: paths of a minute look as they do in
-full, and a study of thousands of runs can keep them."""
+"""Maximum number of positions of each robot in `History.waypoints_m`. Chosen: paths of a minute look as they
+do in full, and a study of thousands of runs can keep them."""
 
 
 @dataclass(frozen=True)
 class ImageTrace:
-    """Where one unit saw the robots that it controlled.
+    """Image traces of the robots that one unit controlled.
 
     Attributes:
-        times_s: (K,) instants of its images.
-        points_px: (K, N) complex image points `u + iv`; NaN for robots that it did not see or not control.
+        times_s: (K,) times of its images.
+        points_px: (K, N) complex image points `u + iv`; NaN for robots that are not seen or not controlled.
     """
 
     times_s: Array
@@ -53,26 +53,26 @@ class History:
         tilts_rad: (T, U, 2) about the cameras' u and v axes.
         zooms: (T, U).
         V: (T,) m².
-        V_units: (T, U) m²; NaN for a set that makes no shape.
+        V_units: (T, U) m²; NaN for a set that defines no shape.
         scales: (T, U) metres a template unit.
         rotations_rad: (T, U) ground sense.
-        goal_errors_m: (T, U) largest distance of a desired point on the ground from that of the truth; NaN
-            where a unit took no image or set no goals, and where the shape's size is not free.
+        goal_errors_m: (T, U) largest ground distance of a desired point from the true one; NaN where a unit
+            took no image or set no goals, and where the shape's size is fixed.
         shape_error: (T,).
         shape_scale: (T,) metres a template unit.
         shape_rotation_rad: (T,).
         min_separation_m: (T,).
-        roles: (T, N) row of the template's point that each robot goes to.
-        conditions: (T, 5) whether TC1-TC5 hold.
-        controlled: (T, U, N) whether unit j controls a robot: the set S_j^c.
-        commanded: (T, N) whether each robot follows a goal that it received within `robots.timeout_s`.
+        roles: (T, N) template row assigned to each robot.
+        conditions: (T, 5) True where TC1-TC5 hold.
+        controlled: (T, U, N) True where unit j controls a robot: the set S_j^c.
+        commanded: (T, N) True where a robot follows a goal received within `robots.timeout_s`.
         trees: the tree of units at each step, None where sets come from the safety radius alone.
         traces: image traces by unit.
         frames: images taken.
         whole: markers whose card was whole in an image, over all images.
-        found: those of them detected.
-        false_detections: detections of no robot.
-        traffic: what robots and units had to be told.
+        found: number of these that were detected.
+        false_detections: detections that match no robot.
+        traffic: messages to robots and units.
     """
 
     mission: Mission
@@ -109,7 +109,7 @@ class History:
 
     @cached_property
     def affine_error(self) -> Array:
-        """How far (T,) the formation is from the nearest affine image of its shape; see `affine_error`."""
+        """Distance (T,) of the formation from the nearest affine image of its shape; see `affine_error`."""
         places, errors = to_complex(self.positions_m), np.empty(len(self.times_s))
         rows_of: dict[bytes, list[int]] = {}
         for row, (time_s, roles) in enumerate(zip(self.times_s.tolist(), self.roles, strict=True)):
@@ -122,9 +122,9 @@ class History:
 
     @property
     def affine_reached_s(self) -> float:
-        """Since when, s, `affine_error` stayed under `goal.shape_error`.
+        """Time, s, since which `affine_error` stayed under `goal.shape_error`.
 
-        NaN unless it did so for the last `goal.hold_s` of the run.
+        NaN if the error was above the goal within the last `goal.hold_s` of the run.
         """
         goal = self.mission.scenario.goal
         above = np.flatnonzero(~(self.affine_error < goal.shape_error))
@@ -134,9 +134,9 @@ class History:
 
     @property
     def min_path_m(self) -> float:
-        """Least sum of straight ways, m, from the start into the shape: any place, rotation, size and roles.
+        """Least sum of straight paths, m, from the start into the shape at any pose, size and assignment.
 
-        It is what `shortest_path` finds with no bound on the size, whatever the mission allows: one lower
+        `shortest_path` computes it without a bound on the size, whatever the mission allows. It is one lower
         bound for all methods that form a similar shape from one start.
         """
         template = self.mission.template.points_of(self.ids).conj()
@@ -144,18 +144,18 @@ class History:
 
     @property
     def waypoints_m(self) -> Array:
-        """Positions (W, N, 2) at `WAYPOINTS` instants from start to end, or at all if there are fewer; mm."""
+        """Positions (W, N, 2) at up to `WAYPOINTS` instants from start to end, in whole mm."""
         rows = np.linspace(0, len(self.times_s) - 1, min(WAYPOINTS, len(self.times_s))).round().astype(int)
         return np.asarray(np.round(self.positions_m[rows], 3))
 
     @property
     def messages_per_robot_s(self) -> float:
-        """Messages for each robot and second of the run, as `Traffic` counts them; NaN where nobody knows."""
+        """Messages per robot and second of the run, as `Traffic` counts them; NaN if unknown."""
         return self.traffic.messages / self.ids.size / self._duration_s
 
     @property
     def numbers_per_robot_s(self) -> float:
-        """Numbers in those messages, for each robot and second of the run."""
+        """Numbers in those messages, per robot and second of the run."""
         return self.traffic.numbers / self.ids.size / self._duration_s
 
     @property
@@ -169,12 +169,12 @@ class History:
 
     @property
     def shape(self) -> Template:
-        """The shape at the end, each robot with the template's point that it has then."""
+        """The shape at the end, with the template point that each robot has then."""
         return self.mission.shape_at(float(self.times_s[-1]), self.roles[-1])
 
     @property
     def ready_row(self) -> int | None:
-        """First step at which the tree of units was complete; 0 without a tree, None if it never was."""
+        """First step with a complete tree of units; 0 without a tree, None if it was never complete."""
         if self.mission.scenario.selection.kind != "tree":
             return 0
         return next((row for row, tree in enumerate(self.trees) if tree and tree.ready), None)
@@ -201,7 +201,7 @@ _COLUMNS = {
     "min_separation_m": "metrics.min_separation_m",
     "roles": "roles",
 }
-"""Fields of the history that are stacked from the steps, and where a step has them."""
+"""Fields of the history that are stacked from the steps, and their location in a step."""
 
 CURVES = (
     *_COLUMNS,
@@ -216,17 +216,16 @@ CURVES = (
     "messages_per_robot_s",
     "numbers_per_robot_s",
 )
-"""Names of what studies can keep of a history: arrays over time, and some numbers."""
+"""Names of the history fields that studies can keep: arrays over time, and some numbers."""
 
 
 def make_history(mission: Mission, steps: Iterable[Step]) -> History:
     """Stack the steps of a run into arrays over time.
 
-    Camera images are dropped step by step, so that a run as it goes on (`run_steps(mission)`) needs little
-    memory.
+    Camera images are dropped step by step, so that a running `run_steps(mission)` needs little memory.
 
     Args:
-        mission: what was run.
+        mission: mission of the run.
         steps: at least one step, in the order of time.
     """
     steps = [step.without_images() for step in steps]

@@ -1,10 +1,10 @@
-"""The shortest paths into a shape, found with full knowledge: what a path length is compared with.
+"""Shortest paths into a shape with full knowledge: the lower bound for path lengths.
 
-Robots may take any points of the template, at any place, rotation and size that the mission allows. For a
-fixed rotation the assignment with the least sum of *squared* distances depends on neither size nor place, so
-that `ROTATIONS` of them give candidates, and the best of these are followed up with the distances themselves.
-Compared with all 120 assignments of five robots this found the shortest in every test; of six robots in three
-of four, and 0.9 % more otherwise. Forty robots take 0.1 s.
+Robots may take any template points, at any position, rotation and size that the mission allows. For a fixed
+rotation, the assignment with the least sum of *squared* distances depends on neither size nor position.
+`ROTATIONS` of them therefore give candidates, and the best of these are refined with the distances
+themselves. Compared with all 120 assignments of five robots, this found the shortest in every test. For six
+robots it did so in three of four tests, and was 0.9 % longer otherwise. Forty robots take 0.1 s.
 """
 
 from dataclasses import dataclass
@@ -16,32 +16,32 @@ from skyherd.control import ascend
 from skyherd.geometry import ComplexArray, IntArray, to_points
 
 ROTATIONS = 72
-"""Rotations of the shape that are tried, 5 degrees apart. Chosen: time is proportional; half of them miss
+"""Number of tested rotations of the shape, 5 degrees apart. Chosen: time is proportional; half as many miss
 more optima."""
 
 REFINED = 12
-"""Assignments that are followed up, best first. Chosen: time is proportional; fewer miss more optima."""
+"""Number of assignments that are refined, best first. Chosen: time is proportional; fewer miss optima."""
 
 ROUNDS = 500
-"""Most rounds of reweighting. It ends sooner when a round shortens the sum by less than `TOLERANCE` of it."""
+"""Maximum number of reweighting rounds. Iteration stops when the sum improves by less than `TOLERANCE`."""
 
 TOLERANCE = 1e-10
-"""Relative change of the sum below which it counts as settled. Chosen: far above the rounding of float64,
-1e-16, and far below what a path length is judged by."""
+"""Relative change of the sum that ends the iteration. Chosen: far above float64 rounding, 1e-16, and far
+below the required precision of a path length."""
 
 MIN_DISTANCE = 1e-9
-"""Least distance in the weights 1 / distance, as a share of the starts' extent: a robot that starts at its
-end point would have an infinite weight."""
+"""Least distance in the weights 1 / distance, as a share of the starts' extent. It keeps the weight finite
+for a robot that starts at its end point."""
 
 
 @dataclass(frozen=True)
 class ShortestPath:
-    """The least sum of straight distances that was found, and the assignment and end points that have it.
+    """Least sum of straight distances found, with its assignment and end points.
 
     Attributes:
         length: sum of the distances, in the starts' unit.
         order: (N,) template point of each robot.
-        places: (N,) where each robot ends, `a template[order] + b`.
+        places: (N,) end points of the robots, `a template[order] + b`.
     """
 
     length: float
@@ -56,14 +56,15 @@ def shortest_path(
     classes: IntArray | None = None,
     spacing: tuple[float, float] = (0.0, np.inf),
 ) -> ShortestPath:
-    """The least `Σ_i |a p_σ(i) + b - x_i|` over assignments σ and similarities (a, b), a ≠ 0.
+    """Minimise `Σ_i |a p_σ(i) + b - x_i|` over assignments σ and similarities (a, b), a ≠ 0.
 
-    For a fixed rotation φ the assignment with the least *squares* depends on neither size nor place, since
-    it is the one that maximises `Re(e^{-iφ} Σ conj(p_σ(i)) x_i)`. Some rotations give a choice of them,
-    each is made better by the best rotation for it and the best assignment for that in turn, and the best
-    are followed up with the distances themselves: similarity by iteratively reweighted least squares,
-    then assignment, until neither shortens the sum. For one σ and free size the sum is convex in (a, b), so
-    that only the choice of σ may miss the least: the result is never below it, and seldom above.
+    For a fixed rotation φ, the assignment with the least *squares* depends on neither size nor position: it
+    maximises `Re(e^{-iφ} Σ conj(p_σ(i)) x_i)`. Sampled rotations give candidates. Each candidate alternates
+    between its best rotation and the best assignment for that rotation.
+
+    The best candidates are refined with the distances themselves: similarity by iteratively reweighted least
+    squares, then assignment, until neither shortens the sum. For one σ and free size the sum is convex in (a,
+    b). Only the choice of σ may therefore miss the optimum: the result is never below it, and seldom above.
 
     Args:
         template: p (N,), in the sense of the starts.
@@ -83,7 +84,7 @@ def shortest_path(
 
 
 def _assign(costs: np.ndarray, groups: list[IntArray]) -> IntArray:
-    """Template point (N,) of each robot, for the least sum of costs (robot, point) within the classes."""
+    """Return the template point (N,) of each robot with the least cost (robot, point) within classes."""
     order: IntArray = np.arange(len(costs))
     for rows in groups:
         if rows.size > 1:
@@ -95,7 +96,7 @@ def _assign(costs: np.ndarray, groups: list[IntArray]) -> IntArray:
 
 
 def _choice(template: ComplexArray, starts: ComplexArray, classes: IntArray) -> list[IntArray]:
-    """Different assignments, least squares first, no two of which turn into each other."""
+    """Return different assignments, least squares first, none of which turns into another."""
     if np.unique(classes).size == classes.size:
         return [np.arange(starts.size)]
     points, robots = template - template.mean(), starts - starts.mean()
@@ -113,7 +114,7 @@ def _follow_up(
     groups: list[IntArray],
     sizes: tuple[float, float],
 ) -> ShortestPath:
-    """Similarity and assignment in turn, by the distances themselves, until the sum stays."""
+    """Refine similarity and assignment in turn, by the distances themselves, until convergence."""
     best: ShortestPath | None = None
     while True:
         a, b = _nearest_similarity(template[order], starts, sizes)
@@ -128,10 +129,10 @@ def _follow_up(
 def _nearest_similarity(
     points: ComplexArray, starts: ComplexArray, sizes: tuple[float, float]
 ) -> tuple[complex, complex]:
-    """The (a, b), |a| within `sizes`, with the least `Σ |a p + b - x|`, by reweighted least squares.
+    """Return (a, b), |a| within `sizes`, with least `Σ |a p + b - x|`, by reweighted least squares.
 
-    The weighted squares are `const + W |a - a0|²` in a, so that the best a within sizes is the nearest to a0
-    along its own direction.
+    The weighted squares are `const + W |a - a0|²` in a, so that the best a within `sizes` is the nearest to
+    a0 along its own direction.
     """
     weights, length = np.ones(starts.size), np.inf
     least = MIN_DISTANCE * (np.ptp(starts.real) + np.ptp(starts.imag))

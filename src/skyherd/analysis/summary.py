@@ -1,7 +1,7 @@
-"""The summary of a run in numbers: the content of `summary.json`.
+"""Numerical summary of a run: the content of `summary.json`.
 
-`uncommanded_robot_s` says for how long robots held still because they had no goal that was young enough: the
-times of all robots added up.
+`uncommanded_robot_s` is the total time for which robots stood still because their goal was stale, summed over
+all robots.
 """
 
 from typing import Any
@@ -18,9 +18,9 @@ from skyherd.messages import TIME_TOLERANCE_S
 
 
 def held_to_the_end(history: History) -> bool:
-    """Whether the shape error stayed under `goal.shape_error` for `goal.hold_s`, up to the last step.
+    """Return whether the shape error stayed under its goal for `goal.hold_s` up to the last step.
 
-    A run that is shorter than the hold time has not reached it.
+    A run shorter than the hold time has not reached the goal.
     """
     goal, times = history.mission.scenario.goal, history.times_s
     if times[-1] - times[0] < goal.hold_s:
@@ -30,7 +30,7 @@ def held_to_the_end(history: History) -> bool:
 
 
 def reached_s(history: History) -> float | None:
-    """Since when, s, the shape error has stayed under `goal.shape_error`; None if it is above at the end."""
+    """Return the time, s, since which the shape error is under its goal; None if not at the end."""
     above = np.flatnonzero(~(history.shape_error < history.mission.scenario.goal.shape_error))
     first = int(above[-1]) + 1 if above.size else 0
     return round(float(history.times_s[first]), 9) if first < history.times_s.size else None
@@ -39,15 +39,15 @@ def reached_s(history: History) -> float | None:
 def summarize(history: History, wall_s: float | None) -> dict[str, Any]:
     """Make the summary of a run: plain values by key, ready for JSON.
 
-    Keys carry their units; `shape_error` is the RMS distance to the best-fitting similarity of the template
-    over the formation's RMS radius, `scale` is in metres a template unit, both from truth. Violations count
-    from `ready_s` on, when the tree of units is complete; from the start, if it never is. `min_separation_m`
-    is between the middles of robots, `min_gap_m` between bodies, obstacles' too; both, and collisions, are
-    judged at the steps.
+    Keys carry their units. `shape_error` is the RMS distance to the best-fitting similarity of the template
+    over the formation's RMS radius. `scale` is in metres per template unit. Both are ground truth. Violations
+    count from `ready_s`, when the tree of units is complete, or from the start if it never is.
+    `min_separation_m` is the distance between robot centres, `min_gap_m` that between bodies, including
+    obstacles. Both, and collisions, are evaluated at the steps.
 
     Args:
         history: the run.
-        wall_s: wall time that it took; None for a run that was cut short, whose rates then are None.
+        wall_s: wall time of the run; None for an incomplete run, whose rates then are None.
     """
     scenario = history.mission.scenario
     return {
@@ -65,7 +65,7 @@ def summarize(history: History, wall_s: float | None) -> dict[str, Any]:
 
 
 def _course(history: History, wall_s: float | None) -> dict[str, Any]:
-    """How far the run went, and how fast."""
+    """Return the duration of the run and its speed."""
     steps, simulated_s = int(history.times_s.size), float(history.times_s[-1])
 
     def per_wall(amount: float) -> float | None:
@@ -86,7 +86,7 @@ def _course(history: History, wall_s: float | None) -> dict[str, Any]:
 
 
 def _shape(history: History) -> dict[str, Any]:
-    """What they formed."""
+    """Return the values of the formed shape."""
     errors_m = history.goal_errors_m
     return {
         "shape_error": float(history.shape_error[-1]),
@@ -99,7 +99,7 @@ def _shape(history: History) -> dict[str, Any]:
 
 
 def _topology(history: History) -> dict[str, Any]:
-    """How often sets changed, and how long each of TC1-TC5 did not hold."""
+    """Return the number of set changes, and the time for which each of TC1-TC5 was violated."""
     step_s = history.mission.scenario.step_s
     counted = history.conditions[history.ready_row or 0 : -1]
     violated_s = (~counted).sum(axis=0) * step_s
@@ -113,7 +113,7 @@ def _topology(history: History) -> dict[str, Any]:
 
 
 def _dwell(history: History) -> dict[str, float | None]:
-    """How long topologies lasted, and for how long Proposition 1 asks them to (`analysis/dwell_time.py`)."""
+    """Return the dwell times and the requirement of Proposition 1 (`analysis/dwell_time.py`)."""
     dwell = estimate_dwell_time(history)
     return {
         "dwell_min_s": dwell.min_s,
@@ -126,7 +126,7 @@ def _dwell(history: History) -> dict[str, float | None]:
 
 
 def _robots(history: History) -> dict[str, Any]:
-    """Where robots went, and how near to one another."""
+    """Return the positions of the robots and their least distance."""
     roles = np.concatenate([np.arange(history.ids.size)[None], history.roles])
     travelled = np.linalg.norm(np.diff(history.positions_m, axis=0), axis=2).sum()
     collisions, min_gap_m = _contacts(history)
@@ -146,7 +146,7 @@ def _robots(history: History) -> dict[str, Any]:
 
 
 def _contacts(history: History) -> tuple[int, float]:
-    """How many times two bodies began to overlap, counting the start, and the least room between any two."""
+    """Count the onsets of body overlaps, including the start, and find the least gap."""
     bodies = history.mission.bodies
     before, begun, min_m = np.zeros(1, dtype=bool), 0, np.inf
     for positions_m in history.positions_m:
@@ -157,10 +157,10 @@ def _contacts(history: History) -> tuple[int, float]:
 
 
 def _shortest_path_m(history: History) -> float:
-    """Straight lines from the start into the shape, at the best place, size and turn that are allowed.
+    """Return the straight lines from the start into the shape at the best allowed pose and size.
 
-    Robots that may exchange their places have the best ones too. Of several shapes, each begins where the
-    robots were when it came up, and the lengths add up.
+    Robots that may exchange roles also have the best assignment. With several shapes, each begins at the
+    robots' positions when it became active, and the lengths add up.
     """
     mission = history.mission
     classes: IntArray | None = np.arange(history.ids.size)
@@ -179,7 +179,7 @@ def _shortest_path_m(history: History) -> float:
 
 
 def _spacing_m(scenario: Scenario, template: ComplexArray) -> tuple[float, float]:
-    """Bounds on the distance between the shape's two nearest robots."""
+    """Return the bounds on the distance between the shape's two nearest robots."""
     size, side_m = scenario.size, scenario.marker.side_m
     if size.unit_m is not None:
         return (size.unit_m * float(pdist(to_points(template)).min()),) * 2
@@ -189,7 +189,7 @@ def _spacing_m(scenario: Scenario, template: ComplexArray) -> tuple[float, float
 
 
 def _tree(history: History) -> dict[str, Any]:
-    """State of the tree of units at the end; no keys where units select robots by the safety radius alone."""
+    """Return the final state of the tree of units; empty if units select robots by safety radius alone."""
     tree, ready = history.trees[-1], history.ready_row
     if tree is None:
         return {}

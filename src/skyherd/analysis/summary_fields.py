@@ -1,4 +1,4 @@
-"""The keys of the summary in plain words, and how their values are written for people."""
+"""Labels and explanations of the summary's keys, and formatting of their values."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -16,11 +16,11 @@ class Field:
 
     Attributes:
         key: the key in `summary.json`.
-        label: what it is called, a few words.
-        unit: written behind the value; empty for none.
+        label: a name of a few words.
+        unit: suffix of the value; empty for none.
         meaning: a sentence.
-        kind: how the value is written: `plain`, `angle` (degrees and radians), `share` (per cent) or `ids`.
-        absent: text of a value that is None, where that means something else than not known.
+        kind: format of the value: `plain`, `angle` (degrees and radians), `share` (per cent) or `ids`.
+        absent: text of a value that is None, where that does not mean unknown.
     """
 
     key: str
@@ -39,10 +39,10 @@ TC_MEANINGS = (
     "The units and their neighbours make a tree, without cycles.",
 )
 
-"""What the conditions TC1 to TC5 of the paper demand of a topology, in this order."""
+"""Requirements of the paper's conditions TC1 to TC5 on a topology, in this order."""
 
 TREE = "Tree of units"
-"""Name of the group of the keys that only missions with a tree of units have."""
+"""Name of the group of keys that only missions with a tree of units have."""
 
 GROUPS: Mapping[str, tuple[Field, ...]] = {
     "Outcome": (
@@ -221,13 +221,13 @@ GROUPS: Mapping[str, tuple[Field, ...]] = {
         Field("frames_per_s", "Images processed", "per second"),
     ),
 }
-"""Every key of the summary but the final positions, in the order shown."""
+"""All keys of the summary except the final positions, in the order shown."""
 
 
 def value_text(field: Field, value: object) -> str:
-    """A value with its unit as text, as its field's kind says.
+    """Format a value with its unit, according to its field's kind.
 
-    None is what `Field.absent` says, NaN and infinity are `not known`.
+    None is shown as `Field.absent`, NaN and infinity as `not known`.
     """
     if value is None:
         return field.absent
@@ -247,7 +247,7 @@ def value_text(field: Field, value: object) -> str:
 
 
 def number_text(value: float) -> str:
-    """A finite number as text: an integer in full, else four digits, as `0.01235` or `1.887 × 10⁻⁸`."""
+    """Format a finite number: an integer in full, else four digits, as `0.01235` or `1.887 × 10⁻⁸`."""
     mantissa, _, exponent = (str(value) if isinstance(value, int) else f"{value:.4g}").partition("e")
     power = f" × 10{str(int(exponent)).translate(_SUPERSCRIPTS)}" if exponent else ""
     return mantissa.replace("-", "−") + power

@@ -1,4 +1,4 @@
-"""Changes of a run's topology as a list of sentences with their times."""
+"""Topology changes of a run as a list of timed sentences."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -12,14 +12,14 @@ from skyherd.geometry import BoolArray
 
 @dataclass(frozen=True)
 class TopologyChange:
-    """A change of the topology: when it happened, and what it was, in a few words."""
+    """A change of the topology: its time, and a description of a few words."""
 
     time_s: float
     what: str
 
 
 def find_topology_changes(history: History) -> list[TopologyChange]:
-    """All changes after a run's first step: units that die, return, join, leave; robots that change units."""
+    """List all changes after the first step: units die, return, join, leave; robots change units."""
     found = []
     for row in range(1, history.times_s.size):
         before, after = history.trees[row - 1], history.trees[row]
@@ -41,7 +41,7 @@ def _of_units(before: TreeSnapshot | None, after: TreeSnapshot | None) -> Iterat
 
 
 def _of_robots(history: History, row: int) -> Iterator[str]:
-    """Robots whose controlling units changed, those with the same change in one sentence."""
+    """List the robots whose controlling units changed, those with the same change in one sentence."""
     before, after = history.controlled[row - 1], history.controlled[row]
     changes: dict[tuple[str, str], list[int]] = {}
     for column in np.flatnonzero((before != after).any(axis=0)).tolist():
@@ -57,5 +57,5 @@ def _owners(units: BoolArray) -> str:
 
 
 def robot_names(ids: list[int]) -> str:
-    """Robots by their ids, as `robot 3` or `robots 3, 5`."""
+    """Name robots by their ids, as `robot 3` or `robots 3, 5`."""
     return f"robot{'s' if len(ids) > 1 else ''} {', '.join(str(robot) for robot in ids)}"

@@ -1,4 +1,4 @@
-"""A report on a topology: its graph, which of TC1-TC5 are violated and why, and how fast it converges."""
+"""Report on a topology: graph, violations of TC1-TC5 with reasons, and convergence rate."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -24,25 +24,25 @@ Edge = tuple[int, int]
 """Two units that share robots, the lower one first."""
 
 FLAT = 0.25
-"""An error is at its floor if its logarithm falls in the last third of the time by less than this share of
-what it falls in the middle third. Chosen: 1 for a steady fall, 0 at rest; larger values take a slow mode for
-a floor."""
+"""Ratio of the decrease of log error in the last third of the time to that in the middle third. Below it, an
+error is at its floor. Chosen: 1 for a steady decrease, 0 at rest; larger values take a slow mode for a floor.
+"""
 
 FLOOR_FACTOR = 3.0
-"""An error below this multiple of its least value counts as at its floor. Chosen: the noise about a floor
-stays below."""
+"""Multiple of the least error below which an error counts as at its floor. Chosen: noise about a floor stays
+below."""
 
 MIN_SAMPLES = 20
-"""Fewest steps from which a rate is estimated. Chosen: with half as many the slope is mostly noise."""
+"""Minimum number of steps for a rate estimate. Chosen: with half as many the slope is mostly noise."""
 
 MIN_RATE = 1e-9
-"""Eigenvalues of the Laplacian below this are zero: rounding, of about 1e-15 times the number of robots,
-stays below."""
+"""Threshold below which eigenvalues of the Laplacian are zero. Derived: exceeds rounding, about 1e-15 times
+the number of robots."""
 
 
 @dataclass(frozen=True)
 class Breach:
-    """One way in which a condition is violated: the condition's number, and a sentence that says why."""
+    """Violation of a condition: the condition's number, and a sentence with the reason."""
 
     condition: int
     what: str
@@ -50,13 +50,13 @@ class Breach:
 
 @dataclass(frozen=True)
 class TopologyReport:
-    """A topology and what follows from it.
+    """A topology and its properties.
 
     Attributes:
         sets: S_j^c by unit.
-        shared: the robots that two units have in common, for each edge of G_c.
+        shared: robots shared by two units, for each edge of G_c.
         conditions: TC1-TC5.
-        breaches: why those that are violated are.
+        breaches: reasons of the violations.
         slowest: λ_3 of L, the slowest mode's rate in units of the gain k
             (control/topology/convergence_rate.py).
     """
@@ -69,7 +69,7 @@ class TopologyReport:
 
 
 def judge_topology(sets: ControlSets, template: Template) -> TopologyReport:
-    """Report on the sets of all living units, by unit, over the robots of a template."""
+    """Make the report on the sets of all living units, by unit, over the robots of a template."""
     shared = {edge: _common(sets, *edge) for edge in graph_edges(sets)}
     rows = _rows(sets, template)
     return TopologyReport(
@@ -91,7 +91,7 @@ def _common(sets: ControlSets, j: int, k: int) -> list[int]:
 
 
 def _breaches(sets: ControlSets, links: list[Edge], ids: IntArray) -> Iterator[Breach]:
-    """What breaks each condition; a graph that is not connected breaks TC5 too, and says so once."""
+    """List the violations of each condition; a disconnected graph also violates TC5, reported once."""
     parts = _parts(sorted(sets), links)
     if len(parts) > 1:
         names = " | ".join(", ".join(str(unit) for unit in part) for part in parts)
@@ -115,7 +115,7 @@ def _breaches(sets: ControlSets, links: list[Edge], ids: IntArray) -> Iterator[B
 
 
 def _parts(units: list[int], links: list[Edge]) -> list[list[int]]:
-    """Connected parts of the graph."""
+    """Return the connected components of the graph."""
     label = {unit: unit for unit in units}
     for j, k in links:
         old, new = label[k], label[j]
@@ -124,7 +124,7 @@ def _parts(units: list[int], links: list[Edge]) -> list[list[int]]:
 
 
 def _on_cycles(links: list[Edge]) -> list[int]:
-    """Units that remain when those with a single neighbour are removed again and again: none in a forest."""
+    """Return the units left after repeated removal of leaves: none in a forest."""
     while links:
         ends = [unit for link in links for unit in link]
         kept = [link for link in links if min(ends.count(unit) for unit in link) > 1]
@@ -137,11 +137,11 @@ def _on_cycles(links: list[Edge]) -> list[int]:
 def predicted_time_s(
     sets: ControlSets, template: Template, positions: ComplexArray, gain_ps: float, error: float
 ) -> float | None:
-    """Time, s, until the shape error is `error` under `dp/dt = -k L p` from positions (N,); None if never.
+    """Return the time, s, to reach the shape error `error` under `dp/dt = -k L p`; None if never.
 
-    In L's modes `p = Σ_i c_i v_i` each `c_i` falls as `exp(-k λ_i t)`, those of `λ = 0`, the similarities of
-    the template, stay: `error(t)² = Σ_{i ≥ 3} |c_i|² exp(-2 k λ_i t) / |p - mean|²`. Positions are in map
-    sense. It is without limits of speed, and as if robots could move sideways.
+    In L's modes `p = Σ_i c_i v_i` each `c_i` decays as `exp(-k λ_i t)`. Those of `λ = 0`, the similarities of
+    the template, stay: `error(t)² = Σ_{i ≥ 3} |c_i|² exp(-2 k λ_i t) / |p - mean|²`. Positions (N,) are in
+    map sense. The model has no speed limits and assumes holonomic robots.
     """
     values, modes = np.linalg.eigh(laplacian(template.points_px, _rows(sets, template)))
     if positions.size < 3 or values[2] < MIN_RATE:
@@ -165,19 +165,20 @@ def predicted_time_s(
 
 
 def resting_error(slowest: float, threshold: float) -> float:
-    """Largest RMS distance from the shape at which robots may rest that stop below a threshold, in its unit.
+    """Return a bound on the RMS distance from the shape of robots that stop below a threshold.
 
-    At rest `|(L p)_i| < b` for each of N robots, so that `|L p| < b sqrt(N)`; the part of p that is no
-    similarity of the template is shrunk by λ_3 at most, and so less than `b sqrt(N) / λ_3`: RMS `b / λ_3`.
+    At rest `|(L p)_i| < b` for each of N robots, so that `|L p| < b sqrt(N)`. L shrinks the part of p that is
+    no similarity of the template by λ_3 at most. That part is less than `b sqrt(N) / λ_3`: RMS `b / λ_3`, in
+    the unit of the threshold.
     """
     return threshold / slowest if slowest > 0 else np.inf
 
 
 def measured_rate_ps(times_s: Array, errors: Array) -> float | None:
-    """Rate, 1/s, at which a shape error (T,) falls towards the end; None if there are too few steps.
+    """Return the final decay rate, 1/s, of a shape error (T,); None with too few steps.
 
-    Minus the least-squares slope of log error over the second half of the stretch before the error reaches
-    its floor, three times its least value, if it stops falling at all.
+    The rate is minus the least-squares slope of log error over the second half of the stretch above the
+    floor. The floor is three times the least error, if the error stops decreasing at all.
     """
     if errors.size >= MIN_SAMPLES and _is_flat(np.log(errors)):
         above = np.flatnonzero(errors > FLOOR_FACTOR * errors.min())
@@ -189,13 +190,13 @@ def measured_rate_ps(times_s: Array, errors: Array) -> float | None:
 
 
 def _is_flat(logs: Array) -> bool:
-    """Whether values (T,) stop falling in their last third."""
+    """Return whether values (T,) stop decreasing in their last third."""
     third = logs.size // 3
     return bool(logs[-third] - logs[-1] < FLAT * (logs[third] - logs[-third]))
 
 
 def last_stretch(history: History) -> slice:
-    """Steps since the last change of the topology, and since the tree of units was complete."""
+    """Return the steps since the last topology change and since the tree of units was complete."""
     changes = np.flatnonzero((history.controlled[1:] != history.controlled[:-1]).any(axis=(1, 2))) + 1
     ready = history.ready_row
     first = max(int(changes[-1]) if changes.size else 0, 0 if ready is None else ready)

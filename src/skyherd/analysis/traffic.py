@@ -1,11 +1,10 @@
-"""What robots and units had to be told in a run: counted, or derived from what a law needs to know.
+"""Messages that robots and units need in a run: counted, or derived from a control law.
 
-Under skyherd's own law these are the messages that units sent, counted as they left them: the goal of each
-robot that is addressed is one message, and so are all bodies near it, and each report of a unit to the
-others, with all that is in it. Under a law from the literature a robot measures its neighbours, or is told of
-them, at every step: each of its links is one message, and the numbers in it follow from the law
-(`skyherd.sim.baseline_laws.BaselineLaw`). When messages to robots were sent, and the ids in them, are not
-counted: every method needs those.
+Under skyherd's own law, these are the messages that units sent. The goal of each addressed robot is one
+message. The bodies near it are one, and so is each report of a unit to the others. Under a law from the
+literature, a robot measures its neighbours, or receives their state, at every step. Each of its links is one
+message, whose numbers follow from the law (`skyherd.sim.baseline_laws.BaselineLaw`). Time stamps and ids do
+not count, since every method needs them.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -23,19 +22,19 @@ GOAL_NUMBERS = 3
 """Numbers in a robot's goal beside its distances to neighbours: length, bearing, side of its marker."""
 
 PAIR_NUMBERS = 4
-"""Numbers about each body near a robot: distance, bearing, the reach of both, and the share of the gap."""
+"""Numbers per body near a robot: distance, bearing, combined reach, and share of the gap."""
 
 
 @dataclass(frozen=True)
 class Traffic:
-    """Messages of a whole run, and the numbers in them; NaN of a law of one's own, of which nobody knows."""
+    """Messages of a whole run and the numbers in them; NaN for a user's own law, whose needs are unknown."""
 
     messages: float
     numbers: float
 
 
 def count_traffic(mission: Mission, steps: Sequence[Step]) -> Traffic:
-    """What was sent in a run, or, under a law from the literature, what each robot had to know of others."""
+    """Count the messages of a run, or derive them from a law of the literature."""
     method = mission.scenario.control.method
     if method == METHODS[0]:
         frames = [frame for step in steps for frame in step.frames.values()]
@@ -49,7 +48,7 @@ def count_traffic(mission: Mission, steps: Sequence[Step]) -> Traffic:
 
 
 def _sent(frame: UnitFrame) -> tuple[int, int]:
-    """Messages that a unit sent after one image, and the numbers in them."""
+    """Count the messages that a unit sent after one image, and the numbers in them."""
     messages, numbers = 1, _numbers_in(frame.decision.report)
     if (goals := frame.decision.goals) is not None:
         messages += len(goals)
@@ -61,7 +60,7 @@ def _sent(frame: UnitFrame) -> tuple[int, int]:
 
 
 def _numbers_in(value: object) -> int:
-    """Numbers in a message: in its arrays and collections, and in the messages within it."""
+    """Count the numbers in a message: in arrays, collections and nested messages."""
     if isinstance(value, np.ndarray):
         return value.size
     if is_dataclass(value):

@@ -1,7 +1,7 @@
-"""The whole tree of units, put together from the last status of each: for pictures and reports.
+"""Complete tree of units, assembled from the last status of each unit, for pictures and reports.
 
-No unit knows all of the tree. Statuses arrive at different times, so that the two ends of an edge may
-disagree for a while; then the one with more turns taken is right.
+No unit knows the whole tree. Statuses arrive at different times, so that the two ends of an edge may
+disagree for a while. The end with more turns is then right.
 """
 
 from collections.abc import Iterable, Mapping
@@ -24,7 +24,7 @@ class Link:
         turn: turns taken so far.
         pair: ids of the robots that its units share, ascending; empty while the edge is granted but not yet
             used.
-        is_mutual: whether both ends name it.
+        is_mutual: True if both ends name it.
     """
 
     ends: Ends
@@ -34,7 +34,7 @@ class Link:
 
     @property
     def holder(self) -> int:
-        """The unit that may change the pair now: after an even number of turns the lower one."""
+        """Unit that may change the pair now: after an even number of turns the lower one."""
         return self.ends[self.turn % 2]
 
 
@@ -47,10 +47,10 @@ class TreeSnapshot:
         members: units that belong to the tree.
         unjoined: living units that do not.
         dead: units in an outage.
-        asks: the unit that each unjoined one asks to be admitted by, if any.
-        heirs: the unit that would take over its place, by unit.
+        asks: unit from which each unjoined unit requests admission, if any.
+        heirs: successor of each unit.
         missing_ids: robots that their units have not seen for long.
-        ready: whether a unit knows the tree to be complete, so that robots may move.
+        ready: True if a unit knows that the tree is complete, so that robots may move.
     """
 
     links: Mapping[Ends, Link]
@@ -64,7 +64,7 @@ class TreeSnapshot:
 
 
 def tree_snapshot(statuses: Mapping[int, TreeStatus], dead: Iterable[int] = ()) -> TreeSnapshot:
-    """Put the tree together from the last status of each living unit, by unit, and the units in an outage."""
+    """Assemble the tree from the last status of each living unit, and the units in an outage."""
     members = frozenset(unit for unit, status in statuses.items() if status.tree_id != NO_ID)
     return TreeSnapshot(
         links=_links(statuses),
@@ -98,12 +98,12 @@ def _links(statuses: Mapping[int, TreeStatus]) -> dict[Ends, Link]:
 
 @dataclass
 class TreeHistory:
-    """Keeps the last status of each unit from step to step, since a unit has no new one at most steps."""
+    """Last status of each unit, since a unit has no new one at most steps."""
 
     _statuses: dict[int, TreeStatus] = field(default_factory=dict, init=False)
 
     def add(self, step: Step, dead: Iterable[int]) -> TreeSnapshot | None:
-        """The tree after a step with these units in an outage; None where units form no tree."""
+        """Return the tree after a step with these units in an outage; None without a tree."""
         for unit, frame in step.frames.items():
             if (status := frame.decision.report.tree) is not None:
                 self._statuses[unit] = status

@@ -1,7 +1,7 @@
-"""Drawing on RGB images: anti-aliased shapes with sub-pixel places, and text.
+"""Drawing on RGB images: anti-aliased shapes with sub-pixel positions, and text.
 
 Points are (u, v) in pixels of the image drawn on, u right, v down, an integer being a pixel centre.
-Images may be views of a larger one: what falls outside is cut off.
+Images may be views of a larger one: drawing is clipped to the view.
 """
 
 from collections.abc import Iterable, Sequence
@@ -24,25 +24,24 @@ Color = tuple[int, int, int]
 """Red, green and blue, 0 to 255."""
 
 Align = Literal["left", "center", "right"]
-"""Which point of a text lies at the place given."""
+"""Anchor point of a text."""
 
 _SHIFT = 4
-"""Bits after the point in OpenCV's fixed-point coordinates. *Chosen*: 1/16 px, finer than anti-aliasing
-shows."""
+"""Fractional bits of OpenCV's fixed-point coordinates. *Chosen*: 1/16 px, finer than anti-aliasing shows."""
 
 _ONE = 1 << _SHIFT
 """One pixel in these coordinates. *Derived*."""
 
 _FAR_PX = 1e5
-"""Points farther out are pulled in to this, px. *Chosen*: far outside any image, and no overflow in fixed
-point."""
+"""Limit to which points farther out are clamped, px. *Chosen*: far outside any image, without fixed-point
+overflow."""
 
 _CAP_HEIGHT = 0.729
 """Height of DejaVu Sans capitals and digits over the font size. *Derived* from the font: 1493 of 2048
 units."""
 
 _POINT_PX = 1e-9
-"""Length below which an arrow is a point, px. *Chosen*: keeps a division from zero."""
+"""Length below which an arrow is a point, px. *Chosen*: avoids division by zero."""
 
 
 @dataclass(frozen=True)
@@ -55,12 +54,12 @@ class Box:
     height: int
 
     def of(self, image: Image) -> Image:
-        """The part of the image in the box, as a view."""
+        """Return the part of the image in the box, as a view."""
         return image[self.top : self.top + self.height, self.left : self.left + self.width]
 
 
 def _fixed(points_px: npt.ArrayLike) -> npt.NDArray[np.int32]:
-    """Points as OpenCV's fixed-point numbers, those far outside pulled in."""
+    """Return points as OpenCV's fixed-point numbers, clamped far outside the image."""
     # This runs a hundred times a frame; `clip` takes twice as long as both bounds by themselves.
     points = np.minimum(np.maximum(np.asarray(points_px, dtype=np.float64), -_FAR_PX), _FAR_PX)
     fixed: npt.NDArray[np.int32] = np.rint(points * _ONE).astype(np.int32, order="C")
@@ -126,7 +125,7 @@ def draw_ring(
 def dashes(
     starts_px: npt.ArrayLike, ends_px: npt.ArrayLike, dash_px: float = 4.0
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Cut lines from (N, 2) to (N, 2) into dashes as long as the gaps: starts (M, 2) and ends (M, 2)."""
+    """Cut lines (N, 2) to (N, 2) into dashes as long as the gaps; return starts and ends (M, 2)."""
     starts, ends = np.asarray(starts_px, dtype=float), np.asarray(ends_px, dtype=float)
     lengths = np.linalg.norm(ends - starts, axis=1)
     counts = np.ceil(lengths / (2 * dash_px)).astype(int)
@@ -141,7 +140,7 @@ def dashes(
 def circle_dashes(
     center_px: npt.ArrayLike, radius_px: float, dash_px: float = 6.0
 ) -> npt.NDArray[np.float64]:
-    """Arcs (N, 4, 2) of a dashed circle, each a polyline of 4 points; dashes are as long as the gaps."""
+    """Return the arcs (N, 4, 2) of a dashed circle, polylines of 4 points as long as the gaps."""
     count = max(8, round(np.pi * radius_px / dash_px))
     starts = 2 * np.pi * np.arange(count) / count
     angles = starts[:, None] + np.linspace(0.0, np.pi / count, 4)
@@ -159,13 +158,13 @@ def _font(size_px: int, bold: bool) -> ImageFont.FreeTypeFont:
 
 
 def text_width(text: str, size_px: int = 13, *, bold: bool = False) -> float:
-    """Width of a line of text, px, in a font of `size_px`."""
+    """Return the width of a line of text, px, in a font of `size_px`."""
     return float(_font(size_px, bold).getlength(text))
 
 
 @dataclass(frozen=True)
 class _Sprite:
-    """A text ready to be blended, `(image * keep + add) / 256`, and where its anchor is in it."""
+    """A text ready for blending, `(image * keep + add) / 256`, and its anchor."""
 
     keep: npt.NDArray[np.uint16]
     add: npt.NDArray[np.uint16]
@@ -204,7 +203,7 @@ def draw_text(
     align: Align = "left",
     halo: Color | None = None,
 ) -> None:
-    """Write a line of text; `at_px` is half-way up its capitals, at its left, centre or right end.
+    """Draw a line of text; `at_px` is half-way up its capitals, at its left, centre or right end.
 
     A `halo` is a rim in that colour, which keeps text legible over pictures.
     """

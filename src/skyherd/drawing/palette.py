@@ -1,4 +1,4 @@
-"""The project's colours: of units, which colour-blind people tell apart too, and a few others."""
+"""Colours of the project: of units, distinct for colour-blind readers, and a few others."""
 
 from functools import cache
 
@@ -12,26 +12,26 @@ PAPER = "#ffffff"
 """Background."""
 
 MUTED = "#8a9099"
-"""What should stay in the background: axes, notes."""
+"""Background elements: axes, notes."""
 
 TEMPLATE_COLOR = "#7a3db8"
-"""The shape to form."""
+"""Desired shape."""
 
 WARNING = "#a50026"
-"""Warnings: darker than all of the above but ink, so that it stands out without its hue, too."""
+"""Warnings: darker than all of the above except ink, to stand out without its hue."""
 
 
 def unit_color(unit: int) -> str:
-    """Colour of a unit as `#rrggbb`; colours repeat after eight units."""
+    """Return the colour of a unit as `#rrggbb`; colours repeat after eight units."""
     return UNIT_COLORS[unit % len(UNIT_COLORS)]
 
 
 def unit_rgb(unit: int) -> tuple[int, int, int]:
-    """Colour of a unit as 8-bit RGB."""
+    """Return the colour of a unit as 8-bit RGB."""
     return rgb(unit_color(unit))
 
 
 @cache
 def rgb(color: str) -> tuple[int, int, int]:
-    """8-bit RGB of a `#rrggbb` colour."""
+    """Convert a `#rrggbb` colour to 8-bit RGB."""
     return int(color[1:3], 16), int(color[3:5], 16), int(color[5:7], 16)

@@ -1,1 +1,1 @@
-"""Files: written whole or not at all; pictures and videos, read and written."""
+"""Files: atomic writing; reading and writing of pictures and videos."""

@@ -1,4 +1,4 @@
-"""Writes files so that they are there whole or not at all."""
+"""Atomic writing: a file is complete or absent."""
 
 import os
 import re
@@ -10,20 +10,20 @@ from pathlib import Path
 from skyherd.errors import OutputError
 
 PART = re.compile(r"\.skyherd-[0-9a-f]{16}\.part")
-"""Names of the files that are being written; no file of a user has such a name."""
+"""Name pattern of files being written; no user file has such a name."""
 
 
 def part_of(path: Path) -> Path:
-    """A new temporary name in the folder of a file, under which the file is written until it is whole."""
+    """Return a new temporary name in a file's folder, used until the file is complete."""
     return path.with_name(f".skyherd-{secrets.token_hex(8)}.part")
 
 
 @contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
-    """Give a temporary name to write to, and rename that file to `path` if the body of the `with` ends well.
+    """Yield a temporary name to write to, and rename that file to `path` if the `with` body succeeds.
 
     Raises:
-        OutputError: it could not be written; nothing is left of it, as after any other exception.
+        OutputError: writing failed; the temporary file is removed, as after any other exception.
     """
     part = part_of(path)
     try:
@@ -41,12 +41,12 @@ def whole_file(path: Path) -> Iterator[Path]:
 
 
 def write_whole(path: Path, write: Callable[[Path], object]) -> Path:
-    """Write a file under a temporary name beside `path`, and rename it to `path` once it is whole.
+    """Write a file under a temporary name beside `path`, and rename it to `path` when complete.
 
-    `write` is called with the temporary path and makes the file. Returns `path`.
+    `write` receives the temporary path and makes the file. Returns `path`.
 
     Raises:
-        OutputError: it could not be written; nothing is left of it.
+        OutputError: writing failed; the temporary file is removed.
     """
     with whole_file(path) as part:
         write(part)
@@ -54,9 +54,9 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> Path:
 
 
 def write_text(path: Path, text: str) -> Path:
-    """Write a text file in UTF-8, whole or not at all; returns `path`.
+    """Write a text file in UTF-8 atomically; return `path`.
 
     Raises:
-        OutputError: it could not be written; nothing is left of it.
+        OutputError: writing failed; the temporary file is removed.
     """
     return write_whole(path, lambda part: part.write_text(text, "utf-8"))

@@ -1,4 +1,4 @@
-"""The record of an output folder, `.skyherd.json`: which files in it skyherd made, and who writes now."""
+"""Record of an output folder, `.skyherd.json`: files made by skyherd, and the current writer."""
 
 import hashlib
 import json
@@ -19,12 +19,12 @@ RECORD = ".skyherd.json"
 """Name of the record in a folder."""
 
 ABOUT = "What skyherd made in this folder. --force replaces these files and no others."
-"""What the record says of itself."""
+"""Explanation inside the record."""
 
 
 @dataclass(frozen=True)
 class Entry:
-    """What the record says of one file.
+    """Record entry of one file.
 
     Attributes:
         maker: the verb that made it.
@@ -36,7 +36,7 @@ class Entry:
 
 
 def read_entries(folder: Path) -> dict[str, Entry]:
-    """Read what the record of a folder says of its files, by name; nothing if there is no record.
+    """Read the record's entries by file name; return none if there is no record.
 
     Raises:
         InputError: the record is damaged.
@@ -56,12 +56,12 @@ def read_entries(folder: Path) -> dict[str, Entry]:
 
 
 def write_record(folder: Path, entries: Mapping[str, Entry], *, writer: str | None = None) -> None:
-    """Write the record of a folder anew.
+    """Replace the record of a folder.
 
     Args:
         folder: the folder.
-        entries: what is said of each file, by its name.
-        writer: the verb that begins to write into the folder; None if nobody does.
+        entries: entry of each file, by its name.
+        writer: verb that starts to write into the folder; None if there is none.
 
     Raises:
         OutputError: it cannot be written.
@@ -82,7 +82,7 @@ def write_record(folder: Path, entries: Mapping[str, Entry], *, writer: str | No
 
 
 def writer_of(folder: Path) -> str:
-    """Who writes into a folder, in words, as its record has it."""
+    """Describe the current writer of a folder according to its record."""
     try:
         writer = read_json(folder / RECORD, "")["writer"]
         return (
@@ -94,6 +94,6 @@ def writer_of(folder: Path) -> str:
 
 
 def digest_of(path: Path) -> str:
-    """SHA-256 of a file, in hexadecimal digits."""
+    """Return the SHA-256 of a file, in hexadecimal digits."""
     with path.open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()

@@ -1,8 +1,8 @@
-"""Reads any picture file as a grey image of 8 bits.
+"""Reading of any picture file as a grey image of 8 bits.
 
-Pillow reads it; transparency lies over white, and the camera's orientation mark (EXIF) is obeyed. Of more
-than 8 bits, levels are those of the fewest of 8, 10, 12, 14 and 16 bits that hold the brightest pixel:
-cameras of 10 or 12 bits store these as they are in 16.
+Pillow reads it. Transparency lies over white, and the EXIF orientation is applied. With more than 8 bits, the
+levels are those of the fewest of 8, 10, 12, 14 and 16 bits that hold the brightest pixel. Cameras of 10 or 12
+bits store these unscaled in 16.
 """
 
 import io
@@ -25,35 +25,34 @@ Grey = npt.NDArray[np.uint8]
 """Grey levels of 8 bits, (height, width)."""
 
 MAX_PIXELS = 400_000_000
-"""Pixels of the largest picture that is read. *Chosen*: beyond any camera; a small damaged file may claim any
-size, and would fill the memory."""
+"""Maximum size of a picture, pixels. *Chosen*: beyond any camera; a small damaged file may claim any size,
+and would fill the memory."""
 
 PLAUSIBLE_PIXELS = 50_000_000
-"""Pixels that a file of any size may claim. *Chosen*: decoded in less than a second."""
+"""Size that a file of any length may claim, pixels. *Chosen*: decoded in less than a second."""
 
 PIXELS_A_BYTE = 2000
-"""Most pixels for each byte of a file that claims more than `PLAUSIBLE_PIXELS`. *Chosen*: twice what PNG
-makes of one grey level all over; photographs have about one. A damaged file of a kilobyte may claim any size,
-and is then refused before seconds are spent on decoding it."""
+"""Maximum pixels per byte of a file that claims more than `PLAUSIBLE_PIXELS`. *Chosen*: twice the ratio of a
+PNG of one grey level; photographs have about one."""
 
 MAX_BYTES = 2**30
-"""Size of the largest picture file that is read. *Chosen*: beyond any camera's; it has to fit the memory."""
+"""Maximum size of a picture file, bytes. *Chosen*: beyond any camera's; it must fit into memory."""
 
 FORMATS = "a PNG, JPEG, TIFF, BMP, WebP or GIF picture"
-"""Kinds of pictures that can be read, as complaints name them."""
+"""Readable picture formats, as error messages name them."""
 
 DECODERS = ("PNG", "JPEG", "TIFF", "BMP", "WEBP", "GIF", "PPM")
-"""The decoders of Pillow that a file may reach, whatever its name says. *Chosen*: the formats of cameras.
-Pillow has some forty others, of which one, for EPS, starts another program."""
+"""Pillow decoders that a file may reach, whatever its name. *Chosen*: the formats of cameras. Pillow has some
+forty others, of which one, for EPS, starts another program."""
 
 BIT_DEPTHS = (8, 10, 12, 14, 16)
-"""Bits a pixel that cameras have. *Chosen*: see the module."""
+"""Bits per pixel of cameras. *Chosen*: see the module."""
 
 LUMA = (0.299, 0.587, 0.114)
 """Weights of red, green and blue in grey. *Defined* by ITU-R BT.601, and used by Pillow."""
 
 ORIENTATION = 0x0112
-"""Number of the EXIF tag that says how the camera was held. *Defined* by EXIF."""
+"""EXIF tag number of the camera orientation. *Defined* by EXIF."""
 
 _BROKEN = (
     OSError,
@@ -69,25 +68,25 @@ _BROKEN = (
     zlib.error,
     cv2.error,
 )
-"""What Pillow and OpenCV raise on files that are damaged in one way or another."""
+"""Exceptions of Pillow and OpenCV on damaged files."""
 
 SUFFIXES = frozenset(
     {".png", ".jpg", ".jpeg", ".jpe", ".tif", ".tiff", ".bmp", ".webp", ".gif", ".pgm", ".ppm"}
 )
-"""How the names of picture files end, by which a folder is searched."""
+"""Suffixes of picture files, used to search a folder."""
 
 
 def read_grey(path: Path, *, max_pixels: int | None = None) -> Grey:
-    """Read a picture file as grey levels (height, width), upright; of several pages, the first.
+    """Read a picture file as grey levels (height, width), upright; the first of several pages.
 
-    Warns with `InputWarning` if there are several.
+    Warns with `InputWarning` if there are several pages.
 
     Args:
         path: the file.
-        max_pixels: pixels of the largest picture that is accepted; `MAX_PIXELS` if None.
+        max_pixels: maximum accepted size, pixels; `MAX_PIXELS` if None.
 
     Raises:
-        InputError: there is no such file, or it is no whole picture, or it is too large, or in CIE Lab.
+        InputError: the file is missing, incomplete, too large, in CIE Lab, or not a picture.
     """
     data, most = _read_bytes(path), MAX_PIXELS if max_pixels is None else max_pixels
     with _quiet_pillow():
@@ -120,14 +119,14 @@ def read_grey(path: Path, *, max_pixels: int | None = None) -> Grey:
 
 
 def decode_jpeg(data: bytes, size_px: tuple[int, int]) -> Grey:
-    """Grey levels (height, width) of a JPEG picture of a known size, which no other decoder gets to see.
+    """Decode a JPEG picture of known size to grey levels (height, width), with no other decoder.
 
     Args:
         data: the file's content.
-        size_px: width and height that it has to have; they are compared before anything is decoded.
+        size_px: required width and height; they are compared before decoding.
 
     Raises:
-        ValueError: it is no JPEG picture, it has another size, or it is damaged.
+        ValueError: it is not a JPEG picture, has another size, or is damaged.
     """
     with _quiet_pillow():
         try:
@@ -152,7 +151,7 @@ def _read_bytes(path: Path) -> bytes:
 
 @contextmanager
 def _quiet_pillow() -> Iterator[None]:
-    """Pillow without its warnings and its own limit of size, which large photographs exceed."""
+    """Disable Pillow's warnings and its size limit, which large photographs exceed."""
     limit = Image.MAX_IMAGE_PIXELS
     Image.MAX_IMAGE_PIXELS = None
     try:
@@ -174,12 +173,12 @@ def _grey(picture: Image.Image) -> Grey:
 
 
 def _is_deep(picture: Image.Image) -> bool:
-    """Whether the file, not yet loaded, has 16 bits a colour, of which Pillow keeps 8."""
+    """Return whether a file, not yet loaded, has 16 bits per colour, of which Pillow keeps 8."""
     return picture.mode[0] not in "IF" and any(";16" in str(tile[3]) for tile in getattr(picture, "tile", ()))
 
 
 def _grey_of_deep(data: bytes) -> Grey:
-    """Grey of a file of 16 bits a colour, which OpenCV keeps: BGR or BGRA."""
+    """Read a file of 16 bits per colour, BGR or BGRA, as grey by OpenCV."""
     decoded = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     if decoded is None:
         raise OSError("its 16-bit colours cannot be read")
@@ -192,7 +191,7 @@ def _grey_of_deep(data: bytes) -> Grey:
 
 
 def _grey_of_levels(levels: npt.NDArray[np.generic]) -> Grey:
-    """Grey of whole numbers of up to 16 and more, or of real numbers, where 1 is white if none is above."""
+    """Convert integers of up to 16 bits and more, or real numbers with white at 1, to grey."""
     values = np.nan_to_num(levels.astype(np.float32))
     top = float(values.max(initial=0.0))
     if levels.dtype.kind == "f" and top <= 1:
@@ -201,7 +200,7 @@ def _grey_of_levels(levels: npt.NDArray[np.generic]) -> Grey:
 
 
 def _top_level(brightest: float) -> float:
-    """White of the fewest bits that hold the brightest level; the brightest itself beyond 16 bits."""
+    """Return the white of the fewest bits that hold the brightest level; that level beyond 16 bits."""
     return next((2.0**bits - 1 for bits in BIT_DEPTHS if brightest < 2**bits), brightest)
 
 
@@ -210,7 +209,7 @@ def _scaled(share: npt.NDArray[np.float32]) -> Grey:
 
 
 def _count_pages(picture: Image.Image) -> int:
-    """Pages of a TIFF or frames of an animation; 1 if those after the first cannot be counted."""
+    """Count the pages of a TIFF or frames of an animation; 1 if those after the first are unreadable."""
     try:
         return int(getattr(picture, "n_frames", 1))
     except _BROKEN:
@@ -225,7 +224,7 @@ def _orientation(picture: Image.Image) -> int:
 
 
 def _turn(image: Grey, orientation: int) -> Grey:
-    """The picture upright, given EXIF's mark of how the camera was held (1 to 8)."""
+    """Return the picture upright, given its EXIF orientation (1 to 8)."""
     if orientation in (5, 6, 7, 8):
         image = image.T
     if orientation in (2, 3, 6, 7):

@@ -1,4 +1,4 @@
-"""A single file that a verb writes, under the rules of output folders."""
+"""A single output file of a verb, under the rules of output folders."""
 
 import os
 from collections.abc import Sequence
@@ -10,20 +10,20 @@ from skyherd.errors import InputError
 from skyherd.files.output_folder import OutputFolder, check_name
 
 WAIT_S = 2.0
-"""How long a single file waits for a folder that another process writes into, s. *Chosen*: longer than any
-single file takes, and short enough for a person."""
+"""Time to wait for a folder in use by another process, s. *Chosen*: longer than any single file takes, and
+short for a person."""
 
 
 class OutputFile:
-    """A single file that a verb writes in the body of a `with`, under the rules of `OutputFolder`.
+    """A single file written by a verb inside a `with` body, under the rules of `OutputFolder`.
 
     Args:
-        path: the file; its folder has to be there.
-        verb: who writes.
-        force: the file may exist, if the verb made it.
+        path: the file; its folder must exist.
+        verb: the writing verb.
+        force: accept an existing file, if the verb made it.
         inputs: files that are read, none of which may be replaced.
 
-    Entering raises InputError as `check` does, or if another process writes into the folder for long.
+    Entering raises InputError as `check` does, or if another process keeps the folder in use.
     """
 
     def __init__(self, path: Path, verb: str, *, force: bool = False, inputs: Sequence[Path] = ()) -> None:
@@ -31,10 +31,10 @@ class OutputFile:
         self._folder = OutputFolder(path.parent, verb, [path.name], resume=True, inputs=inputs, wait_s=WAIT_S)
 
     def check(self) -> None:
-        """Refuse a file that must not be written; change nothing.
+        """Reject a file that must not be written; change nothing.
 
         Raises:
-            InputError: its folder is not there, it exists without `force`, or it is not the verb's.
+            InputError: its folder does not exist, it exists without `force`, or another maker wrote it.
         """
         check_name(self.path)
         if not self.path.parent.is_dir():

@@ -1,13 +1,13 @@
-"""The one owner of output folders: what may be written where, and what `--force` may replace.
+"""Ownership of output folders: what may be written, and what `--force` may replace.
 
-A folder that skyherd writes into has a record, `.skyherd.json`: which files in it skyherd made, by which
-verb, and the SHA-256 of each. From it follow the rules that hold for every verb:
+An output folder has a record, `.skyherd.json`. It lists the files that skyherd made, the verb of each, and
+its SHA-256. The rules for every verb follow from it:
 
-- A file that is not in the record, or was changed since, is somebody else's. It is never replaced or removed.
-- `--force` removes what the same verb made there before, and nothing else.
-- Names are claimed in the record before they are written, so that what a killed process left is known.
-- A command that fails removes what it made, a new folder too, unless it kept it for a later command.
-- One process at a time writes into a folder, held by a lock on the folder that ends with the process.
+- A file that is not in the record, or was changed since, is foreign. It is never replaced or removed.
+- `--force` removes files that the same verb made there before, and nothing else.
+- Names are claimed in the record before they are written, so that remains of a killed process are known.
+- A failed command removes its files and a new folder, unless it kept them for a later command.
+- One process at a time writes into a folder. A lock enforces this and ends with the process.
 """
 
 import os
@@ -25,11 +25,11 @@ from skyherd.files.folder_record import RECORD, Entry, digest_of, read_entries, 
 from skyherd.files.reading import is_regular
 
 LONGEST_NAME = 255
-"""Bytes of the longest name of a file. *Defined* by Linux, macOS and Windows alike."""
+"""Maximum length of a file name, bytes. *Defined* by Linux, macOS and Windows alike."""
 
 
 class OutputFolder:
-    """A folder that a verb writes into, as a context: locked, its record kept, tidied after a failure.
+    """Context of a folder that a verb writes into: locked, recorded, and cleaned up after a failure.
 
     ```python
     with OutputFolder(Path("runs/star"), "run", ["run.mcap", "summary.json"], force=True) as output:
@@ -37,20 +37,18 @@ class OutputFolder:
     ```
 
     Args:
-        path: the folder; made if it is not there.
-        verb: who writes, as on the command line: `run`.
+        path: the folder; created if missing.
+        verb: the writing verb, as on the command line: `run`.
         names: files that will be written, relative to the folder. A name that ends in `/` is a folder that
-            is the verb's throughout. A name that was claimed and is not written in the end is forgotten.
-        force: the folder may exist; what the verb made there before is removed first.
-        resume: the folder may exist; what the verb made there stays until it is written again.
+            belongs to the verb entirely. A claimed name that is not written is dropped.
+        force: accept an existing folder; files that the verb made there before are removed first.
+        resume: accept an existing folder; files of the verb stay until they are written again.
         inputs: files that are read, none of which may be replaced.
         wait_s: how long to wait if another process writes into the folder.
-        elsewhere: what a complaint advises beside what it says of the folder; None for a verb that writes
-            beside what it reads, and nowhere else.
+        elsewhere: additional advice in error messages; None for a verb that only writes beside its input.
 
-    Entering raises InputError, before anything is changed, if the folder exists without `force` or `resume`,
-    is a file, cannot be made, is in use by another process, or holds a file by a claimed name that the verb
-    did not make.
+    Entering raises InputError before any change. Reasons are: the folder exists without `force` or `resume`,
+    is a file, cannot be created, is in use by another process, or holds a foreign file of a claimed name.
     """
 
     def __init__(
@@ -75,7 +73,7 @@ class OutputFolder:
         self._kept = False
 
     def check(self) -> None:
-        """Refuse what entering would refuse, as far as it can be told now, and change nothing.
+        """Reject what entering would reject, as far as known now, and change nothing.
 
         Raises:
             InputError: as for entering.
@@ -92,11 +90,11 @@ class OutputFolder:
             self._check_free(name, entries)
 
     def keep(self) -> None:
-        """From now on leave what is there if the body fails: a later command goes on from it."""
+        """Keep the results from now on if the body fails: a later command resumes from them."""
         self._kept = True
 
     def discard(self) -> None:
-        """Take `keep` back: what was made is worth nothing."""
+        """Revoke `keep`: the results are worthless."""
         self._kept = False
 
     def __enter__(self) -> Self:
@@ -128,7 +126,7 @@ class OutputFolder:
         return self
 
     def check_claims(self) -> None:
-        """Read the record anew, under the lock, and check every name against it."""
+        """Reread the record under the lock, and check every name against it."""
         self._entries = read_entries(self.path)
         for name in self.names:
             self._check_free(name, self._entries)
@@ -151,7 +149,7 @@ class OutputFolder:
                 self._remove_made_folders()
 
     def _check_free(self, name: str, entries: dict[str, Entry]) -> None:
-        """Refuse a name at which there is an input, or anything that this verb did not make."""
+        """Reject a name of an input, or of a file that this verb did not make."""
         path = self.path / name
         if not os.path.lexists(path):
             for parent in list(path.relative_to(self.path).parents)[:-1]:
@@ -177,7 +175,7 @@ class OutputFolder:
         return InputError(str(path), what, f"move it away{self._or_elsewhere}")
 
     def _make_folders(self) -> None:
-        """Make the folder and its parents; remember those that were not there."""
+        """Create the folder and its parents; remember those that are new."""
         missing = [self.path, *self.path.parents]
         missing = missing[: next((k for k, folder in enumerate(missing) if folder.exists()), len(missing))]
         for folder in reversed(missing):
@@ -195,7 +193,7 @@ class OutputFolder:
                 folder.rmdir()
 
     def _remove_former(self) -> None:
-        """Remove what the verb made before and nobody changed, and folders that are empty then."""
+        """Remove the verb's unchanged earlier files, and folders that are empty then."""
         folders: set[Path] = set()
         for name, entry in list(self._entries.items()):
             path = self.path / name
@@ -213,7 +211,7 @@ class OutputFolder:
                 (self.path / folder).rmdir()
 
     def _remove_parts(self) -> None:
-        """Remove files that a process began here and did not finish."""
+        """Remove incomplete files of earlier processes."""
         folders = {(self.path / name).parent for name in [*self.names, *self._entries, RECORD]}
         for name in self.names:
             if name.endswith("/"):
@@ -225,7 +223,7 @@ class OutputFolder:
                         path.unlink(missing_ok=True)
 
     def _undo(self) -> None:
-        """Remove what was made, and forget it."""
+        """Remove the new files, and drop them from the record."""
         for name in self._new_names:
             path = self.path / name
             self._entries.pop(name, None)
@@ -240,7 +238,7 @@ class OutputFolder:
         self._finish()
 
     def _finish(self) -> None:
-        """Complete the record: the digest of each claimed file that is there; no record of nothing."""
+        """Complete the record with the digest of each existing claimed file; write no empty record."""
         for name in self.names:
             path = self.path / name
             if not name.endswith("/") and is_regular(path):
@@ -255,7 +253,7 @@ class OutputFolder:
 
 
 def is_directory(path: Path) -> bool:
-    """Whether there is a folder, or a link to one, at a path; False for a path that cannot be."""
+    """Return whether a folder, or a link to one, exists at a path; False for an impossible path."""
     try:
         return path.is_dir()
     except (OSError, ValueError):
@@ -263,7 +261,7 @@ def is_directory(path: Path) -> bool:
 
 
 def check_name(path: Path) -> None:
-    """Refuse an output whose name no file can have, or that is no UTF-8 and could not go into the record."""
+    """Reject an output name that no file can have, or that is not UTF-8 and cannot be recorded."""
     try:
         str(path).encode("utf-8")
     except UnicodeEncodeError:

@@ -1,7 +1,7 @@
-"""The one door through which files come in: regular files, no larger than what they are for.
+"""Validated file input: regular files of limited size.
 
-A pipe would make a reader wait for ever, a device has no end, and a file may be larger than the memory. So
-every reader of the package opens files here, and says how large its kind of file may be.
+A pipe would block a reader for ever, a device has no end, and a file may exceed the memory. Every reader of
+the package therefore opens files here, with the maximum size of its kind of file.
 """
 
 import json
@@ -13,11 +13,11 @@ from typing import Any, BinaryIO
 from skyherd.errors import InputError
 
 MIB = 2**20
-"""Bytes of a mebibyte, in which limits are said."""
+"""Bytes of a mebibyte, the unit of limits."""
 
 MAX_JSON_BYTES = 64 * MIB
-"""Size of the largest JSON file that is read. *Chosen*: the largest that the package writes, the COCO file of
-ten thousand images, has some 30 MiB."""
+"""Maximum size of a JSON file, bytes. *Chosen*: the largest that the package writes, the COCO file of ten
+thousand images, has some 30 MiB."""
 
 KINDS = (
     (stat.S_ISDIR, "is a folder"),
@@ -26,19 +26,19 @@ KINDS = (
     (stat.S_ISBLK, "is a device"),
     (stat.S_ISSOCK, "is a socket"),
 )
-"""What a path may be that is no regular file, as complaints name it."""
+"""Names of non-regular files in error messages."""
 
 
 def open_regular(path: Path, allowed: str, max_bytes: int | None = None) -> BinaryIO:
-    """Open a regular file for reading; a pipe or a device is refused without waiting for it.
+    """Open a regular file for reading; reject a pipe or a device without waiting for it.
 
     Args:
         path: the file; a symbolic link is followed.
-        allowed: what to give instead, as the complaint says it.
-        max_bytes: size of the largest file that is accepted; None for any.
+        allowed: advice in the error message.
+        max_bytes: maximum accepted size; None for any.
 
     Raises:
-        InputError: there is no such file, it cannot be opened, it is no regular file, or it is too large.
+        InputError: the file is missing, cannot be opened, is not regular, or is too large.
     """
     try:
         _check_kind(path, os.stat(path).st_mode, allowed)
@@ -78,7 +78,7 @@ def read_text(path: Path, allowed: str, max_bytes: int) -> str:
     """Read a text file in UTF-8 of at most `max_bytes`; arguments are those of `open_regular`.
 
     Raises:
-        InputError: it cannot be read as `open_regular` says, or is no text in UTF-8.
+        InputError: `open_regular` rejects it, or it is not UTF-8 text.
     """
     try:
         return read_bytes(path, allowed, max_bytes).decode("utf-8")
@@ -90,7 +90,7 @@ def read_json(path: Path, allowed: str, max_bytes: int = MAX_JSON_BYTES) -> Any:
     """Read a JSON file as dictionaries, lists and plain values.
 
     Raises:
-        InputError: it cannot be read as `open_regular` says, or is no JSON that makes sense.
+        InputError: `open_regular` rejects it, or it is not valid JSON.
     """
     try:
         return json.loads(read_text(path, allowed, max_bytes))
@@ -103,7 +103,7 @@ def read_json(path: Path, allowed: str, max_bytes: int = MAX_JSON_BYTES) -> Any:
 
 
 def is_regular(path: Path) -> bool:
-    """Whether there is a regular file, or a link to one, at a path; False for a path that cannot be."""
+    """Return whether a regular file, or a link to one, exists at a path; False for an impossible path."""
     try:
         return stat.S_ISREG(os.stat(path).st_mode)
     except (OSError, ValueError):
@@ -121,5 +121,5 @@ def _too_large(path: Path, found_bytes: int, max_bytes: int) -> InputError:
 
 
 def _size(count: int) -> str:
-    """A number of bytes, in the unit in which it is short."""
+    """Format a number of bytes in the unit in which it is short."""
     return f"{count / MIB:.3g} MiB" if count < 1000 * MIB else f"{count / 2**30:.3g} GiB"

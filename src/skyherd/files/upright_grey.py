@@ -1,4 +1,4 @@
-"""Turns the decoded frames of videos into grey images, upright as its tag says that the camera was held."""
+"""Conversion of decoded video frames to grey images, upright according to their display matrix."""
 
 from typing import Any
 
@@ -8,31 +8,33 @@ import numpy.typing as npt
 from av.video.reformatter import Interpolation, VideoReformatter
 
 DISPLAY_MATRIX = "DISPLAYMATRIX"
-"""Name of the data beside a frame that say how it is to be turned. *Defined* by FFmpeg."""
+"""Name of a frame's side data with its orientation. *Defined* by FFmpeg."""
 
 ONE_THREAD: dict[str, Any] = {"threads": 1} if int(av.__version__.split(".")[0]) >= 17 else {}
-"""What PyAV is told so that it converts pictures in the thread that asks. *Measured*: 1200 x 800 px take 0.05
-to 0.3 ms; from version 17 on it starts a thread for each core otherwise, and before it knows no such word."""
+"""PyAV options that convert pictures in the calling thread. *Measured*: 1200x800 px take 0.05 to 0.3 ms.
+PyAV starts a thread per core otherwise from version 17 on; earlier versions lack the option."""
 
 TAG_PX = 16
-"""Sides of the picture whose tags are read in place of a frame's. *Chosen*: takes 8 microseconds, and
-is of a size that any conversion takes."""
+"""Side of the small copy whose tags are read instead of a frame's, px. *Chosen*: takes 8 µs, and any
+conversion accepts the size."""
 
 
 class UprightGrey:
-    """Turns the decoded frames of a stream into grey images, upright as their display matrix says.
+    """Converter of a stream's decoded frames to grey images, upright as their display matrix says.
 
-    One is kept for a stream, so that what a conversion needs is set up once. Nothing of a frame stays behind:
-    what it holds is given back as soon as it and its image are no longer used. PyAV's `side_data`, which has
-    the matrix, makes a frame hold itself until Python looks for such circles, hundreds of frames later; so it
-    is asked of a copy of `TAG_PX` pixels, which has a frame's tags without its picture.
+    One instance serves a stream, so that conversion buffers are set up once. It retains nothing of a frame:
+    memory is released as soon as the frame and its image are unused.
+
+    PyAV's `side_data`, which has the matrix, makes a frame part of a reference cycle that the garbage
+    collector frees only hundreds of frames later. The matrix is therefore read from a copy of `TAG_PX`
+    pixels, which has the frame's tags without its picture.
     """
 
     def __init__(self) -> None:
         self._levels, self._tags = VideoReformatter(), VideoReformatter()
 
     def of(self, picture: av.VideoFrame) -> npt.NDArray[np.uint8]:
-        """Grey levels (height, width) of a decoded frame, from 0 to 255 whatever the range of the video's."""
+        """Return the grey levels (height, width) of a decoded frame, 0 to 255 for any video range."""
         grey = self._levels.reformat(picture, format="gray", **ONE_THREAD)
         tags = self._tags.reformat(
             picture,
@@ -47,14 +49,14 @@ class UprightGrey:
 
 
 def _upright(image: npt.NDArray[np.uint8], tags: Any) -> npt.NDArray[np.uint8]:
-    """The image (height, width) as the display matrix among its tags turns and mirrors it, by quarter turns.
+    """Rotate and mirror an image (height, width) by quarter turns, as its display matrix says.
 
-    The matrix (a, b, ., c, d, ., ...) takes the point (u, v) to (a u + c v, b u + d v), and what is then
-    negative back into view. Of angles in between, the nearest quarter turn is taken.
+    The matrix (a, b, ., c, d, ., ...) maps the point (u, v) to (a u + c v, b u + d v), and moves negative
+    results back into view. Other angles are rounded to the nearest quarter turn.
 
-    The tags are gone through and not asked for the matrix by its name: where it is missing, as it mostly is,
-    PyAV would raise a KeyError, and a signal that comes while it does is lost (*measured*: one Ctrl-C of a
-    hundred early in a video).
+    The code iterates over the tags instead of looking up the matrix. PyAV would raise a KeyError where the
+    matrix is missing, which is usual, and a signal during that is lost (*measured*: one Ctrl-C of a hundred
+    early in a video).
     """
     matrix: Any = next((data for data in tags if data.type.name == DISPLAY_MATRIX), None)
     if matrix is None:

@@ -1,8 +1,8 @@
-"""Finds pictures and videos, and reads videos frame by frame as grey images.
+"""Search for pictures and videos, and reading of videos frame by frame as grey images.
 
-Frames are upright, as the video's tag says that the camera was held, and have the times that the stream has
-for them: cameras and phones do not keep an even rate. Of a video that was cut short or damaged, what can be
-read is read, with an `InputWarning` at its end.
+Frames are upright according to the video's orientation tag, and have the time stamps of the stream, since
+cameras and phones do not keep a constant rate. A truncated or damaged video is read as far as possible, with
+an `InputWarning` at its end.
 """
 
 import re
@@ -24,39 +24,39 @@ from skyherd.files.reading import is_regular, open_regular
 from skyherd.files.upright_grey import UprightGrey
 
 DEEPER = ("*/*", "*/*/*")
-"""Where pictures are looked for, to name their folder, if there are none in the folder itself."""
+"""Subfolder patterns that are searched for pictures, to suggest a folder if it has none itself."""
 
 FEW = 4
-"""Such folders that a complaint names at most. *Chosen*: fits a line or two."""
+"""Maximum number of such folders in an error message. *Chosen*: fits a line or two."""
 
 USUAL_RATE_HZ = Fraction(25)
-"""Frames a second of a video that says nothing of its rate. *Chosen*: usual, and only times depend on it."""
+"""Frame rate of a video that states none, Hz. *Chosen*: usual, and only times depend on it."""
 
 VIDEO_SUFFIXES = frozenset(
     {".mp4", ".m4v", ".mov", ".avi", ".mkv", ".webm", ".mpg", ".mpeg", ".ts", ".mts", ".wmv"}
 )
-"""How the names of video files end; any other file is taken as a picture."""
+"""Suffixes of video files; any other file is read as a picture."""
 
 
 CONTAINERS = ("mov", "mp4", "avi", "matroska", "webm", "mpeg", "mpegvideo", "mpegts", "asf", "h264", "hevc")
-"""Formats of FFmpeg that a video file may have, whatever its name says. *Chosen*: those of `VIDEO_SUFFIXES`.
-FFmpeg has hundreds, some of which (playlists) open other files and addresses."""
+"""FFmpeg formats that a video file may have, whatever its name. *Chosen*: those of `VIDEO_SUFFIXES`. FFmpeg
+has hundreds, some of which (playlists) open other files and addresses."""
 
 OPTIONS = {"format_whitelist": ",".join(CONTAINERS), "protocol_whitelist": "file"}
-"""What FFmpeg is told when it opens a video."""
+"""FFmpeg options for opening a video."""
 
 UNSTATED = ("mpegvideo", "h264", "hevc", "m4v", "mpeg", "mpegts")
-"""Formats that do not say how long a file is: FFmpeg finds or guesses the length of what is there."""
+"""Formats without a stated length: FFmpeg measures or guesses it."""
 
 DURATION = re.compile(r"(\d{1,9}):(\d{1,9}):(\d{1,9}(?:\.\d{1,9})?)")
-"""How the tag of a stream in a Matroska file says when it ends. *Defined* by FFmpeg, which writes it."""
+"""Tag of a Matroska stream with its end time. *Defined* by FFmpeg, which writes it."""
 
 MAX_MISSING = 5
-"""Frames by which a video may be shorter than its file says before it counts as cut short. *Chosen*: writers
-round, and count frames that a player does not show; a file of which a part is missing lacks more."""
+"""Number of missing frames above which a video counts as truncated. *Chosen*: writers round, and count frames
+that a player does not show; a truncated file lacks more."""
 
 GIVE_A_VIDEO = "give one that plays, such as an MP4"
-"""What complaints about videos advise."""
+"""Advice in error messages about videos."""
 
 
 @dataclass(frozen=True)
@@ -65,8 +65,8 @@ class Frame:
 
     Attributes:
         index: its number, from 0.
-        time_s: its time in the stream, at which a player shows it. Frames need not be evenly apart, nor does
-            the first have to be at 0.
+        time_s: its presentation time in the stream, s. Frames may be unevenly spaced, and the first need not
+            be at 0.
         image: grey levels (height, width).
     """
 
@@ -77,13 +77,13 @@ class Frame:
 
 @dataclass(frozen=True)
 class Clip:
-    """What is known of a video before it is read.
+    """Properties of a video that are known before it is read.
 
     Attributes:
         path: the file.
-        rate_hz: frames a second.
-        count: number of frames; 0 if not known.
-        end_s: time in the stream at which its pictures end as the file says; None if it says nothing.
+        rate_hz: frames per second.
+        count: number of frames; 0 if unknown.
+        end_s: end time of the pictures according to the file, s; None if not stated.
     """
 
     path: Path
@@ -93,15 +93,15 @@ class Clip:
 
 
 def is_video(path: Path) -> bool:
-    """Whether a file is a video, by the end of its name."""
+    """Return whether a file is a video, by its suffix."""
     return path.suffix.lower() in VIDEO_SUFFIXES
 
 
 def find_files(target: Path) -> list[Path]:
-    """The file itself, or the pictures and videos in a folder, in the order of their names.
+    """Return the file itself, or the pictures and videos in a folder, sorted by name.
 
     Raises:
-        InputError: there is no such file or folder, or no picture in the folder.
+        InputError: the file or folder does not exist, or the folder has no picture.
     """
     if not is_regular(target) and not _is_there(target):
         raise InputError(
@@ -134,10 +134,10 @@ def _is_there(path: Path) -> bool:
 
 @contextmanager
 def _open_container(path: Path) -> Iterator[av.container.InputContainer]:
-    """A video opened from a regular file, whose name FFmpeg does not see: it would obey some names.
+    """Open a video from a regular file without its name, parts of which FFmpeg would interpret.
 
     Raises:
-        InputError: it is no video that can be read, now or in the body of the `with`.
+        InputError: it is not a readable video, now or in the body of the `with`.
     """
     with open_regular(path, GIVE_A_VIDEO) as stream:
         try:
@@ -150,7 +150,7 @@ def _open_container(path: Path) -> Iterator[av.container.InputContainer]:
 
 
 def open_clip(path: Path) -> Clip:
-    """Open a video to find its rate and length; nothing stays open.
+    """Open a video to find its rate and length, and close it.
 
     Raises:
         InputError: it is not a video that can be read.
@@ -165,7 +165,7 @@ def open_clip(path: Path) -> Clip:
 
 
 def _video_stream(path: Path, container: av.container.InputContainer) -> av.VideoStream:
-    """The stream of pictures; InputError if there is none, or none whose codec is known."""
+    """Return the picture stream; InputError if there is none with a known codec."""
     stream = next(iter(container.streams.video), None)
     if stream is None or not hasattr(stream, "width"):
         raise _unreadable(path, None)
@@ -173,7 +173,7 @@ def _video_stream(path: Path, container: av.container.InputContainer) -> av.Vide
 
 
 def _end_s(container: av.container.InputContainer, stream: av.VideoStream, rate_hz: Fraction) -> float | None:
-    """When the file says that its pictures end; None if it says nothing, or only for sound as well."""
+    """Return the stated end time of the pictures; None if unstated, or stated only together with sound."""
     kind = container.format.name
     if kind in UNSTATED:
         return None
@@ -195,12 +195,12 @@ def _check_size(path: Path, width: int, height: int) -> None:
 
 
 def read_clip(clip: Clip) -> Generator[Frame]:
-    """Read the frames of a video, one at a time, as far as they can be read.
+    """Read the frames of a video, one at a time, as far as possible.
 
     Warns with `InputWarning` at the end if the video is damaged, or shorter than its file says.
 
     Raises:
-        InputError: not one frame can be read.
+        InputError: no frame can be read.
     """
     index, first_s, time_s, frame_s = 0, 0.0, 0.0, float(1 / clip.rate_hz)
     grey, damage = UprightGrey(), _Damage()
@@ -227,7 +227,7 @@ def read_clip(clip: Clip) -> Generator[Frame]:
 
 @dataclass
 class _Damage:
-    """Whether a part of a stream could not be read or decoded, and the last error of it."""
+    """Record of read or decode errors of a stream, with the last error."""
 
     found: bool = False
     error: Exception | None = None
@@ -236,7 +236,7 @@ class _Damage:
 def _pictures(
     container: av.container.InputContainer, stream: av.VideoStream, damage: _Damage
 ) -> Iterator[av.VideoFrame]:
-    """The pictures of a stream that can be decoded, as far as it can be read; notes what cannot."""
+    """Yield the decodable pictures of a stream as far as it can be read; note the damage."""
     try:
         for packet in container.demux(stream):
             damage.found |= packet.is_corrupt
@@ -249,7 +249,7 @@ def _pictures(
 
 
 def _decoded(packet: Any, damage: _Damage) -> list[av.VideoFrame]:
-    """The pictures that a packet completes, the last first; none of a packet that cannot be decoded."""
+    """Return the pictures that a packet completes, the last first; none if it cannot be decoded."""
     try:
         pictures: list[av.VideoFrame] = packet.decode()
         return pictures[::-1]

@@ -1,7 +1,7 @@
-"""Writes video files that play in a browser, and checks each before it takes its name.
+"""Writing of browser-compatible video files, each verified before it gets its name.
 
-Frames go to a temporary file, which is read back and counted when it is closed. Only a whole file with as
-many frames as were written gets the name that was asked for.
+Frames go to a temporary file. On close, it is read back and its frames are counted. Only a complete file with
+all written frames gets its final name.
 """
 
 import os
@@ -24,56 +24,53 @@ Image = npt.NDArray[np.uint8]
 """RGB image (height, width, 3)."""
 
 QUALITY = {"crf": "23", "preset": "veryfast", "x264-params": "subme=1:analyse=none:b-adapt=0"}
-"""Settings of libx264: constant quality, and fast enough to keep up with the loop. *Measured* on 101 frames
-of `star`, 1600x1000: without the last one a frame takes 15 ms in place of 9, for as good a picture (33 dB)
-and a file a sixth smaller; with `superfast` it takes 10 ms, and the file is twice as large."""
+"""Settings of libx264: constant quality, and fast enough for the loop. *Measured* on 101 frames of `star`,
+1600x1000: the last setting takes 9 ms a frame, its absence 15 ms, `superfast` 10 ms at twice the size."""
 
 THREADS = 2
-"""Threads that encode. *Chosen*: enough to keep up with the loop, and the rest of the processor stays
-free."""
+"""Number of encoding threads. *Chosen*: keeps up with the loop, and leaves the other cores free."""
 
 BT709 = 1
-"""Primaries and transfer of HD video, which players assume. *Defined*: their number in FFmpeg."""
+"""Primaries and transfer of HD video, the default of players. *Defined*: their number in FFmpeg."""
 
 BT601 = 6
-"""Matrix from RGB to luma and colour differences, the one that OpenCV converts by. *Defined*: its number in
-FFmpeg. The file names it, so that players turn it back. OpenCV takes 0.6 ms a frame of 1600x1000 for what
-FFmpeg takes 5 ms for, by either matrix (*measured*)."""
+"""Matrix from RGB to luma and chroma, as OpenCV converts; the file names it. *Defined*: its number in FFmpeg.
+*Measured*: a frame of 1600x1000 takes OpenCV 0.6 ms, FFmpeg 5 ms."""
 
 STUDIO_RANGE = 1
-"""Levels from 16 to 235, which players assume. *Defined*: their number in FFmpeg."""
+"""Levels from 16 to 235, the default of players. *Defined*: their number in FFmpeg."""
 
 TICK_S = Fraction(1, 90_000)
-"""Unit of the times of frames that have their own. *Chosen*: usual in video; even rates fit into it to a
-hundred-thousandth of a second."""
+"""Time unit of frames with their own time stamps, s. *Chosen*: usual in video; constant rates fit into it to
+1e-5 s."""
 
 MAX_DENOMINATOR = 10_000
-"""Largest denominator of a rate. *Chosen*: holds 30000/1001 and the like exactly, and fits the container's
+"""Maximum denominator of a rate. *Chosen*: holds 30000/1001 and the like exactly, and fits the container's
 time base."""
 
 
 class VideoSink:
     """H.264 video of RGB frames: `with VideoSink(path, (1600, 1000), 10) as sink: sink.write(frame)`.
 
-    Frames go to a temporary file, `part`, which takes the place of `path` only when it is whole: closed, read
-    again, and found to hold as many frames as were written. If the body raises, nothing is left behind.
+    Frames go to a temporary file, `part`. It replaces `path` only when complete: closed, read back, and with
+    as many frames as were written. If the body raises, nothing is left behind.
 
     Attributes:
         path: the file to make.
         size_px: width and height of every frame.
-        rate_hz: frames a second.
-        frames: how many were written so far.
+        rate_hz: frames per second.
+        frames: number of frames written so far.
         part: the temporary file.
 
     Args:
         path: the file to make, an MP4.
         size_px: width and height of every frame, both even.
-        rate_hz: frames a second; fractions such as `Fraction(30000, 1001)` are kept exactly.
-        timed: whether each frame is written with a time of its own; the rate is then the usual one only.
+        rate_hz: frames per second; fractions such as `Fraction(30000, 1001)` are kept exactly.
+        timed: write each frame with its own time stamp; the rate is then only nominal.
 
     Raises:
-        OutputError: at once, if the file cannot be made there; or later, if a frame is not as promised
-            or the file does not become whole.
+        OutputError: at once, if the file cannot be created there; or later, if a frame has a wrong format or
+            the file is incomplete.
     """
 
     def __init__(
@@ -99,8 +96,8 @@ class VideoSink:
 
         Args:
             frame: the picture.
-            time_s: when it was taken, where frames are timed. The first is shown at 0; one that is not later
-                than the frame before is shown right after it.
+            time_s: its time stamp, in timed videos. The first is shown at 0. A frame that is not later than
+                its predecessor is shown right after it.
 
         Raises:
             OutputError: the sink is closed, the frame has another size or type, or the disk is full.
@@ -120,7 +117,7 @@ class VideoSink:
         self.frames += 1
 
     def _pts(self, time_s: float) -> int:
-        """Number of the frame's time in units of its time base."""
+        """Return the frame's time stamp in units of its time base."""
         if not self.timed:
             return self.frames
         if not self.frames:
@@ -129,10 +126,10 @@ class VideoSink:
         return self._last_tick
 
     def close(self) -> None:
-        """Finish the file, check it and rename it; closing twice does nothing.
+        """Finish the file, verify it and rename it; closing twice does nothing.
 
         Raises:
-            OutputError: no frame was written, or the file did not become whole; nothing is left of it.
+            OutputError: no frame was written, or the file is incomplete; nothing is left of it.
         """
         if not self._open:
             return
@@ -153,7 +150,7 @@ class VideoSink:
         self._open = False
 
     def abort(self) -> None:
-        """Close and remove what was written so far; a file that was there before stays as it was."""
+        """Close and remove the temporary file; an earlier file stays as it was."""
         self._open = False
         with suppress(OSError, av.FFmpegError):
             self._container.close()
@@ -171,7 +168,7 @@ class VideoSink:
             self.abort()
 
     def _claim_target(self) -> None:
-        """Make the temporary file, so that a place that cannot be written to is refused at once."""
+        """Create the temporary file, so that an unwritable location is rejected at once."""
         if any(side < 2 or side % 2 for side in self.size_px):
             raise OutputError(f"{self.path}: size {self.size_px} px, but both sides of a video must be even")
         if not self.path.parent.is_dir():
@@ -216,7 +213,7 @@ def _checked_rate(path: Path, rate_hz: Fraction | float) -> Fraction:
 
 
 def count_frames(path: str | os.PathLike[str]) -> int:
-    """Number of frames in a video file, counted packet by packet without decoding."""
+    """Count the frames of a video file packet by packet, without decoding."""
     with av.open(str(path)) as container:
         return sum(1 for packet in container.demux(video=0) if packet.size)
 

@@ -1,7 +1,7 @@
-"""Finding markers in picture and video files, for people: what `skyherd detect` does.
+"""Marker detection in picture and video files, with outputs for people: `skyherd detect`.
 
-`Inspector` runs a detector over files and leaves tables (`detection_rows`, `rejection_rows`) and annotated
-pictures (`Annotator`) in a folder.
+`Inspector` runs a detector over files and writes tables (`detection_rows`, `rejection_rows`) and annotated
+pictures (`Annotator`) into a folder.
 """
 
 from skyherd.inspection.annotator import Annotator

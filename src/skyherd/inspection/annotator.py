@@ -1,6 +1,6 @@
-"""Annotated pictures of what a detector found and what it rejected, legible at any size of the image.
+"""Annotated pictures of detections and rejections, legible at any image size.
 
-Small images are enlarged by a whole factor, and lines and letters grow with large ones.
+Small images are enlarged by an integer factor, and lines and letters grow with large ones.
 """
 
 from collections.abc import Sequence
@@ -19,7 +19,7 @@ FOUND_COLOR, REJECTED_COLOR, PLAIN_COLOR = rgb(UNIT_COLORS[0]), rgb(UNIT_COLORS[
 """Colours of detections, of rejections, and of dark quadrilaterals without bits."""
 
 MIN_SIDE_PX = 640
-"""Smallest longer side of an annotated picture, px, unless asked otherwise. Chosen: ids can then be read."""
+"""Default minimum of the longer side of an annotated picture, px. Chosen: ids are legible."""
 
 FULL_SIDE_PX = 1280
 """Longer side, px, beyond which lines and letters grow in proportion. Chosen: a usual screen's width."""
@@ -28,28 +28,28 @@ FONT_PX, LINE_PX = 15, 2
 """Height of letters and width of lines, px, in pictures of up to `FULL_SIDE_PX`. Chosen to be legible."""
 
 ARROW_SIDES, MIN_ARROW_PX = 0.45, 14
-"""Length of the forward arrows, in marker sides, and their smallest length, px. Chosen: short beside the
+"""Length of the forward arrows, in marker sides, and their minimum length, px. Chosen: short beside the
 marker."""
 
 LABEL_REACH_SIDES = 0.72
-"""Distance of a label from the centre, in marker sides. Derived: a little more than half of a square's
+"""Distance of a label from the centre, in marker sides. Derived: slightly more than half of a square's
 diagonal."""
 
 
 PREFERENCE = 1e-6
-"""Pixels hidden, by which each next place for a label counts as worse: of equal places the first is taken."""
+"""Penalty of each further label position, in hidden pixels; the first of equal positions wins."""
 
 
 class Annotator:
-    """Draws detections and rejections on images of one size.
+    """Drawing of detections and rejections on images of one size.
 
     Args:
         size_px: width and height of the images to be annotated.
-        min_side_px: smaller images are enlarged by a whole factor until their longer side has this many.
+        min_side_px: minimum longer side; smaller images are enlarged by an integer factor.
 
     Attributes:
-        zoom: the factor of enlargement.
-        scale: the factor by which lines and letters grow.
+        zoom: enlargement factor.
+        scale: factor of line widths and font sizes.
     """
 
     def __init__(self, size_px: tuple[int, int], *, min_side_px: int = MIN_SIDE_PX) -> None:
@@ -61,7 +61,7 @@ class Annotator:
     def draw(
         self, image: npt.NDArray[np.uint8], detections: Detections, rejections: Sequence[Rejection] = ()
     ) -> Image:
-        """Return an RGB copy of a grey image, `zoom` times as large, with what was found and rejected.
+        """Return an RGB copy of a grey image, `zoom` times as large, with detections and rejections.
 
         Detections have an outline, an arrow forward and their id. Rejections have an outline, and a number
         and a reason unless they are dark quadrilaterals without bits.
@@ -78,11 +78,11 @@ class Annotator:
         return picture
 
     def _shown(self, points_px: Array) -> Array:
-        """Points (..., 2) of the image in the enlarged picture, px."""
+        """Return points (..., 2) of the image in the enlarged picture, px."""
         return np.asarray((points_px + 0.5) * self.zoom - 0.5)
 
     def _outline(self, picture: Image, squares_px: list[Array], color: Color, width_px: int) -> None:
-        """Lines just outside the squares."""
+        """Draw lines just outside the squares."""
         for corners in squares_px:
             shown = self._shown(corners)
             center = shown.mean(axis=0)
@@ -92,7 +92,7 @@ class Annotator:
             )
 
     def _arrows(self, picture: Image, detections: Detections) -> None:
-        """Forward arrows, from the middles of the front edges outwards."""
+        """Draw forward arrows, from the middles of the front edges outwards."""
         ahead = to_points(np.exp(1j * detections.headings_rad))
         sides = detections.sides_px[:, None] * self.zoom
         lengths = np.maximum(ARROW_SIDES * sides, MIN_ARROW_PX * self.scale)
@@ -100,7 +100,7 @@ class Annotator:
         draw_arrows(picture, starts, starts + lengths * ahead, FOUND_COLOR, rgb(PAPER), scale=self.scale)
 
     def _label(self, picture: Image, detections: Detections, rejections: list[Rejection]) -> None:
-        """Ids beside the markers, away from their arrows; number and reason beside what was rejected."""
+        """Draw ids beside the markers, away from their arrows; number and reason beside rejections."""
         centers = [*detections.centers_px, *(r.center_px for r in rejections)]
         if not centers:
             return
@@ -123,7 +123,7 @@ class Annotator:
     def _place(
         self, text: str, center: Array, reach: float, away_rad: float, taken: Array, shape: tuple[int, ...]
     ) -> Array:
-        """Box (left, top, right, bottom) for a text around a place, where it hides least of what is taken."""
+        """Return a box (left, top, right, bottom) for a text that hides least of the occupied area."""
         half = (
             np.array([text_width(text, self.font_px, bold=True) + 0.6 * self.font_px, 1.5 * self.font_px]) / 2
         )

@@ -1,4 +1,4 @@
-"""What was found in one file, for people."""
+"""Detection result of one file, for people."""
 
 from collections import Counter
 from dataclasses import dataclass, field
@@ -10,17 +10,17 @@ from skyherd.vision import DEFAULT_DICTIONARY, Rejection
 
 @dataclass
 class FileResult:
-    """What was found in one file.
+    """Detection result of one file.
 
     Attributes:
         file: the picture or video.
-        dictionary: of the markers that were looked for.
-        frames: number of images that were looked at.
-        ids: how often each marker was detected.
-        rejections: of a picture, all; of a video, those of its last frame.
-        reasons: how often each reason for a rejection was given.
-        hint: what to try if little was detected, in words; None if enough was, or nothing helps.
-        trouble: why the file could not be read; None if it could.
+        dictionary: dictionary of the markers searched for.
+        frames: number of processed images.
+        ids: number of detections of each marker.
+        rejections: all of a picture; those of the last frame of a video.
+        reasons: number of rejections by reason.
+        hint: advice if little was detected; None if enough was, or nothing helps.
+        trouble: reason why the file could not be read; None if it could.
         picture: the annotated picture or video; None if the file could not be read.
     """
 

@@ -1,6 +1,6 @@
-"""Detection on files: pictures, folders of pictures, and videos in; annotated pictures and tables out.
+"""Detection on pictures, folders of pictures and videos; annotated pictures and tables as output.
 
-Each file gets a detector of its own, so that nothing learned from one file affects another.
+Each file gets its own detector, so that no state passes from one file to another.
 """
 
 from contextlib import ExitStack
@@ -43,37 +43,37 @@ from skyherd.vision import (
 )
 
 DETECTIONS = "detections"
-"""Name of the table of detections, without its ending."""
+"""Name of the table of detections, without suffix."""
 
 REJECTIONS = "rejected"
-"""Name of the table of rejected candidates, without its ending."""
+"""Name of the table of rejected candidates, without suffix."""
 
 VERB = "detect"
-"""Verb by which a folder's record knows what was made here."""
+"""Verb under which a folder's record lists these files."""
 
 AUTO = "auto"
-"""Stands for the dictionary that a file's own markers are of."""
+"""Placeholder for the dictionary that matches a file's own markers."""
 
 FEW = 3
-"""With fewer detections in a picture a hint is looked for, since something is likely to be wrong with it.
-Chosen: pictures of robots usually show more."""
+"""Number of detections in a picture below which a hint is searched for. Chosen: pictures of robots usually
+show more."""
 
 Grey = npt.NDArray[np.uint8]
 
 
 class Inspector:
-    """Runs a detector over files and leaves tables and annotated pictures in a folder.
+    """Runner of a detector over files, with tables and annotated pictures as output.
 
     Args:
         detector: name or `module:factory`, as for `skyherd.vision.create_detector`.
-        dictionary: name of the marker dictionary, or `AUTO` to find each file's own: of a video, that of the
-            first frame that shows markers.
+        dictionary: name of the marker dictionary, or `AUTO` to find it per file. For a video, the first frame
+            that shows markers decides.
         border_bits: width of the markers' black border in cells.
-        inverted: whether the markers are white on black.
-        repeats: whether ids that are found at several places are reported at each of them.
-        explained: whether to say why candidates were rejected, too; much slower.
+        inverted: True for white markers on black.
+        repeats: report an id that is found at several places at each of them.
+        explained: also report why candidates were rejected; much slower.
         kind: format of the tables.
-        progress: is given how many frames of each file are done.
+        progress: receives the number of processed frames of each file.
 
     Raises:
         InputError: there is no such detector or dictionary.
@@ -108,36 +108,36 @@ class Inspector:
         )
 
     def _dictionary_of(self, image: Grey) -> str | None:
-        """The dictionary to look for in an image, None if it is to be found and the image shows no marker."""
+        """Return the dictionary to use for an image; None if it is unknown and no marker is visible."""
         if self.dictionary != AUTO:
             return self.dictionary
         return find_dictionary(image, border_bits=self.border_bits, inverted=self.inverted)
 
     def _dark_on_light(self, image: Grey) -> Grey:
-        """The image in which markers are black on white: its negative, if they are white on black."""
+        """Return the image with black markers on white: its negative if they are inverted."""
         return np.asarray(255 - image, dtype=np.uint8) if self.inverted else image
 
     def _hint(self, image: Grey, dictionary: str) -> str | None:
-        """What to try where little was found."""
+        """Return advice where little was found."""
         return suggest(image, dictionary, border_bits=self.border_bits, inverted=self.inverted)
 
     def inspect(self, target: Path, folder: Path, *, force: bool = False) -> list[FileResult]:
         """Run the detector over a picture, a video, or all pictures and videos in a folder.
 
-        In a folder, a file that cannot be read does not stop the others: its result has `trouble`.
+        In a folder, an unreadable file does not stop the others: its result has `trouble`.
 
         Args:
             target: the file or folder.
-            folder: where tables and annotated files are written; made if it is not there.
-            force: whether `folder` may exist; what was made in it before is then removed, and nothing else.
+            folder: folder of tables and annotated files; created if missing.
+            force: accept an existing `folder`; only earlier outputs in it are removed.
 
         Returns:
-            One result for each file, in the order of their names.
+            One result per file, sorted by name.
 
         Raises:
-            InputError: there is nothing to look at, not one file can be read, the folder exists, or a file in
-                it would be replaced that was not made by this.
-            OutputError: something cannot be written.
+            InputError: there is no file to process, no file is readable, the folder exists, or a foreign file
+                in it would be replaced.
+            OutputError: writing failed.
         """
         files = find_files(target)
         names = picture_names(files)
@@ -225,7 +225,7 @@ class Inspector:
 
 
 def _check_any_readable(target: Path, results: list[FileResult]) -> None:
-    """Refuse what turned out to be unreadable altogether, so that nothing is left of it."""
+    """Reject an input without any readable file, so that nothing is left of it."""
     troubles = [result.trouble for result in results if result.trouble is not None]
     if len(troubles) < len(results):
         return
@@ -235,7 +235,7 @@ def _check_any_readable(target: Path, results: list[FileResult]) -> None:
 
 
 def _check_readable(file: Path) -> None:
-    """Refuse a file that cannot be read before a folder is made for it."""
+    """Reject an unreadable file before a folder is created for it."""
     if is_video(file):
         open_clip(file)
     else:
@@ -243,6 +243,6 @@ def _check_readable(file: Path) -> None:
 
 
 def _even(picture: Grey) -> Grey:
-    """The picture with its last row and column repeated where that makes its sides even."""
+    """Return the picture with even sides, its last row or column repeated where needed."""
     height, width = picture.shape[:2]
     return np.pad(picture, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")

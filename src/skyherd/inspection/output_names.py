@@ -1,4 +1,4 @@
-"""Names of annotated files, made of the names of the files that were looked at."""
+"""Names of annotated files, derived from the names of the input files."""
 
 from collections import Counter
 from pathlib import Path
@@ -7,18 +7,18 @@ from skyherd.files.video_reader import is_video
 from skyherd.text import printable
 
 MAX_STEM_BYTES = 200
-"""Bytes of a file's name that the annotated file's name takes over. *Chosen*: with an ending and a number it
-stays below 255, the most that file systems have."""
+"""Bytes of an input name that an annotated file's name keeps. *Chosen*: with suffix and number it stays
+below 255, the limit of file systems."""
 
 
 def output_name(name: str) -> str:
-    """A name for an output, made of the name of a file that may be anything: printable, and not too long."""
+    """Return a printable output name of limited length for any file name."""
     plain = "".join("_" if char in '\\/:*?"<>|' else char for char in printable(name)).lstrip(".") or "_"
     return plain.encode()[:MAX_STEM_BYTES].decode(errors="ignore")
 
 
 def picture_names(files: list[Path]) -> dict[Path, str]:
-    """Names of the annotated files: the originals', with their whole names where two would be alike."""
+    """Return the names of the annotated files; equal stems keep their whole names."""
     ends = {file: ".mp4" if is_video(file) else ".png" for file in files}
     stems = {file: output_name(file.stem) for file in files}
     often = Counter(stems[file] + ends[file] for file in files)

@@ -1,4 +1,4 @@
-"""Detections and rejections as tables: CSV, or JSON lines, with one row for each marker.
+"""Tables of detections and rejections: CSV, or JSON lines, with one row per marker.
 
 Columns of detections: file; frame (of videos, from 0); time_s (of videos: the stream's own); id; u_px; v_px;
 heading_deg (from +u to +v); side_px; the standard deviations of u, v and heading, empty where the detector
@@ -26,22 +26,22 @@ FORMATS: tuple[Format, ...] = get_args(Format)
 """Formats of the tables: comma-separated values, and one JSON object a line."""
 
 CORNERS = [f"corner{k}_{axis}_px" for k in range(4) for axis in "uv"]
-"""Columns of the four corners, the first two ahead."""
+"""Columns of the four corners, the two front ones first."""
 
 STDS = ["std_u_px", "std_v_px", "std_heading_deg"]
-"""Columns of the standard deviations; empty where the detector does not know them."""
+"""Columns of the standard deviations; empty where the detector does not state them."""
 
 WHERE = ["file", "frame", "time_s"]
-"""Columns that say which image a row is about, as the fields of `Place`."""
+"""Columns that identify the image of a row, as the fields of `Place`."""
 
 DETECTION_COLUMNS = [*WHERE, "id", "u_px", "v_px", "heading_deg", "side_px", *STDS, *CORNERS]
 """Columns of the table of detections."""
 
 MEASURED = ["cell_px", "contrast", "blur_px", "tilt_deg", "likeness", "nearest_id", "wrong_cells"]
-"""Columns of what was measured of a rejected candidate (`Reading`)."""
+"""Columns of the measurements of a rejected candidate (`Reading`)."""
 
 TESTED = ["quantity", "value", "limit"]
-"""Columns of the quantity by which a candidate is rejected, and its limit; empty where it is none."""
+"""Columns of the quantity by which a candidate is rejected, and its limit; empty if there is none."""
 
 REJECTION_COLUMNS = [*WHERE, "reason", *TESTED, "u_px", "v_px", "side_px", *MEASURED, *CORNERS, "words"]
 """Columns of the table of rejections."""
@@ -51,12 +51,12 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True)
 class Place:
-    """Which image a row is about.
+    """Image that a row refers to.
 
     Attributes:
         file: name of the file.
         frame: number in a video, from 0; None for pictures.
-        time_s: of videos, the time that the stream has for the frame; None for pictures.
+        time_s: presentation time of the frame in a video; None for pictures.
     """
 
     file: str
@@ -86,7 +86,7 @@ def detection_rows(place: Place, found: Detections) -> Iterator[Row]:
 
 
 def rejection_rows(place: Place, rejections: Sequence[Rejection]) -> Iterator[Row]:
-    """Yield one row for each rejected candidate of an image, with what was measured of it."""
+    """Yield one row for each rejected candidate of an image, with its measurements."""
     for rejection in rejections:
         reading = rejection.reading
         yield {
@@ -109,13 +109,13 @@ def rejection_rows(place: Place, rejections: Sequence[Rejection]) -> Iterator[Ro
 
 
 def _tested(rejection: Rejection) -> tuple[str, float, float] | tuple[None, None, None]:
-    """Name, value and limit of the quantity by which a candidate is rejected."""
+    """Return name, value and limit of the quantity by which a candidate is rejected."""
     measured = rejection.measured
     return (None, None, None) if measured is None else (measured.name, measured.value, measured.limit)
 
 
 class Table:
-    """An open table, to which rows are added; made by `open_table`."""
+    """An open table to which rows are added; made by `open_table`."""
 
     def __init__(self, stream: TextIO, columns: list[str], kind: Format) -> None:
         self._stream, self._kind = stream, kind
@@ -124,7 +124,7 @@ class Table:
             self._writer.writeheader()
 
     def add(self, row: Row) -> None:
-        """Write one row; keys that are no columns are left out of CSV, and kept in JSON lines."""
+        """Write one row; CSV omits unknown keys, JSON lines keep them."""
         if self._kind == "csv":
             corners = dict(zip(CORNERS, np.ravel(row["corners_px"]), strict=True))
             self._writer.writerow({key: _cell(value) for key, value in (row | corners).items()})
@@ -134,12 +134,12 @@ class Table:
 
 
 def _cell(value: Any) -> Any:
-    """A value of CSV: texts harmless to spreadsheets, such as the name of a file, which may be anything."""
+    """Return a CSV value; texts, such as arbitrary file names, are made harmless to spreadsheets."""
     return table_cell(value) if isinstance(value, str) else _short(value)
 
 
 def _short(value: Any) -> Any:
-    """Numbers rounded to a ten-thousandth or, if small, to five figures; arrays as lists; texts printable."""
+    """Round numbers to 1e-4 or, if small, to five digits; return arrays as lists, texts printable."""
     if isinstance(value, np.ndarray):
         return [_short(item) for item in value]
     if isinstance(value, str):
@@ -151,13 +151,13 @@ def _short(value: Any) -> Any:
 
 @contextmanager
 def open_table(path: Path, columns: list[str], kind: Format) -> Iterator[Table]:
-    """Open a table for the body of a `with` statement; it gets its name when it is complete.
+    """Open a table for the body of a `with` statement; it gets its name when complete.
 
     If the body raises, nothing is left of the table.
 
     Args:
-        path: of the table; an existing file is replaced.
-        columns: in their order.
+        path: path of the table; an existing file is replaced.
+        columns: columns in order.
         kind: csv or jsonl.
 
     Raises:

@@ -1,1 +1,1 @@
-"""How work that takes long is done: its progress, processes side by side, and loops that are compiled."""
+"""Long-running work: progress, parallel processes, and compiled loops."""

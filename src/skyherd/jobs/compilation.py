@@ -1,9 +1,4 @@
-"""How kernels, functions that Numba compiles, are compiled, and the types of arrays that they are given.
-
-To compile one takes Numba seconds, when its module is imported for the first time. It keeps the machine code
-in `__pycache__`, in the user's cache where that folder cannot be written to, or where `NUMBA_CACHE_DIR` says.
-Assignments of whole arrays and reductions of NumPy take longest to compile: loops in their place are quick.
-"""
+"""How kernels, functions that Numba compiles, are compiled, and the types of arrays that they are given."""
 
 from typing import Any
 
@@ -12,7 +7,7 @@ from numba.core import types
 
 
 def _can_be_kept() -> bool:
-    """Whether there is a folder in which compiled code can be kept; without one, each run compiles anew."""
+    """Return whether compiled code can be cached in a folder; without one, each run compiles it."""
     try:
         njit(cache=True)(_can_be_kept)
     except RuntimeError:

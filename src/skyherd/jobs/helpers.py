@@ -31,10 +31,10 @@ from types import TracebackType
 from typing import Any, Self, TypeVar
 
 Item = TypeVar("Item")
-"""What there is work on."""
+"""Unit of work."""
 
 Result = TypeVar("Result")
-"""What comes of it."""
+"""Result of an item."""
 
 SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP")
 """Signals that a helper leaves to its maker."""
@@ -48,18 +48,18 @@ _open: "list[Helper]" = []
 
 
 def cores() -> int:
-    """Number of cores that this process may use."""
+    """Return the number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def can_help() -> bool:
-    """Whether this system forks processes safely."""
+    """Return whether this system forks processes safely."""
     return sys.platform == "linux"
 
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Let OpenCV have one thread in the body, so that none is lost when this process forks."""
+    """Give OpenCV one thread in the body, so that none is lost when this process forks."""
     import cv2
 
     before = cv2.getNumThreads()
@@ -114,7 +114,7 @@ class Helper:
             raise self._gone from None
 
     def answered(self) -> bool:
-        """Whether `answer` would return at once, or raise."""
+        """Return whether `answer` would return at once, or raise."""
         return self.pipe.poll()
 
     def answer(self) -> Any:
@@ -147,7 +147,7 @@ class Helper:
 
 
 def shared(work: Callable[[Item], Result], items: Sequence[Item], jobs: int, gone: Exception) -> list[Result]:
-    """The results of `work` for each of some items, in their order, by `jobs` helpers side by side.
+    """Return the results of `work` for some items, in their order, from `jobs` parallel helpers.
 
     Each helper gets its next item when it is done with one, the first items first. With one job or item, or
     where there can be no helpers, the work is done here.
@@ -183,7 +183,7 @@ def shared(work: Callable[[Item], Result], items: Sequence[Item], jobs: int, gon
 
 @contextmanager
 def _signals_blocked() -> Iterator[None]:
-    """Keep `SIGNALS` waiting in the body, so that none of them comes in between a fork and what follows."""
+    """Block `SIGNALS` in the body, so that none arrives between a fork and its follow-up."""
     numbers = {getattr(signal, name) for name in SIGNALS}
     before = signal.pthread_sigmask(signal.SIG_BLOCK, numbers)
     try:
@@ -193,7 +193,7 @@ def _signals_blocked() -> Iterator[None]:
 
 
 def _work(serve: Callable[[Any], Any], pipe: Connection, others: list[Connection], waiting: int) -> None:
-    """What a helper does: answer requests until its maker has closed the pipe, or is gone.
+    """Answer requests until the helper's maker has closed the pipe, or is gone.
 
     A thread reads the requests, so that its maker can go on while it works.
     """
@@ -217,7 +217,7 @@ def _work(serve: Callable[[Any], Any], pipe: Connection, others: list[Connection
 
 
 def _read(pipe: Connection, requests: "queue.Queue[bytes | None]", closed: threading.Event) -> None:
-    """Put what comes through the pipe into a queue, and None at its end."""
+    """Put pipe contents into a queue, and None at its end."""
     try:
         while True:
             requests.put(pipe.recv_bytes())
@@ -227,7 +227,7 @@ def _read(pipe: Connection, requests: "queue.Queue[bytes | None]", closed: threa
 
 
 def _portable(error: Exception) -> Exception:
-    """An error that survives pickling, with the trace of its own process as a note."""
+    """Return an error that survives pickling, with the trace of its own process as a note."""
     error.add_note("in a helper:\n" + "".join(traceback.format_exception(error)).rstrip())
     try:
         copy = pickle.loads(pickle.dumps(error))

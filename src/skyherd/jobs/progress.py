@@ -9,7 +9,7 @@ from typing import Protocol
 
 
 class Progress(Protocol):
-    """Shows how far a piece of work is.
+    """Display of the progress of a piece of work.
 
     Work may consist of several tasks, one after the other, such as the files of a folder. Whoever does the
     work calls `update` at the beginning of each task and then as often as it likes, from one thread. There is
@@ -18,7 +18,7 @@ class Progress(Protocol):
     """
 
     def update(self, name: str, done: float, total: float | None, state: str | None = None) -> None:
-        """Show how far the task of this name is.
+        """Show the progress of the task of this name.
 
         Args:
             name: what is being done, in a few words; another name than before means another task.
@@ -32,7 +32,7 @@ class NoProgress:
     """A `Progress` that shows nothing."""
 
     def update(self, name: str, done: float, total: float | None, state: str | None = None) -> None:
-        """Ignore how far the work is."""
+        """Ignore the progress."""
 
 
 NO_PROGRESS: Progress = NoProgress()

@@ -1,1 +1,1 @@
-"""Square markers: dictionaries and codes, how well they can be measured, and printable sheets."""
+"""Square markers: dictionaries and codes, the Cramér–Rao bound, and printable sheets."""

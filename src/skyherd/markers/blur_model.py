@@ -1,6 +1,6 @@
-"""A marker card under a Gaussian blur: the model of lens and pixel that the bound and the detector share.
+"""Model of a marker card under a Gaussian blur, shared by the Cramér–Rao bound and the detector.
 
-A card is a grid of flat cells, so its image under a Gaussian of standard deviation sigma separates:
+A card is a grid of uniform cells. Its image under a Gaussian of standard deviation sigma separates:
 
     F(y, x) = Σ_r Σ_c E_r(y) L_rc E_c(x),   E_c(x) = Φ((x - e_c) / σ) - Φ((x - e_{c+1}) / σ),
 
@@ -17,7 +17,7 @@ from skyherd.markers.dictionary import QUIET_ZONE_CELLS
 
 
 def total_sigma_px(psf_px: float) -> float:
-    """Standard deviation of lens and pixel together, px: `sqrt(psf² + 1/12)`.
+    """Return the standard deviation of lens and pixel together, px: `sqrt(psf² + 1/12)`.
 
     `psf_px` is the standard deviation of the lens's blur; 1/12 px² is the variance of a square pixel.
     """
@@ -25,7 +25,7 @@ def total_sigma_px(psf_px: float) -> float:
 
 
 def cell_edges(n_cells: int, side: float) -> Array:
-    """Edges (n + 3,) of a card's cells along one axis: quiet zone, n cells, quiet zone.
+    """Return the edges (n + 3,) of a card's cells along one axis: quiet zone, n cells, quiet zone.
 
     They are measured from the card's centre, in the unit of `side`, the side of the black square.
     """
@@ -35,10 +35,10 @@ def cell_edges(n_cells: int, side: float) -> Array:
 
 @dataclass(frozen=True)
 class Gathered:
-    """How much of each cell a Gaussian gathers, with derivatives; each (samples, cells).
+    """Weights of cells under a Gaussian, with derivatives; each (samples, cells).
 
     Attributes:
-        value: E, the shares.
+        value: E, the weights.
         slope: dE/dx.
         curvature: d²E/dx².
     """
@@ -49,10 +49,10 @@ class Gathered:
 
 
 def gather(x: Array, edges: Array, sigma: float) -> Array:
-    """E (samples, cells): the share of each cell that a Gaussian at each x gathers.
+    """Return the weight E (samples, cells) of each cell under a Gaussian at each x.
 
     Args:
-        x: (samples,) places along the axis.
+        x: (samples,) positions along the axis.
         edges: (cells + 1,) of the cells, ascending.
         sigma: standard deviation of the Gaussian; all in one unit.
     """
@@ -61,7 +61,7 @@ def gather(x: Array, edges: Array, sigma: float) -> Array:
 
 
 def gather_with_derivatives(x: Array, edges: Array, sigma: float) -> Gathered:
-    """`gather` with its derivatives along x; dE/dσ is `σ d²E/dx²`, by the heat equation."""
+    """Return `gather` with its derivatives along x; by the heat equation, dE/dσ is `σ d²E/dx²`."""
     z = (x[:, None] - edges[None, :]) / sigma
     bell = np.exp(-z * z / 2) / (np.sqrt(2 * np.pi) * sigma)
     bend = -z * bell / sigma

@@ -1,15 +1,15 @@
 """Marker dictionaries larger than OpenCV's, for more than a thousand robots: linear codes.
 
-The bits of a marker of n cells a side, row by row, are a word of n² bits. Let C be a linear code, closed
-under bitwise exclusive or, that the eight rotations and reflections of the square map onto itself. Its words
-fall into orbits under them; one word is taken of each orbit of eight, and those with a symmetry of their own
-are left out. Then any two of all their turned and mirrored copies differ, are both words of C, and
+The bits of a marker of n cells per side, row by row, are a word of n² bits. Let C be a linear code, closed
+under bitwise exclusive or, that the eight symmetries of the square map onto itself. Its words form orbits
+under these symmetries. One word is taken of each orbit of eight; words with a symmetry of their own are left
+out. Any two of all rotated and mirrored copies then differ and are both words of C, and
 
     d = min over c in C, c ≠ 0, of weight(c)
 
-is the least number of bits between any two markers however turned, between a marker and itself turned, and
-between any marker and the mirror image of any: a mirrored stream decodes nothing. The bases were found by
-`benchmarks/search_dictionaries.py`; the words follow from them by exclusive or, the same everywhere.
+is a minimum Hamming distance. It holds between any two markers at any rotation, between a marker and its own
+rotations, and between markers and mirror images: a mirrored stream decodes nothing. The bases were found by
+`benchmarks/search_dictionaries.py`; the words follow from them by exclusive or on any platform.
 """
 
 from collections.abc import Sequence
@@ -26,10 +26,10 @@ Words = npt.NDArray[np.uint64]
 
 @dataclass(frozen=True)
 class MarkerCode:
-    """A generated dictionary: a linear code, of which a few numbers generate thousands of markers.
+    """A generated dictionary: a linear code whose few basis words generate thousands of markers.
 
     Attributes:
-        cells: bits along a marker's side, the black border not counted.
+        cells: bits along a marker's side, without the black border.
         size: number of markers.
         distance: least Hamming distance over all rotations and reflections.
         basis: words whose sums modulo 2 are the code; the first cell is the highest bit.
@@ -136,7 +136,7 @@ CODES = {
 
 
 def symmetries(cells: int) -> IntArray:
-    """Symmetries of the square as permutations (8, n²) of its n² cells.
+    """Return the symmetries of the square as permutations (8, n²) of its n² cells.
 
     Row k turns by k quarters; rows from 4 on are mirrored first.
     """
@@ -145,7 +145,7 @@ def symmetries(cells: int) -> IntArray:
 
 
 def span(basis: Sequence[int]) -> Words:
-    """All words (2^k,) of a linear code: the sums modulo 2 of its k basis words."""
+    """Return all words (2^k,) of a linear code: the sums modulo 2 of its k basis words."""
     words = np.zeros(1, np.uint64)
     for vector in basis:
         words = np.concatenate([words, words ^ np.uint64(vector)])
@@ -153,16 +153,16 @@ def span(basis: Sequence[int]) -> Words:
 
 
 def word_bits(words: Words, count: int) -> BoolArray:
-    """The lowest `count` bits (N, count) of words (N,), the highest of them first."""
+    """Return the lowest `count` bits (N, count) of words (N,), most significant first."""
     shifts = np.arange(count - 1, -1, -1, dtype=np.uint64)
     return np.asarray((words[:, None] >> shifts) & np.uint64(1), dtype=bool)
 
 
 def code_bits(code: MarkerCode) -> BoolArray:
-    """White cells (N, n, n) of the markers of a generated dictionary, without their black border.
+    """Return the white cells (N, n, n) of a generated dictionary's markers, without their black border.
 
-    Of each orbit the least word is taken, and those whose cells change most often come first: they are the
-    least like dark things that are no markers, and their many edges are measured best.
+    Of each orbit the least word is taken. Words whose cells change most often come first: they resemble dark
+    clutter least, and their many edges give the most accurate pose.
     """
     cells = code.cells
     words = span(code.basis)

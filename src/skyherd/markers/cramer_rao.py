@@ -1,27 +1,29 @@
-"""The Cramér–Rao bound: how well the pose of a marker can be measured from its pixels, by any means.
+"""Cramér–Rao bound of a marker's pose from its pixels.
 
 Pixels under white Gaussian noise of standard deviation n carry the Fisher information
 
     F_kl = n⁻² Σ_pixels (∂I/∂θ_k) (∂I/∂θ_l),    cov(θ̂) ≥ F⁻¹
 
-for every unbiased estimate. The unknowns θ of a marker are its pose (u, v, heading), and as nuisances its log
-scale, gain, offset, log blur and the ground's grey level; where the markers' plane is seen at a slant, also
-the plane, two affine and two projective parameters that all markers of an image share. The sum runs over the
-pixels of the card, marker and quiet zone. Ground of unknown texture tells less at the card's edge than the
-flat one assumed here: the bound then is out of reach by some per cent, and a bound still. Noise from rounding
-to 8 bits, of variance 1/12, is the caller's to add.
+for every unbiased estimate. The unknowns θ of a marker are its pose (u, v, heading) and nuisance parameters:
+log scale, gain, offset, log blur and the ground's grey level. Where the markers' plane is oblique, its two
+affine and two projective parameters, shared by all markers of an image, are unknown too. The sum covers the
+pixels of the card, marker and quiet zone.
 
-A displacement field w of the pattern, with the Gaussian of lens and pixel left as it is, changes the image by
+Ground of unknown texture carries less information at the card's edge than the uniform ground assumed here.
+The bound is then loose by some per cent, but remains a bound. Rounding noise of 8 bits, of variance 1/12,
+must be added by the caller.
+
+A displacement field w of the pattern, with the Gaussian of lens and pixel unchanged, changes the image by
 
     δI = -(w · ∇I + (Dw Σ) : ∇∇I),
 
 Σ being the Gaussian's covariance; by the heat equation `∂I/∂ log σ = Σ : ∇∇I`. The image is that of
-`skyherd.markers.blur_model` in the marker's own axes, where it is separable, with the blur of the marker's
-centre. The sum over the image's pixels is therefore taken on a grid along the marker's sides, each sample
-weighted by the area that it has in pixels.
+`skyherd.markers.blur_model` in the marker's own axes, where it is separable, with the blur at the marker's
+centre. The sum over pixels is therefore taken on a grid along the marker's sides, each sample weighted by its
+area in pixels.
 
-Every unknown of the geometry is a generator of homographies, so that the marker's own moves and the plane's
-slant are one formula. What the markers of an image share is eliminated by its Schur complement.
+Every unknown of the geometry is a generator of homographies, so that the marker's own motions and the plane's
+tilt share one formula. The Schur complement eliminates the parameters that markers of an image share.
 """
 
 from collections.abc import Sequence
@@ -35,13 +37,12 @@ from skyherd.markers.blur_model import cell_edges, gather_with_derivatives, tota
 from skyherd.markers.dictionary import marker_cells
 
 SAMPLES_PER_PX = 1.0
-"""Density of the grid along the marker's sides on which the sum over pixels is taken, samples a pixel.
-*Chosen*: each sample is weighted by its area in pixels; denser grids change the bound hardly, since blur is
-wider than a pixel, and cost more."""
+"""Grid density along the marker's sides, samples per pixel. *Chosen*: blur is wider than a pixel, so that a
+denser grid costs time and barely changes the bound."""
 
 SIMILAR = 1e-6
 """Shear and perspective over a marker below which a homography counts as a similarity. *Chosen*: far above
-rounding, and far below what any image can show; the plane then has no unknowns."""
+rounding, and far below any visible effect; the plane then has no unknowns."""
 
 N_POSE, N_OWN = 3, 8
 """Unknowns of one marker. *Derived* by counting: u, v and heading are its pose; with log scale, gain, offset,
@@ -55,7 +56,7 @@ _MOVES = np.zeros((4, 3, 3))
 _MOVES[0, 0, 2] = _MOVES[1, 1, 2] = 1.0
 _MOVES[2, 1, 0], _MOVES[2, 0, 1] = 1.0, -1.0
 _MOVES[3, 0, 0] = _MOVES[3, 1, 1] = 1.0
-"""Generators (4, 3, 3) of a marker's shift right and down, its turn and its log scale, on the card.
+"""Generators (4, 3, 3) of a marker's shift right and down, its rotation and its log scale, on the card.
 *Derived*: the derivatives of these homographies at the identity."""
 
 _SLANTS = np.zeros((4, 3, 3))
@@ -68,7 +69,7 @@ likewise."""
 
 @dataclass(frozen=True)
 class _Light:
-    """What an image depends on besides geometry: blur of lens and pixel together, and grey levels."""
+    """Parameters of an image beside geometry: total blur of lens and pixel, and grey levels."""
 
     sigma_px: float
     black: float
@@ -88,7 +89,7 @@ def pose_covariances(
     ground: float = 128.0,
     shared_plane: bool = True,
 ) -> Array:
-    """Least covariance (N, 3, 3) of (u px, v px, heading rad) that any unbiased estimate can have.
+    """Return the least covariance (N, 3, 3) of an unbiased estimate of (u px, v px, heading rad).
 
     Args:
         dictionary: dictionary of the markers, such as `4X4_50`.
@@ -99,12 +100,11 @@ def pose_covariances(
         black: grey level of the marker's black.
         white: grey level of the card.
         ground: grey level of the ground around it.
-        shared_plane: whether the plane in which the markers lie is unknown too, and has to be found from all
-            of
-            them together. It is taken as known if every homography is a similarity.
+        shared_plane: treat the plane of the markers as unknown, estimated from all of them together. It
+            counts as known if every homography is a similarity.
 
     Raises:
-        InputError: noise or blur is not positive, or the shapes do not agree.
+        InputError: noise or blur is not positive, or the shapes do not match.
     """
     images_marker = np.asarray(images_marker, dtype=float)
     if images_marker.shape != (len(ids), 3, 3):
@@ -128,15 +128,15 @@ def pose_covariances(
 
 
 def sides_px(images_marker: Array) -> Array:
-    """Sides (N,), px, of markers in the image: `sqrt |det J|`, J being the Jacobian at the marker's centre.
+    """Return the sides (N,) of markers in the image, px: `sqrt |det J|`, J the Jacobian at the centre.
 
-    `images_marker` (N, 3, 3) take marker coordinates, in sides, to pixels.
+    `images_marker` (N, 3, 3) map marker coordinates, in sides, to pixels.
     """
     return np.asarray(np.sqrt(np.abs(np.linalg.det(_jacobians(images_marker)))))
 
 
 def _jacobians(images_card: Array) -> Array:
-    """J (N, 2, 2) at the origin of homographies (N, 3, 3)."""
+    """Return J (N, 2, 2) at the origin of homographies (N, 3, 3)."""
     center = images_card[:, :2, 2] / images_card[:, 2:, 2]
     return np.asarray(
         (images_card[:, :2, :2] - center[:, :, None] * images_card[:, 2:, :2]) / images_card[:, 2:, 2:]
@@ -151,9 +151,9 @@ def _is_similarity(image_card: Array) -> bool:
 
 
 def _slants_on_cards(images_card: Array) -> Array:
-    """The plane's generators as each card sees them (N, 4, 3, 3): `H⁻¹ V H`.
+    """Return the plane's generators in each card's frame (N, 4, 3, 3): `H⁻¹ V H`.
 
-    V is taken about the markers' middle and in units of their spread, for the sake of conditioning.
+    V is taken about the markers' centroid and in units of their spread, for better conditioning.
     """
     centers = images_card[:, :2, 2] / images_card[:, 2:, 2]
     spread = max(float(centers.std()), float(sides_px(images_card).max()))
@@ -176,12 +176,12 @@ class _Card:
     bend: tuple[Array, Array, Array]
 
     def blurred(self, tensor: Array) -> Array:
-        """`tensor : ∇∇I`."""
+        """Return `tensor : ∇∇I`."""
         xx, xy, yy = self.bend
         return np.asarray(tensor[0, 0] * xx + (tensor[0, 1] + tensor[1, 0]) * xy + tensor[1, 1] * yy)
 
     def moved(self, generator: Array) -> Array:
-        """δI of the displacement field that a generator (3, 3) of homographies makes on the card."""
+        """Return δI of the displacement field of a generator (3, 3) of homographies on the card."""
         wx, wy, wz = (g[0] * self.x + g[1] * self.y + g[2] for g in generator)
         shifted = (wx - wz * self.x) * self.slope[0] + (wy - wz * self.y) * self.slope[1]
         gradient = generator[:2, :2] - generator[2, 2] * np.eye(2)
@@ -189,7 +189,7 @@ class _Card:
 
 
 def _draw_card(cells: BoolArray, image_card: Array, light: _Light) -> _Card:
-    """The card under the blur that it has at the marker's centre, taken as separable along its sides."""
+    """Draw the card under the blur at the marker's centre, taken as separable along its sides."""
     inverse = np.linalg.inv(_jacobians(image_card[None])[0])
     covariance = light.sigma_px**2 * inverse @ inverse.T
     sigmas = np.sqrt(np.diag(covariance))
@@ -215,7 +215,7 @@ def _draw_card(cells: BoolArray, image_card: Array, light: _Light) -> _Card:
 
 
 def _information(cells: BoolArray, image_card: Array, moves: Array, light: _Light) -> Array:
-    """Fisher information (M + 4, M + 4) at unit noise: four own moves, four of light, then the plane's."""
+    """Return the Fisher information (M + 4, M + 4) at unit noise: own motions, light, then the plane."""
     card = _draw_card(cells, image_card, light)
     lit = [card.image, card.cover, card.blurred(card.covariance), 1.0 - card.cover]
     moved = [card.moved(move) for move in moves]
@@ -227,7 +227,7 @@ def _information(cells: BoolArray, image_card: Array, moves: Array, light: _Ligh
 
 
 def _pose_derivatives(images_card: Array, moves: Array) -> Array:
-    """Derivatives (N, 3, M) of (u, v, heading) by moves (N, M, 3, 3) of the card: `δH = H W`."""
+    """Return derivatives (N, 3, M) of (u, v, heading) by motions (N, M, 3, 3): `δH = H W`."""
     changed = images_card[:, None] @ moves
     depth = images_card[:, None, 2:, 2]
     center = images_card[:, None, :2, 2] / depth
@@ -241,7 +241,7 @@ def _pose_derivatives(images_card: Array, moves: Array) -> Array:
 
 
 def _pose_covariances(information: Array, derivatives: Array) -> Array:
-    """Covariances (N, 3, 3) of the poses, the plane's unknowns eliminated by their Schur complement."""
+    """Return the covariances (N, 3, 3) of the poses, with the plane eliminated by Schur complement."""
     own, cross = information[:, :N_OWN, :N_OWN], information[:, :N_OWN, N_OWN:]
     own_inverse = np.linalg.inv(own)
     by_own = np.zeros((len(own), N_POSE, N_OWN))

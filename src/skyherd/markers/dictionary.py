@@ -1,4 +1,4 @@
-"""Square markers: their dictionaries and cells, and the pose that follows from a marker's corners.
+"""Square markers: dictionaries, cells, and pose from corners.
 
 A marker of `n` cells a side (bits and black border) is a black square with the bits inside, on a white
 card that adds a quiet zone. Its forward direction is from the centre to the middle of the edge between
@@ -16,33 +16,33 @@ from skyherd.geometry import SQUARE_CORNERS, Array, fit_squares, to_complex, to_
 from skyherd.markers.codes import CODES, code_bits
 
 QUIET_ZONE_CELLS = 1.0
-"""Width of the white card around the black square, in cells. *Chosen*: the least that detectors ask for;
-twice as wide costs a quarter more room on the robot."""
+"""Width of the white card around the black square, in cells. *Chosen*: the minimum of detectors; twice as
+wide costs a quarter more room on the robot."""
 
 
 BORDER_MARK, MAX_BORDER_BITS = "@", 3
-"""Sign between a dictionary's name and the width of its markers' border, and the largest width, in cells.
-*Chosen*: boards have one or two cells; the sign occurs in no name."""
+"""Separator of a dictionary's name and its border width, and the maximum width, in cells. *Chosen*: boards
+have one or two cells; the separator occurs in no name."""
 
 DISTANCE_SAMPLE = 200
-"""Number of markers whose distances to all others are computed. Chosen: a second's work at most."""
+"""Number of markers whose distances to all others are computed. Chosen: at most a second of work."""
 
 MIDDLE_GREY = 127
 """Grey level above which a cell drawn by OpenCV is white. *Derived*: cells are drawn as 0 or 255."""
 
 
 def dictionary_names() -> list[str]:
-    """Names of OpenCV's dictionaries, without their `DICT_` prefix, and of the generated ones, in order."""
+    """List the names of OpenCV's dictionaries, without `DICT_`, and of the generated ones."""
     return sorted(
         [*CODES, *(name.removeprefix("DICT_") for name in dir(cv2.aruco) if name.startswith("DICT_"))]
     )
 
 
 def with_border(name: str, border_bits: int) -> str:
-    """The name of a dictionary's markers drawn with a black border of so many cells: `4X4_50@2` for two.
+    """Return the name of a dictionary with a black border of given width: `4X4_50@2` for two cells.
 
-    Calibration boards for cameras often have two. All functions here take such names; without the addition
-    the border is one cell wide, as OpenCV and AprilTag draw it.
+    Camera calibration boards often have two. All functions here accept such names. Without the suffix the
+    border is one cell wide, as OpenCV and AprilTag draw it.
 
     Raises:
         InputError: the border is not of 1 to `MAX_BORDER_BITS` cells, or the name has one already.
@@ -59,10 +59,10 @@ def with_border(name: str, border_bits: int) -> str:
 
 @cache
 def border_cells(name: str) -> int:
-    """Width of the black border of a dictionary's markers, in cells; see `with_border`.
+    """Return the width of the black border of a dictionary's markers, in cells; see `with_border`.
 
     Raises:
-        InputError: what follows the dictionary's name is no such width.
+        InputError: the suffix of the dictionary's name is not a valid width.
     """
     _, mark, width = name.partition(BORDER_MARK)
     if not mark:
@@ -76,10 +76,10 @@ def border_cells(name: str) -> int:
 
 @cache
 def load_dictionary(name: str) -> cv2.aruco.Dictionary:
-    """The dictionary of a name such as `4X4_50`; a border named after it is left to `border_cells`.
+    """Load a dictionary by a name such as `4X4_50`; `border_cells` handles a border suffix.
 
     Raises:
-        InputError: there is none of that name; the error lists those that there are.
+        InputError: the name is unknown; the error lists the known ones.
     """
     border_cells(name)
     name = name.partition(BORDER_MARK)[0]
@@ -93,26 +93,26 @@ def load_dictionary(name: str) -> cv2.aruco.Dictionary:
 
 
 def _generate(name: str) -> cv2.aruco.Dictionary:
-    """A generated dictionary as OpenCV has them: half the distance, rounded down, can be corrected."""
+    """Return a generated dictionary in OpenCV's form; it corrects half the distance, rounded down."""
     code = CODES[name]
     rows = [cv2.aruco.Dictionary.getByteListFromBits(bits) for bits in code_bits(code).astype(np.uint8)]
     return cv2.aruco.Dictionary(np.concatenate(rows), code.cells, (code.distance - 1) // 2)
 
 
 def dictionary_size(name: str) -> int:
-    """Number of markers in a dictionary."""
+    """Return the number of markers in a dictionary."""
     return int(load_dictionary(name).bytesList.shape[0])
 
 
 @cache
 def cells_per_side(name: str) -> int:
-    """Cells along a marker's side, its black border included."""
+    """Return the number of cells along a marker's side, including its black border."""
     return int(load_dictionary(name).markerSize) + 2 * border_cells(name)
 
 
 @cache
 def marker_cells(name: str, marker_id: int) -> npt.NDArray[np.bool_]:
-    """White cells (n, n) of one marker, its black border included; row 0 is the forward edge. Read-only.
+    """Return the white cells (n, n) of one marker with its border, read-only; row 0 is the front edge.
 
     Raises:
         InputError: the dictionary has no marker of that id.
@@ -128,9 +128,9 @@ def marker_cells(name: str, marker_id: int) -> npt.NDArray[np.bool_]:
 
 @cache
 def code_distance(name: str) -> int:
-    """Least number of bits by which two markers of a dictionary differ, however each is turned.
+    """Return the minimum Hamming distance between two markers of a dictionary at any rotation.
 
-    Of dictionaries of more than `DISTANCE_SAMPLE` markers the first so many are compared with all.
+    In dictionaries of more than `DISTANCE_SAMPLE` markers, only the first ones are compared with all.
     """
     border = border_cells(name)
     bits = np.stack(
@@ -146,19 +146,19 @@ def code_distance(name: str) -> int:
 
 
 def card_side(name: str) -> float:
-    """Side of the white card, marker and quiet zone, in marker sides."""
+    """Return the side of the white card, marker and quiet zone, in marker sides."""
     return 1.0 + 2.0 * QUIET_ZONE_CELLS / cells_per_side(name)
 
 
 def corners_of_pose(centers_px: npt.ArrayLike, headings_rad: npt.ArrayLike, sides_px: npt.ArrayLike) -> Array:
-    """Image corners (N, 4, 2), px, of squares with centres (N, 2), headings (N,) and sides (N,)."""
+    """Return image corners (N, 4, 2), px, of squares with centres (N, 2), headings and sides (N,)."""
     arms = 1j * np.asarray(sides_px) * np.exp(1j * np.asarray(headings_rad))
     corners = to_complex(centers_px)[:, None] + arms[:, None] * SQUARE_CORNERS
     return np.stack([corners.real, corners.imag], axis=-1)
 
 
 def pose_of_corners(corners_px: npt.ArrayLike) -> tuple[Array, Array, Array]:
-    """Centres (N, 2), headings (N,) and sides (N,) of the squares nearest to image corners (N, 4, 2).
+    """Return centres (N, 2), headings (N,) and sides (N,) of the best squares to corners (N, 4, 2).
 
     The least-squares similarity of the unit square (`skyherd.geometry.fit_squares`): side `|arm|`, heading
     `arg(-i arm)`.
@@ -168,7 +168,7 @@ def pose_of_corners(corners_px: npt.ArrayLike) -> tuple[Array, Array, Array]:
 
 
 def headings_of_corners(centers_px: Array, corners_px: Array) -> Array:
-    """Headings (N,) of markers with corners (N, 4, 2), from the centre to the middle of the front edge.
+    """Return headings (N,) from corners (N, 4, 2): from the centre to the middle of the front edge.
 
     Unlike `pose_of_corners` this also holds for mirrored markers, which no detector decodes.
     """
@@ -177,7 +177,7 @@ def headings_of_corners(centers_px: Array, corners_px: Array) -> Array:
 
 
 def sides_of_corners(corners_px: Array) -> Array:
-    """Sides (N,) of markers with corners (N, 4, 2), mirrored ones too: the roots of their areas."""
+    """Return sides (N,), the roots of the areas, from corners (N, 4, 2), also of mirrored markers."""
     corners = to_complex(corners_px)
     diagonals = (corners[:, 2] - corners[:, 0]).conj() * (corners[:, 3] - corners[:, 1])
     return np.asarray(np.sqrt(np.abs(diagonals.imag) / 2))

@@ -1,4 +1,4 @@
-"""Where markers lie on printable sheets, and parsing of the ids and lengths for them. Lengths are in mm."""
+"""Layout of markers on printable sheets, and parsing of ids and lengths. Lengths are in mm."""
 
 import math
 import re
@@ -24,27 +24,25 @@ UNITS_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 """Millimetres in each unit of length. *Defined*."""
 
 MARGIN_MM = 8.0
-"""Margin that stays empty on all sides, mm. *Chosen*: printers reach to within some 5 mm of the paper's
-edge."""
+"""Empty margin on all sides, mm. *Chosen*: printers reach to about 5 mm from the paper's edge."""
 
 RULER_MM = 14.0
-"""Height of the foot that holds the ruler, mm. *Chosen*: room for a bar, its numbers and a line of text."""
+"""Height of the footer with the ruler, mm. *Chosen*: fits a bar, its numbers and a line of text."""
 
 STRIP_MM = 8.0
-"""Height of the strip above a card that holds id and arrow, mm. *Chosen*: room for text that can be read by
-hand."""
+"""Height of the strip with id and arrow above a card, mm. *Chosen*: fits legible text."""
 
 GAP_MM = 8.0
-"""Gap between two cards, mm. *Derived*: room for the cut marks of both, 2 (3 + 0.8) mm, rounded up."""
+"""Gap between two cards, mm. *Derived*: fits the cut marks of both, 2 (3 + 0.8) mm, rounded up."""
 
 ROUNDING = 1e-9
-"""Added before a quotient of lengths is rounded down. *Chosen*: makes up for the rounding of lengths that fit
+"""Added before a quotient of lengths is rounded down. *Chosen*: compensates the rounding of lengths that fit
 exactly."""
 
 
 @dataclass(frozen=True)
 class Layout:
-    """Where markers lie on a page.
+    """Positions of markers on a page.
 
     Attributes:
         page_mm: width and height, as the paper is turned.
@@ -66,7 +64,7 @@ class Layout:
         return self.columns * self.rows
 
     def corner_mm(self, place: int) -> tuple[float, float]:
-        """Lower left corner, mm, of the card at a place of the page, counted row by row from the top.
+        """Return the lower left corner, mm, of the card at a slot, counted by rows from the top.
 
         Measured from the page's lower left corner, y up.
         """
@@ -79,10 +77,10 @@ class Layout:
 
 
 def parse_ids(text: str, dictionary: str) -> list[int]:
-    """Parse ids such as `0-15,20`: each once, in the order given.
+    """Parse ids such as `0-15,20`: each once, in the given order.
 
     Raises:
-        InputError: the text is no list of ids, or an id is not in the dictionary.
+        InputError: the text is not a list of ids, or an id is not in the dictionary.
     """
     last = dictionary_size(dictionary) - 1
     ids: dict[int, None] = {}
@@ -104,7 +102,7 @@ def parse_ids(text: str, dictionary: str) -> list[int]:
 def parse_length_mm(text: str, where: str) -> float:
     """Parse a length with its unit, such as `0.12m`, `12 cm` or `120mm`, into millimetres.
 
-    `where` is the option to name in the complaint.
+    `where` is the option's name in the error message.
 
     Raises:
         InputError: the text has no unit, or is not a positive length.
@@ -117,7 +115,7 @@ def parse_length_mm(text: str, where: str) -> float:
 
 
 def _room_mm(page_mm: tuple[float, float]) -> tuple[float, float]:
-    """Width and height of a page that cards and strips may take."""
+    """Return the width and height of a page available to cards and strips."""
     return page_mm[0] - 2 * MARGIN_MM, page_mm[1] - 2 * MARGIN_MM - RULER_MM
 
 
@@ -126,7 +124,7 @@ def _count(room: float, size: float) -> int:
 
 
 def max_side_mm(paper: str, dictionary: str) -> float:
-    """Largest side, in whole millimetres, with which one marker fits a paper, upright or turned."""
+    """Return the largest side, in whole mm, at which one marker fits a paper in either orientation."""
     width, height = PAPERS_MM[paper]
     rooms = [_room_mm(page) for page in ((width, height), (height, width))]
     return math.floor(
@@ -135,12 +133,12 @@ def max_side_mm(paper: str, dictionary: str) -> float:
 
 
 def lay_out(paper: str, side_mm: float, dictionary: str) -> Layout:
-    """Find the layout with most markers a page, the paper upright or turned.
+    """Find the layout with most markers per page, in either orientation of the paper.
 
     `side_mm` is the side of the black squares.
 
     Raises:
-        InputError: there is no such paper, or not one marker fits it.
+        InputError: there is no such paper, or no marker fits it.
     """
     if paper not in PAPERS_MM:
         raise InputError("--paper", f"no paper {paper!r}", f"one of {', '.join(PAPERS_MM)}")

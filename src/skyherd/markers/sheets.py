@@ -1,8 +1,8 @@
 """Printable marker sheets: a vector PDF at true size. Lengths are in millimetres.
 
 Every marker lies on its white card, a quiet zone wide, below a strip with its id and an arrow that points
-forward: the marker's row 0 is at the top. Cut marks stand at the corners of card and strip and where the two
-meet. A ruler at the foot of each page shows whether it was printed at true size.
+forward: the marker's row 0 is at the top. Cut marks are at the corners of card and strip and at their common
+line. A ruler in the footer of each page verifies the printed size.
 """
 
 from collections.abc import Iterator, Sequence
@@ -22,7 +22,7 @@ from skyherd.markers.dictionary import QUIET_ZONE_CELLS, cells_per_side, marker_
 from skyherd.markers.sheet_layout import MARGIN_MM, STRIP_MM, Layout, lay_out
 
 MARK_MM, MARK_OFFSET_MM = 3.0, 0.8
-"""Length of a cut mark, and its distance from the card, mm. *Chosen*: seen after the cut on no side."""
+"""Length of a cut mark, and its distance from the card, mm. *Chosen*: not visible after the cut."""
 
 MM_PER_INCH = 25.4
 """Millimetres in an inch. *Defined*."""
@@ -70,7 +70,7 @@ def _draw_marker(
 def _draw_strip(
     axes: Axes, layout: Layout, corner_mm: tuple[float, float], marker_id: str, details: str
 ) -> None:
-    """The strip ahead of the card: arrow, id, and what it is if there is room."""
+    """Draw the strip above the card: arrow, id, and a description if it fits."""
     x, y = corner_mm
     middle, height = x + layout.card_mm / 2, STRIP_MM
     arrow = [(-0.28, 0.15), (-0.1, 0.15), (-0.1, 0.45), (-0.28, 0.45), (0.0, 0.9)]
@@ -85,7 +85,7 @@ def _draw_strip(
 
 
 def _draw_cut_marks(axes: Axes, x: float, y: float, card_mm: float) -> None:
-    """Marks outside the corners of card and strip, and beside the line between them."""
+    """Draw marks outside the corners of card and strip, and beside the line between them."""
     near, far = MARK_OFFSET_MM, MARK_OFFSET_MM + MARK_MM
     heights = (y, y + card_mm, y + card_mm + STRIP_MM)
     lines = [
@@ -103,7 +103,7 @@ def _draw_cut_marks(axes: Axes, x: float, y: float, card_mm: float) -> None:
 
 
 def _draw_ruler(axes: Axes, layout: Layout, text: str) -> None:
-    """A bar of whole centimetres at the foot of the page, and what to do with it."""
+    """Draw a bar of whole centimetres in the page footer, with instructions."""
     room = layout.page_mm[0] - 2 * MARGIN_MM
     length = 100.0 if room >= 180 else 50.0
     x, y = MARGIN_MM, MARGIN_MM + 3.0
@@ -118,7 +118,7 @@ def _draw_ruler(axes: Axes, layout: Layout, text: str) -> None:
 
 
 def write_sheets(path: Path, ids: Sequence[int], side_mm: float, dictionary: str, paper: str) -> Layout:
-    """Write a PDF with the markers `ids`, whole or not at all; returns the layout of its pages.
+    """Write a PDF with the markers `ids` atomically; return the layout of its pages.
 
     Raises:
         InputError: a marker does not fit the paper.

@@ -25,7 +25,7 @@ TWO_ROWS_IN = 5.0
 
 
 def draw_robot_velocities(history: History) -> Figure:
-    """Draw the forward speed, m/s, and the turn rate, rad/s, that were commanded to every robot's wheels."""
+    """Draw the forward speed, m/s, and the turn rate, rad/s, commanded to each robot's wheels."""
     figure = new_figure(TWO_ROWS_IN)
     axes = time_axes(figure, ["forward speed v (m/s)", "turn rate ω (rad/s)"])
     colors = robot_colors(history.ids.size)
@@ -38,7 +38,7 @@ def draw_robot_velocities(history: History) -> Figure:
 
 
 def draw_cost(history: History) -> Figure:
-    """Draw the cost V = Σ_j V^j and each unit's share V^j, m², on a linear and on a logarithmic axis.
+    """Draw the Lyapunov function V = Σ_j V^j and each unit's share V^j, m², on linear and log axes.
 
     V^j is half the sum of the squared distances of unit j's robots to their desired points (the paper's eq.
     9).
@@ -55,7 +55,7 @@ def draw_cost(history: History) -> Figure:
 
 
 def draw_scales(history: History) -> Figure:
-    """Draw the scale, metres a template unit, of the best-fitting shape of each unit's robots, and of all."""
+    """Draw the scale, m per template unit, of the best-fitting shape of each unit's robots, and of all."""
     figure = new_figure(ONE_ROW_IN)
     (axes,) = time_axes(figure, ["scale (m per template unit)"])
     draw_unit_lines(axes, history.times_s, history.scales)
@@ -75,7 +75,7 @@ def draw_rotations(history: History) -> Figure:
 
 
 def draw_heights(history: History) -> Figure:
-    """Draw the height of each camera, m, and the zoom factors in a second panel if one of them changes."""
+    """Draw the height of each camera, m, and varying zoom factors in a second panel."""
     zooming = bool((np.ptp(history.zooms, axis=0) > 0).any())
     figure = new_figure(TWO_ROWS_IN if zooming else ONE_ROW_IN)
     axes = time_axes(figure, ["height (m)", "zoom factor"] if zooming else ["height (m)"])
@@ -87,7 +87,7 @@ def draw_heights(history: History) -> Figure:
 
 
 def draw_yaws(history: History) -> Figure:
-    """Draw the yaw of each camera, degrees, counter-clockwise seen from above, without jumps of a turn."""
+    """Draw the yaw of each camera, degrees, unwrapped, counter-clockwise seen from above."""
     figure = new_figure(ONE_ROW_IN)
     (axes,) = time_axes(figure, ["camera yaw (°)"])
     yaws_rad = np.apply_along_axis(unwrap, 0, history.yaws_rad)
@@ -97,7 +97,7 @@ def draw_yaws(history: History) -> Figure:
 
 
 def draw_camera_speeds(history: History) -> Figure:
-    """Draw the speed of each camera in space, m/s, horizontal and vertical motion together."""
+    """Draw the speed of each camera in space, m/s, horizontal and vertical motion combined."""
     figure = new_figure(ONE_ROW_IN)
     (axes,) = time_axes(figure, ["camera speed (m/s)"])
     draw_unit_lines(axes, history.times_s[1:], camera_speeds_mps(history))
@@ -109,7 +109,7 @@ def draw_camera_speeds(history: History) -> Figure:
 
 
 def draw_shape_error(history: History) -> Figure:
-    """Draw the shape error, as a share of the formation's RMS radius, and the threshold of the goal."""
+    """Draw the shape error, as a share of the formation's RMS radius, and the goal's threshold."""
     figure = new_figure(ONE_ROW_IN)
     (axes,) = time_axes(figure, ["shape error, log"])
     goal = history.mission.scenario.goal.shape_error
@@ -121,14 +121,14 @@ def draw_shape_error(history: History) -> Figure:
 
 
 def camera_speeds_mps(history: History) -> Array:
-    """Speeds (T - 1, U) of the cameras over each step, m/s, by differences of position and height."""
+    """Return the camera speeds (T - 1, U), m/s, by differences of position and height."""
     points_m = np.concatenate([history.unit_positions_m, history.heights_m[..., None]], axis=-1)
     moved_m = np.linalg.norm(np.diff(points_m, axis=0), axis=-1)
     return np.asarray(moved_m / np.diff(history.times_s)[:, None])
 
 
 def unwrap(angles_rad: Array) -> Array:
-    """Angles (T,), rad, without jumps of a turn; values that are NaN stay so and do not affect the others."""
+    """Unwrap angles (T,), rad; NaN values stay and do not affect the others."""
     smooth_rad = angles_rad.copy()
     known = np.isfinite(angles_rad)
     smooth_rad[known] = np.unwrap(angles_rad[known])
@@ -136,6 +136,6 @@ def unwrap(angles_rad: Array) -> Array:
 
 
 def _draw_whole(figure: Figure, history: History, values: Array) -> None:
-    """The whole formation's value over the units' lines, and the legend."""
+    """Draw the whole formation's value over the units' lines, and the legend."""
     draw_line(figure.axes[0], history.times_s, values, color=INK, linestyle="--", label="all robots")
     legend_above(figure)

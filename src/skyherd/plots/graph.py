@@ -1,4 +1,4 @@
-"""The figure of the topology as a graph: units, the robots that each controls, and the pairs they share."""
+"""Figure of the topology as a graph: units, the robots that each controls, and shared pairs."""
 
 from typing import Any
 
@@ -18,14 +18,14 @@ SIDE_IN = 7.2
 """Width and height of the figure, inches."""
 
 UNIT_SIZE, ROBOT_SIZE = 300, 110
-"""Areas of the markers of units and of robots, square points, as Matplotlib's `scatter` takes them."""
+"""Areas of the markers of units and of robots, square points, as Matplotlib's `scatter` expects them."""
 
 MAX_LABELS = 120
-"""Largest number of robots whose ids are written. Chosen: with more the numbers overlap."""
+"""Maximum number of robots with labelled ids. Chosen: more labels overlap."""
 
 
 def draw_graph(history: History) -> Figure:
-    """Draw the topology at the end of a run on the ground, without units that are in an outage then."""
+    """Draw the final topology of a run on the ground, without units in an outage."""
     last = history.controlled[-1]
     sets = {unit: history.ids[mine] for unit, mine in enumerate(last) if unit not in _dead(history)}
     figure = new_figure(SIDE_IN, SIDE_IN)
@@ -36,13 +36,13 @@ def draw_graph(history: History) -> Figure:
 
 
 def _dead(history: History) -> frozenset[int]:
-    """Units that are in an outage at the end."""
+    """Return the units that are in an outage at the end."""
     tree = history.trees[-1]
     return frozenset() if tree is None else tree.dead
 
 
 def graph_handles() -> list[Line2D]:
-    """Legend entries of a graph: a unit, an edge, a robot."""
+    """Return the legend entries of a graph: a unit, an edge, a robot."""
     unit: dict[str, Any] = {"ls": "", "marker": "s", "mfc": MUTED, "mec": PAPER, "ms": 11}
     robot: dict[str, Any] = {"ls": "", "marker": "o", "mfc": PAPER, "mec": unit_color(0), "mew": 2}
     return [
@@ -53,14 +53,14 @@ def graph_handles() -> list[Line2D]:
 
 
 def draw_sets(axes: Axes, sets: ControlSets, ids: IntArray, robots_m: Array, units_m: Array) -> None:
-    """Draw robots and units on the ground, and who controls whom.
+    """Draw robots and units on the ground, and the control sets.
 
     Args:
         axes: in metres; they are framed to show everything.
-        sets: the robots that each unit controls, by unit.
+        sets: robots controlled by each unit, by unit.
         ids: (N,) all robots, ascending.
-        robots_m: (N, 2) their places.
-        units_m: (U, 2) the units' places, a row for each unit of the mission.
+        robots_m: (N, 2) their positions.
+        units_m: (U, 2) the units' positions, a row for each unit of the mission.
     """
     for unit, mine in sets.items():
         spokes = robots_m[np.searchsorted(ids, mine)]
@@ -84,7 +84,7 @@ def draw_sets(axes: Axes, sets: ControlSets, ids: IntArray, robots_m: Array, uni
 
 
 def _draw_robot(axes: Axes, robot: int, place: Array, owners: list[int], *, named: bool) -> None:
-    """A ring in the colour of its unit, one within another if it has several, grey if none."""
+    """Draw a ring in the colour of each controlling unit, nested; grey without a unit."""
     x, y = place.tolist()
     colors = [unit_color(unit) for unit in owners] or [MUTED]
     for k, color in reversed(list(enumerate(colors))):

@@ -1,4 +1,4 @@
-"""Figures of where things are: paths on the ground, traces in the images, and the template."""
+"""Figures of positions: paths on the ground, traces in the images, and the template."""
 
 from typing import Any
 
@@ -15,7 +15,7 @@ from skyherd.plots.style import frame_square, legend_above, new_figure, unit_han
 from skyherd.render import CameraPose, footprint_m
 
 MAX_LABELS = 60
-"""Largest number of robots whose ids are written in a figure. Chosen: with more the numbers overlap."""
+"""Maximum number of robots with labelled ids in a figure. Chosen: more labels overlap."""
 
 STONE: dict[str, Any] = {"facecolor": "#e3e5e8", "edgecolor": INK, "linewidth": 0.9, "hatch": "///"}
 """Matplotlib style of an obstacle: grey and hatched."""
@@ -27,24 +27,24 @@ TRACE_SIDE_IN = {1: 4.8, 2: 4.0, 3: 3.4}
 """Side of a camera image's panel, inches, by the number of panels in a row. Chosen: a row fills the page."""
 
 FAR = 1.5
-"""Fields of view are shown up to this many times the extent of all paths away from them. Chosen: a strongly
-tilted camera sees the ground far away; with twice as much the paths would shrink to a spot."""
+"""Limit of shown fields of view, in multiples of the extent of all paths. Chosen: a strongly tilted camera
+sees distant ground; with twice as much the paths would shrink to a spot."""
 
 
 def formation_order(points: ComplexArray) -> IntArray:
-    """Order (N,) that joins points (N,) into a closed outline of their shape: by angle around their mean.
+    """Return the order (N,) that joins points (N,) into a closed outline, by angle about their mean.
 
-    No two sides of the outline cross: the mean of the points lies among them, so that neighbours in this
-    order are less than half a turn apart.
+    No two sides of the outline cross: the mean lies among the points, so that neighbours in this order are
+    less than half a turn apart.
     """
     return np.argsort(np.angle(points - points.mean()), kind="stable")
 
 
 def draw_paths(history: History) -> Figure:
-    """Draw the paths of robots and cameras over the ground in metres, and the fields of view at the end.
+    """Draw ground paths of robots and cameras, m, and the final fields of view.
 
-    Robots begin at small squares and end at numbered circles, which dashed lines join into the shape.
-    Obstacles and bodies are drawn where the mission has any.
+    Robots start at small squares and end at numbered circles, which dashed lines join into the shape.
+    Obstacles and bodies are drawn if the mission has any.
     """
     figure = new_figure(7.1, 6.8)
     axes = figure.subplots()
@@ -68,10 +68,10 @@ def draw_paths(history: History) -> Figure:
 
 
 def draw_image_traces(history: History) -> Figure:
-    """Draw for each unit the paths in its image, in pixels, of the robots that it controlled.
+    """Draw for each unit the image paths, px, of the robots that it controlled.
 
-    Two circles around the image's centre are the safety radius, inside which a unit takes a robot over, and
-    the leaving radius, beyond which it may give the robot up.
+    Two circles about the image centre show the safety radius, inside which a unit takes control of a robot,
+    and the leaving radius, beyond which it may release the robot.
     """
     units = len(history.traces)
     columns = min(units, 3)
@@ -92,7 +92,7 @@ def draw_image_traces(history: History) -> Figure:
 
 
 def draw_template(history: History) -> Figure:
-    """Draw the shape to form as points of the template image; the last one if there are several in turn."""
+    """Draw the desired shape as points of the template image; the last one of several."""
     figure = new_figure(4.8, 5.2)
     axes = figure.subplots()
     points = history.shape.points_of(history.ids)
@@ -104,7 +104,7 @@ def draw_template(history: History) -> Figure:
 
 
 def _draw_trace(axes: Axes, history: History, unit: int) -> None:
-    """One unit's image: traces of its robots, where they began and ended, and its safety radius."""
+    """Draw one unit's image: traces of its robots, their start and end, and its safety radius."""
     width, height = history.mission.scenario.units[unit].camera.size_px
     _draw_safety_radius(axes, history, width, height)
     points = history.traces[unit].points_px
@@ -145,7 +145,7 @@ def _draw_formation(
     size: float = 10.0,
     labels: bool = True,
 ) -> None:
-    """Robots at points (N,) as numbered circles, joined by dashed lines into their shape (N,)."""
+    """Draw robots at points (N,) as numbered circles, joined by dashes into their shape (N,)."""
     _draw_outline(axes, points, shape, color)
     axes.plot(points.real, points.imag, "o", color=color, markersize=size, markerfacecolor=PAPER, zorder=4)
     if not labels or ids.size > MAX_LABELS:
@@ -156,13 +156,13 @@ def _draw_formation(
 
 
 def _shape_of(history: History, row: int) -> ComplexArray:
-    """Points (N,) of the template that the robots go to at a step."""
+    """Return the template points (N,) assigned to the robots at a step."""
     shape = history.mission.shape_at(float(history.times_s[row]), history.roles[row])
     return shape.points_of(history.ids)
 
 
 def _draw_bodies(axes: Axes, history: History) -> None:
-    """Obstacles, and the robots' bodies at the end."""
+    """Draw obstacles, and the robots' bodies at the end."""
     mission = history.mission
     for place, radius_m in zip(mission.obstacle_positions_m, mission.obstacle_radii_m, strict=True):
         axes.add_patch(Circle(place, radius_m, **STONE))
@@ -176,7 +176,7 @@ def _obstacle_handles(history: History) -> list[Patch]:
 
 
 def _draw_outline(axes: Axes, points: ComplexArray, shape: ComplexArray, color: str) -> None:
-    """Dashed lines that join robots at points (N,) in the order that outlines their shape (N,)."""
+    """Draw dashed lines that join robots at points (N,) in the outline order of their shape (N,)."""
     if shape.size < 2:
         return
     order = formation_order(shape)
@@ -193,7 +193,7 @@ def _start_and_end(color: str) -> list[Line2D]:
 
 
 def _footprint_m(history: History, unit: int) -> Array:
-    """Ground points (4, 2) under the corners of a unit's last image."""
+    """Return the ground points (4, 2) under the corners of a unit's last image."""
     model = history.mission.scenario.units[unit]
     x_m, y_m = history.unit_positions_m[-1, unit]
     tilt_u_rad, tilt_v_rad = history.tilts_rad[-1, unit].tolist()
@@ -208,7 +208,7 @@ def _footprint_m(history: History, unit: int) -> Array:
 
 
 def _frame_ground(axes: Axes, history: History, footprints: list[Array]) -> None:
-    """Equal axes around all paths and fields of view, short of corners that a tilt throws far away."""
+    """Set equal axes around all paths and fields of view, except corners that a tilt moves far away."""
     paths_m = np.concatenate([history.positions_m.reshape(-1, 2), history.unit_positions_m.reshape(-1, 2)])
     low, high = np.nanmin(paths_m, axis=0), np.nanmax(paths_m, axis=0)
     reach = FAR * float((high - low).max())

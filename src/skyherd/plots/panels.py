@@ -1,4 +1,4 @@
-"""The figures of a run: every panel of the paper's two simulation figures, and more, as PNG and SVG."""
+"""Figures of a run as PNG and SVG: all panels of the paper's two simulation figures, and more."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -23,10 +23,10 @@ class FigureFile:
     """A figure on disk.
 
     Attributes:
-        name: file name without ending, and HTML id.
+        name: file name without suffix, and HTML id.
         title: a heading of a few words.
-        caption: a sentence or two on what is shown.
-        png: path of the picture in pixels.
+        caption: a sentence or two on the content.
+        png: path of the raster picture.
         svg: path of the vector graphics; None if there are none.
     """
 
@@ -38,18 +38,18 @@ class FigureFile:
 
 
 Shown = TypeVar("Shown")
-"""What a panel is drawn of: a run's history, a result."""
+"""Data of a panel: a run's history, or a result."""
 
 
 @dataclass(frozen=True)
 class Panel(Generic[Shown]):
-    """A figure that can be drawn of anything of a kind, such as any run.
+    """A figure that can be drawn of any object of a kind, such as any run.
 
     Attributes:
         name: as in `FigureFile`.
         title: as in `FigureFile`.
         caption: as in `FigureFile`.
-        draw: draws it; returns None where there is nothing to show.
+        draw: drawing function; returns None if there is nothing to show.
     """
 
     name: str
@@ -147,7 +147,7 @@ PANELS: tuple[Panel[History], ...] = (
         draw_topology,
     ),
 )
-"""The figures of a run's page, in the order shown."""
+"""Figures of a run's page, in the order shown."""
 
 
 def write_figures(history: History, folder: Path, *, jobs: int = 1) -> list[FigureFile]:
@@ -158,15 +158,15 @@ def write_figures(history: History, folder: Path, *, jobs: int = 1) -> list[Figu
 def write_panels(
     panels: Iterable[Panel[Shown]], shown: Shown, folder: Path, *, jobs: int = 1
 ) -> list[FigureFile]:
-    """Draw panels of something into a folder, which is made if need be, as PNG and SVG.
+    """Draw panels of an object into a folder, created if missing, as PNG and SVG.
 
-    The same input gives the same bytes. Matplotlib's style is changed while this lasts and restored after it.
+    The same input gives the same bytes. Matplotlib's style changes during the call and is restored after it.
 
     Args:
-        panels: what to draw.
-        shown: of what.
-        folder: where the files go.
-        jobs: how many panels are drawn side by side, by processes of their own, where these can be forked.
+        panels: panels to draw.
+        shown: their data.
+        folder: folder of the files.
+        jobs: number of panels drawn in parallel by processes, where these can be forked.
 
     Returns:
         the files, in the order of the panels, without those that have nothing to show.
@@ -191,14 +191,14 @@ def write_panels(
 
 
 def save_figure(figure: Figure, folder: Path, name: str, title: str, caption: str) -> FigureFile:
-    """Write a figure as PNG and SVG into a folder that exists.
+    """Write a figure as PNG and SVG into an existing folder.
 
-    Both have the layout that the PNG needs, which is worked out once: it takes longer than drawing does.
+    Both use the layout of the PNG, computed once: it takes longer than drawing.
 
     Args:
-        figure: what to write.
-        folder: where to.
-        name: file name without ending.
+        figure: the figure.
+        folder: folder of the files.
+        name: file name without suffix.
         title: heading of the figure on pages.
         caption: text below it on pages.
 

@@ -1,4 +1,4 @@
-"""What every figure is drawn with: style, axes, lines and legends."""
+"""Common style of figures: axes, lines and legends."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -20,22 +20,22 @@ from skyherd.drawing.palette import INK, MUTED, PAPER, unit_color
 from skyherd.geometry import Array, IntArray
 
 WIDTH_IN = 7.2
-"""Width of a figure, inches, where none is given."""
+"""Default width of a figure, inches."""
 
 DPI = 130
-"""Resolution of PNG files, pixels an inch. Chosen: text stays legible where two figures share a page's width;
-files grow with the square."""
+"""Resolution of PNG files, pixels per inch. Chosen: text is legible with two figures side by side; file size
+grows with the square."""
 
 FEW_DECADES = 1.0
-"""A logarithmic axis over fewer decades than this has labels between the powers of ten as well, since it
-might show no power of ten otherwise."""
+"""Number of decades below which a logarithmic axis also has labels between the powers of ten. Without them it
+might show no label at all."""
 
 MIN_EXTENT = 1e-9
-"""Least extent that axes around points are given, in the points' unit, so that a single point has axes at
-all."""
+"""Minimum extent of axes around points, in the points' unit, so that a single point has axes."""
 
 MAX_TICKS = 20
-"""About as many robots are named beside the colour bar; of more, every second, third, … has a label."""
+"""Approximate maximum number of named robots beside the colour bar; with more, every second, third, … is
+named."""
 
 _STYLE: Any = {
     "axes.axisbelow": True,
@@ -70,10 +70,10 @@ _STYLE: Any = {
 
 @contextmanager
 def drawing_style() -> Iterator[None]:
-    """Use skyherd's style for figures while the context lasts, over Matplotlib's defaults.
+    """Use skyherd's style for figures inside the context, over Matplotlib's defaults.
 
-    The user's own settings have no effect inside, so that figures look the same everywhere, and are restored
-    on leaving.
+    The user's own settings have no effect inside, so that figures look the same everywhere. They are restored
+    on exit.
     """
     with mpl.rc_context():
         mpl.rcdefaults()
@@ -82,17 +82,17 @@ def drawing_style() -> Iterator[None]:
 
 
 def plain(text: str) -> str:
-    """A text of a user as it goes into a figure: a dollar stays one, and begins no formula."""
+    """Escape a user's text for a figure: a dollar sign does not start a formula."""
     return text.replace("$", r"\$")
 
 
 def new_figure(height_in: float, width_in: float = WIDTH_IN) -> Figure:
-    """An empty figure whose axes, labels and legends make room for each other (constrained layout)."""
+    """Create an empty figure with constrained layout of axes, labels and legends."""
     return Figure(figsize=(width_in, height_in), layout=ConstrainedLayoutEngine(w_pad=0.08, h_pad=0.08))
 
 
 def time_axes(figure: Figure, labels: Sequence[str]) -> list[Axes]:
-    """Axes one below the other that share a time axis in seconds, one for each label of a vertical axis."""
+    """Create stacked axes with a common time axis in seconds, one for each vertical label."""
     rows: npt.NDArray[Any] = figure.subplots(len(labels), 1, sharex=True, squeeze=False)
     column: list[Axes] = list(rows[:, 0])
     for axes, label in zip(column, labels, strict=True):
@@ -126,7 +126,7 @@ def draw_unit_lines(axes: Axes, times_s: Array, values: Array) -> None:
 
 
 def use_log_scale(axes: Axes) -> None:
-    """Make the vertical axis logarithmic if its lines have a value above 0; leave it linear otherwise."""
+    """Make the vertical axis logarithmic if its lines have a value above 0; else keep it linear."""
     drawn = np.concatenate([np.asarray(line.get_ydata(), dtype=float) for line in axes.lines])
     shown = drawn[np.isfinite(drawn) & (drawn > 0)]
     if not shown.size:
@@ -148,17 +148,17 @@ def legend_above(figure: Figure, handles: Sequence[Artist] | None = None, column
 
 
 def unit_handles(units: int) -> list[Line2D]:
-    """Legend entries for the units' colours."""
+    """Return the legend entries for the units' colours."""
     return [Line2D([], [], color=unit_color(unit), lw=2, label=f"unit {unit}") for unit in range(units)]
 
 
 def robot_colors(count: int) -> Array:
-    """RGBA colours (N, 4) of robots in ascending order, dark to light, none too pale for white paper."""
+    """Return RGBA colours (N, 4) of robots in ascending order, dark to light, legible on white."""
     return np.asarray(mpl.colormaps["viridis"](np.linspace(0.0, 0.88, count)))
 
 
 def robot_colorbar(figure: Figure, axes: Sequence[Axes], ids: IntArray) -> None:
-    """Put a bar beside the axes that shows which robot (N,) has which colour of `robot_colors`."""
+    """Add a colour bar beside the axes that relates robots (N,) to `robot_colors`."""
     colors = ScalarMappable(Normalize(-0.5, ids.size - 0.5), ListedColormap(robot_colors(ids.size).tolist()))
     bar = figure.colorbar(colors, ax=list(axes), pad=0.02, aspect=40, label="robot", drawedges=False)
     every = max(1, round(ids.size / MAX_TICKS))

@@ -1,4 +1,4 @@
-"""The figure of the control topology over time: who controls whom, and which of TC1-TC5 hold."""
+"""Figure of the control topology over time: control sets, and validity of TC1-TC5."""
 
 from collections.abc import Iterator
 from itertools import pairwise
@@ -18,7 +18,7 @@ from skyherd.geometry import Array, BoolArray
 from skyherd.plots.style import legend_above, new_figure
 
 HOLDS, BROKEN = "#d5dae1", INK
-"""Colours of the time in which a condition holds, and in which it does not."""
+"""Colours of times in which a condition holds, and in which it is violated."""
 
 BAR = 0.76
 """Height of a bar, as a share of its row; the rest is a gap."""
@@ -30,14 +30,14 @@ ROW_IN = 0.14
 """Height of a robot's or a unit's row, inches. Chosen: labels of 8 points just do not touch."""
 
 MAX_ROWS_LABELLED = 24
-"""With more robots than this every fifth one's row is labelled."""
+"""Number of robots above which only every fifth row is labelled."""
 
 
 def draw_topology(history: History) -> Figure:
-    """Draw over time which units control each robot, and when the conditions TC1-TC5 hold.
+    """Draw the units that control each robot, and the validity of TC1-TC5, over time.
 
-    Every robot has a row in the colours of its units. Where units form a tree, every unit has a row as well,
-    filled while it belongs to the tree, and a dashed line marks the instant at which the tree was complete.
+    Every robot has a row in the colours of its units. With a tree of units, every unit has a row as well,
+    filled while it belongs to the tree. A dashed line marks the instant at which the tree was complete.
     """
     robots, units = history.ids.size, history.controlled.shape[1]
     members = np.array([_in_tree(tree, units) for tree in history.trees])
@@ -64,12 +64,12 @@ def draw_topology(history: History) -> Figure:
 
 
 def _in_tree(tree: TreeSnapshot | None, units: int) -> BoolArray:
-    """(U,) units that belong to the tree."""
+    """Return the units (U,) that belong to the tree."""
     return np.isin(np.arange(units), [] if tree is None else list(tree.members))
 
 
 def _draw_members(axes: Axes, members: BoolArray, edges_s: Array) -> None:
-    """Bars while a unit (T, U) belongs to the tree; it is dead or outside in between."""
+    """Draw bars while a unit (T, U) belongs to the tree; it is dead or outside in between."""
     for unit, column in enumerate(members.T):
         for start, end in runs(column[:, None]):
             if column[start]:
@@ -81,7 +81,7 @@ def _draw_members(axes: Axes, members: BoolArray, edges_s: Array) -> None:
 
 
 def _draw_control(axes: Axes, history: History, edges_s: Array) -> None:
-    """Each robot's row, split between the units that control it; empty while none does."""
+    """Draw each robot's row, split between the units that control it; empty while none does."""
     bars: dict[int, list[Array]] = {}
     for row in range(history.ids.size):
         for start, end in runs(history.controlled[:, :, row]):
@@ -122,7 +122,7 @@ def _finish_rows(axes: Axes, rows: int) -> None:
 
 
 def runs(states: BoolArray) -> Iterator[tuple[int, int]]:
-    """Index ranges (start, end), end excluded, over which the rows of states (T, K) stay the same."""
+    """Return index ranges (start, end), end excluded, over which the rows of states (T, K) are constant."""
     changes = np.flatnonzero((states[1:] != states[:-1]).any(axis=1)) + 1
     bounds = [0, *changes.tolist(), len(states)]
     yield from pairwise(bounds)

@@ -1,1 +1,1 @@
-"""Runs written to MCAP files while they go on, and read back."""
+"""Recording of runs to MCAP files during the run, and reading."""

@@ -1,4 +1,4 @@
-"""The end of a recording's file: what it says of the data before it, wherever it lies."""
+"""Footer of a recording: its statements on the data before it, wherever it lies."""
 
 import struct
 import zlib
@@ -17,37 +17,37 @@ MAGIC = b"\x89MCAP0\r\n"
 """First and last bytes of an MCAP file."""
 
 HEAD_CHANNEL, END_CHANNEL = 1, 2
-"""Numbers of the channels of the head and of `/end`. The head, `/mission` of a run and `/about` of a live
-process, names the topics of all channels in their order, so that any chunk can be understood by it."""
+"""Channel numbers of the head and of `/end`. The head, `/mission` of a run and `/about` of a live process,
+names the topics of all channels in order, so that any chunk can be decoded with it."""
 
 SEARCHED_END = 2**26
-"""Bytes at the end of a file in which its summary is looked for. Chosen: room for that of a day's run."""
+"""Bytes at the end of a file that are searched for its summary. Chosen: fits the summary of a day's run."""
 
 FOOTER_TRIES = 16
-"""Places that are tried for the beginning of the summary. Chosen: one is right in a file of ours; the bytes
-that are searched for may be in the summary by chance as well."""
+"""Maximum number of candidate positions of the summary. Chosen: one is right in a valid file; the searched
+bytes may occur in the summary by chance."""
 
 _RECORD = struct.Struct("<BQ")
-"""Beginning of every record: opcode and length."""
+"""Start of every record: opcode and length."""
 
 _DATA_END = struct.Struct("<BQI")
 _FOOTER = struct.Struct("<BQQQI")
-"""The records that close the data and the file: opcode, length, and the last number a checksum."""
+"""Records that close the data and the file: opcode, length, and checksum as the last number."""
 
 _DATA_END_HEAD = _RECORD.pack(Opcode.DATA_END, 4)
 
 MALFORMED = (McapError, zstandard.ZstdError, struct.error, ValueError, KeyError, OverflowError)
-"""What unpacking and parsing raise for bytes that nobody wrote."""
+"""Exceptions of unpacking and parsing arbitrary bytes."""
 
 
 class Footer(NamedTuple):
-    """What the end of a file says.
+    """Content of a file's footer.
 
     Attributes:
         data_end: byte at which the data end.
-        data_crc: their checksum.
-        messages: how many there are.
-        ended: whether the run came to its end.
+        data_crc: checksum of the data.
+        messages: number of messages.
+        ended: True if the run ended normally.
     """
 
     data_end: int
@@ -57,9 +57,9 @@ class Footer(NamedTuple):
 
 
 def find_footer(stream: BinaryIO, size: int) -> Footer | None:
-    """What the end of the file says, None where there is none or it is not as it was written.
+    """Find the footer at the end of the file; None if it is missing or damaged.
 
-    It lies where the footer has it, or, if bytes were cut out of the data, wherever its checksum is right.
+    It lies at its recorded position. If bytes were removed from the data, it lies where its checksum matches.
     """
     closing_size = _FOOTER.size + len(MAGIC)
     if size < len(MAGIC) + _DATA_END.size + closing_size:
@@ -79,7 +79,7 @@ def find_footer(stream: BinaryIO, size: int) -> Footer | None:
 
 
 def _closings(end: bytes, told: int) -> Iterator[int]:
-    """Where in the end of a file the record may be that closes the data: as told, then from the last back."""
+    """Return candidate positions of the data-end record: the recorded one, then from the end backwards."""
     if 0 <= told < len(end):
         yield told
     at = end.rfind(_DATA_END_HEAD)
@@ -89,7 +89,7 @@ def _closings(end: bytes, told: int) -> Iterator[int]:
 
 
 def _read_footer(data_end: int, closing: bytes, summary: bytes) -> Footer | None:
-    """The footer of data that end at a byte, from the record that closes them and the summary after it."""
+    """Read the footer after data that end at a byte: the data-end record and the summary."""
     counts = [record for record in _records(summary) if record[0] == Opcode.STATISTICS]
     if not closing.startswith(_DATA_END_HEAD) or len(counts) != 1:
         return None
@@ -106,7 +106,7 @@ def _read_footer(data_end: int, closing: bytes, summary: bytes) -> Footer | None
 
 
 def _records(data: bytes) -> Iterator[tuple[int, bytes]]:
-    """Opcode and content of records that lie one after the other."""
+    """Yield opcode and content of consecutive records."""
     at = 0
     while at + _RECORD.size <= len(data):
         opcode, length = _RECORD.unpack_from(data, at)

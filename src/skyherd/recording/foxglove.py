@@ -1,8 +1,8 @@
-"""Messages in Foxglove's schemas, which viewers of MCAP files draw without being told how.
+"""Messages in Foxglove's schemas, which MCAP viewers draw without configuration.
 
-Images as `foxglove.CompressedImage`, what is drawn over them as `foxglove.ImageAnnotations`, places on the
-ground as `foxglove.FrameTransforms`, all as JSON. Foxglove's pixels begin at the corner of the image's first
-pixel, ours at its centre.
+Images are `foxglove.CompressedImage`, overlays `foxglove.ImageAnnotations`, and ground positions
+`foxglove.FrameTransforms`, all as JSON. Foxglove's pixel origin is the corner of the first pixel, ours its
+centre.
 """
 
 import base64
@@ -18,14 +18,14 @@ from skyherd.geometry import Array
 from skyherd.recording.mcap_log import Schema, nanoseconds
 
 CORNER_PX = 0.5
-"""What Foxglove's pixel coordinates are more than ours. Derived: a pixel's corner is half a pixel from its
+"""Offset of Foxglove's pixel coordinates from ours. Derived: a pixel's corner is half a pixel from its
 centre."""
 
 LINE_LOOP, LINE_LIST = 2, 4
 """Types of `foxglove.PointsAnnotation`: a closed line, and single segments."""
 
 CLEAR = {"r": 0.0, "g": 0.0, "b": 0.0, "a": 0.0}
-"""A colour that is not seen."""
+"""Transparent colour."""
 
 _NUMBER, _TEXT = {"type": "number"}, {"type": "string"}
 
@@ -100,7 +100,7 @@ ANNOTATIONS: Schema = (
         metadata=_METADATA,
     ),
 )
-"""Schema of what is drawn over images."""
+"""Schema of image overlays."""
 
 TRANSFORMS: Schema = (
     "foxglove.FrameTransforms",
@@ -118,11 +118,11 @@ TRANSFORMS: Schema = (
         ),
     ),
 )
-"""Schema of places on the ground."""
+"""Schema of ground positions."""
 
 
 def time_of(time_s: float) -> dict[str, int]:
-    """A time as Foxglove has it."""
+    """Return a time in Foxglove's format."""
     at_ns = nanoseconds(time_s)
     return {"sec": at_ns // 10**9, "nsec": at_ns % 10**9}
 
@@ -130,7 +130,7 @@ def time_of(time_s: float) -> dict[str, int]:
 def compressed_image(
     image: npt.NDArray[np.uint8], time_s: float, frame_id: str, quality: int
 ) -> dict[str, Any]:
-    """An image (height, width) as JPEG of a quality in per cent, as a message of the schema `IMAGE`."""
+    """Encode an image (height, width) as JPEG of a quality in per cent, in the schema `IMAGE`."""
     _, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])
     return {
         "timestamp": time_of(time_s),
@@ -141,11 +141,11 @@ def compressed_image(
 
 
 class Overlay:
-    """What is drawn over one image, collected into a message of the schema `ANNOTATIONS`.
+    """Overlay of one image, collected into a message of the schema `ANNOTATIONS`.
 
     Args:
-        time_s: when the image was taken.
-        scale: pixels of the image that is recorded for each of the image that points are given in.
+        time_s: time of the image.
+        scale: recorded pixels per pixel of the image in which points are given.
     """
 
     def __init__(self, time_s: float, scale: float = 1.0) -> None:
@@ -154,7 +154,7 @@ class Overlay:
 
     @property
     def message(self) -> dict[str, Any]:
-        """The message."""
+        """The overlay as a message."""
         return {"timestamp": self._time, **self._drawn, "metadata": []}
 
     def lines(self, kind: int, points_px: Array, color: str, thickness: float = 2.0) -> None:
@@ -181,7 +181,7 @@ class Overlay:
         self._add("circles", drawn)
 
     def text(self, place_px: Array, text: str, color: str, ground: str, size: float = 12.0) -> None:
-        """Write a text of a size in pixels on a ground of a colour; its lower left corner is at a point."""
+        """Draw a text of a size in pixels on a coloured background; its lower left corner is at a point."""
         drawn = {
             "position": self._place(place_px),
             "text": text,
@@ -207,7 +207,7 @@ def _color(color: str) -> dict[str, float]:
 def frame_transforms(
     time_s: float, parent: str, places: Mapping[str, tuple[float, float, float]]
 ) -> dict[str, Any]:
-    """Places on a ground, by name: x, y, and the angle about z, rad; a message of the schema `TRANSFORMS`."""
+    """Return ground poses by name, x, y and angle about z in rad, in the schema `TRANSFORMS`."""
     return {
         "transforms": [
             {

@@ -1,4 +1,4 @@
-"""Messages to JSON and back: dataclasses become objects, arrays become lists."""
+"""Conversion of messages to and from JSON: dataclasses become objects, arrays become lists."""
 
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
@@ -11,23 +11,23 @@ T = TypeVar("T")
 
 # By itself the encoder writes all attributes of a dataclass, those too that are no fields.
 OPTIONS = orjson.OPT_SERIALIZE_NUMPY | orjson.OPT_NON_STR_KEYS | orjson.OPT_PASSTHROUGH_DATACLASS
-"""How orjson writes: NumPy arrays as lists, keys that are no strings as strings, dataclasses by `_plain`."""
+"""Options of orjson: NumPy arrays as lists, non-string keys as strings, dataclasses by `_plain`."""
 
 _TYPES = {int: "integer", float: "number", bool: "boolean", str: "string"}
 _ACCEPTED: dict[type, tuple[type, ...]] = {int: (int,), float: (float, int), bool: (bool,), str: (str,)}
 
 
 def to_json(value: Any) -> bytes:
-    """A value as JSON: dataclasses as objects, arrays as lists, NaN (which JSON does not have) as null.
+    """Encode a value as JSON: dataclasses as objects, arrays as lists, NaN as null.
 
     Raises:
-        orjson.JSONEncodeError: it holds something that is none of this.
+        orjson.JSONEncodeError: it holds a value of another type.
     """
     return orjson.dumps(value, default=_plain, option=OPTIONS)
 
 
 def _plain(value: Any) -> Any:
-    """What orjson does not write itself: dataclasses, arrays that are not contiguous, other mappings."""
+    """Convert values that orjson does not write: dataclasses, non-contiguous arrays, other mappings."""
     if is_dataclass(value):
         return {field.name: getattr(value, field.name) for field in fields(value)}
     if isinstance(value, np.ndarray):
@@ -38,16 +38,16 @@ def _plain(value: Any) -> Any:
 
 
 def from_plain(kind: type[T], record: Mapping[str, Any], **made: Any) -> T:
-    """A dataclass from its JSON object, lists as arrays, and in arrays null as NaN.
+    """Build a dataclass from its JSON object, lists as arrays, and null in arrays as NaN.
 
     Args:
-        kind: the dataclass. Fields that the record lacks have their default.
+        kind: the dataclass. Fields missing in the record have their default.
         record: the object as orjson returns it: dict, list, str, int, float, bool, None.
-        **made: fields that are given here as they are, such as nested dataclasses.
+        **made: final values of some fields, such as nested dataclasses.
 
     Raises:
-        TypeError: the record lacks a field without a default, or one that is declared as `int`, `float`,
-            `bool` or `str` is of another type.
+        TypeError: the record lacks a field without a default, or a field declared as `int`, `float`, `bool`
+            or `str` has another type.
     """
     values = {}
     for field in fields(kind):  # type: ignore[arg-type]
@@ -74,7 +74,7 @@ def _array(value: list[Any]) -> np.ndarray:
 
 
 def json_schema(kind: type) -> dict[str, Any]:
-    """JSON schema of a dataclass; fields that are no int, float, bool or str may have any type."""
+    """Return the JSON schema of a dataclass; fields other than int, float, bool or str may have any type."""
     properties = {
         field.name: {"type": _TYPES[field.type]} if field.type in _TYPES else {} for field in fields(kind)
     }

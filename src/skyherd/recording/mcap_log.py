@@ -1,4 +1,4 @@
-"""An MCAP file that is written while something goes on, so that a killed process leaves all but the end."""
+"""Incremental MCAP writer; a killed process loses only the end of its file."""
 
 import sys
 from collections.abc import Mapping
@@ -12,23 +12,23 @@ from skyherd.recording.json_codec import json_schema, to_json
 from skyherd.version import __version__
 
 CHUNK_BYTES = 1 << 16
-"""Size at which a chunk of messages is compressed and written before its time is over. Chosen: smaller chunks
-compress worse, larger ones lose more where one is damaged."""
+"""Size at which a chunk of messages is compressed and written early, bytes. Chosen: smaller chunks compress
+worse, larger ones lose more when damaged."""
 
 Schema = tuple[str, type | dict[str, Any]]
-"""Name of a schema, and the dataclass or the JSON schema that it is of."""
+"""Name of a schema, and its dataclass or JSON schema."""
 
 
 class McapLog:
-    """Messages as JSON with schemas, numbered through, in chunks with checksums that end where `flush` says.
+    """Numbered JSON messages with schemas, in checksummed chunks that end at `flush`.
 
     Attributes:
-        topics: the topics and their schemas; all are registered at the start, numbered from 1, so that no
-            chunk is needed to understand another one.
-        pending_bytes: size of what was put since the last `flush`, which is lost if the process is killed.
+        topics: topics and their schemas. All are registered at the start, numbered from 1, so that no chunk
+            depends on another.
+        pending_bytes: size of the data since the last `flush`, which is lost if the process is killed.
 
     Args:
-        path: the file to make; one that is there is replaced.
+        path: the file to create; an existing one is replaced.
         topics: as the attribute.
 
     Raises:
@@ -64,17 +64,17 @@ class McapLog:
         self.pending_bytes += len(data)
 
     def flush(self) -> None:
-        """Write what there is as a chunk, so that it stays if the process is killed now."""
+        """Write pending messages as a chunk, which then survives a kill of the process."""
         self._writer.flush()  # type: ignore[no-untyped-call]
         self._file.flush()
         self.pending_bytes = 0
 
     def add_metadata(self, name: str, texts: dict[str, str]) -> None:
-        """Add texts to the file that are no message."""
+        """Add texts to the file as metadata, not as a message."""
         self._writer.add_metadata(name, texts)
 
     def abandon(self) -> None:
-        """Close the file as it is, after it could not be written."""
+        """Close the file as it is, after a failed write."""
         with suppress(OSError):
             self._file.close()
 
@@ -87,5 +87,5 @@ class McapLog:
 
 
 def nanoseconds(time_s: float) -> int:
-    """A time as MCAP files have it."""
+    """Return a time in the unit of MCAP files."""
     return round(time_s * 1e9)

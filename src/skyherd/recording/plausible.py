@@ -1,8 +1,7 @@
-"""Whether what a recording says can be: its mission, and its steps as steps of that mission.
+"""Plausibility checks of a recording: its mission, and its steps against that mission.
 
-What passed its checksum is as it was written, but not always by this version, nor by skyherd at all. All that
-reads steps relies on what is checked here: arrays of the right lengths, units and robots that exist, numbers
-that are finite.
+Data with a valid checksum are as written, but possibly by another version or another program. All readers of
+steps rely on these checks: array lengths, existing units and robots, finite numbers.
 """
 
 from dataclasses import fields
@@ -18,19 +17,19 @@ from skyherd.messages import Detections
 from skyherd.sim.truth_metrics import ShapeFit
 
 MAX_MAGNITUDE = 1e9
-"""Largest magnitude that a recording may hold, in any unit. Chosen: far beyond what scenario files allow, and
-small enough that no square of it overflows."""
+"""Maximum magnitude of a number in a recording, in any unit. Chosen: far above the limits of scenario files;
+its square does not overflow."""
 
 
 UNKNOWNS = GroundMap().unknowns.size
-"""How many numbers a map to the ground has."""
+"""Number of parameters of a ground map."""
 
 MAX_UNKNOWN = 1e3
-"""Largest magnitude of an unknown of a map to the ground. Chosen: those of real lenses stay below 10."""
+"""Maximum magnitude of a ground map's parameter. Chosen: those of real lenses stay below 10."""
 
 
 def read_mission(record: dict[str, Any]) -> Mission:
-    """The mission of its record.
+    """Read the mission from its record.
 
     Raises:
         ValueError, TypeError, KeyError: the record is not of this version.
@@ -61,7 +60,7 @@ def check_step(step: Step, mission: Mission) -> None:
     """Check a step of a recording against its mission.
 
     Raises:
-        ValueError: a length, a unit or a robot is not the mission's, or a number is not finite.
+        ValueError: a length, a unit or a robot does not match the mission, or a number is not finite.
     """
     robots, units = mission.ids.size, len(mission.scenario.units)
     _require_floats(step.positions_m, (robots, 2), "positions_m")
@@ -89,10 +88,10 @@ def check_step(step: Step, mission: Mission) -> None:
 
 
 def check_map(ground_map: GroundMap) -> None:
-    """Check a unit's map to the ground, by which its detections are rectified.
+    """Check a unit's ground map, by which its detections are rectified.
 
     Raises:
-        ValueError: a number is missing or not finite, or pixels are squeezed to nothing.
+        ValueError: a number is missing or not finite, or pixels are degenerate.
     """
     _require_floats(ground_map.unknowns, (UNKNOWNS,), "map: unknowns")
     _require_floats(ground_map.covariance, (UNKNOWNS, UNKNOWNS), "map: covariance")
@@ -101,7 +100,7 @@ def check_map(ground_map: GroundMap) -> None:
 
 
 def check_places(detections: Detections) -> None:
-    """Check where markers were detected, before anything is computed from it.
+    """Check the positions of detected markers before they are used.
 
     Raises:
         ValueError: a coordinate is beyond any image.
@@ -145,7 +144,7 @@ def _check_frame(unit: int, frame: UnitFrame, mission: Mission) -> None:
 
 
 def _are_among(ids: IntArray, known: IntArray) -> bool:
-    """Whether all of some ids are known. Of so few, sets are ten times as fast as `numpy.isin`."""
+    """Return whether all ids are known. For so few ids, sets are ten times as fast as `numpy.isin`."""
     return set(ids.ravel().tolist()) <= set(known.tolist())
 
 
@@ -160,7 +159,7 @@ def _points(pairs: Any) -> ComplexArray:
 
 
 def _require_floats(array: Any, shape: tuple[int, ...], name: str, *, nan: bool = False) -> None:
-    """Check shape and values of an array of floats; `nan` allows values that are not known."""
+    """Check shape and values of a float array; `nan` allows unknown values."""
     _require(isinstance(array, np.ndarray) and array.shape == shape, f"{name}: expected shape {shape}")
     numbers = array[~np.isnan(array)] if nan else array
     _require(bool((np.abs(numbers) < MAX_MAGNITUDE).all()), f"{name}: a number is not finite")

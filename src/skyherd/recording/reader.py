@@ -1,4 +1,4 @@
-"""Recordings read back: a run's mission and steps, as far as its file can be read."""
+"""Reading of recordings: a run's mission and steps, as far as its file is readable."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -22,33 +22,33 @@ from skyherd.recording.step_reader import read_step
 from skyherd.recording.survey import Flaw, Survey, describe_flaws, read_chunk, survey
 
 NOTHING_YET = "nothing was recorded yet"
-"""What is said of a file that was begun, in which there is no step."""
+"""Message on a started file without steps."""
 
 MAX_BYTES = 2**36
-"""Size of the largest recording that is read, bytes. Chosen: three hours of ten cameras with their images."""
+"""Maximum size of a recording, bytes. Chosen: three hours of ten cameras with their images."""
 
 SHOWN_REASON = 160
-"""Characters of the reason why a record is refused that are shown. Chosen: two lines of a terminal."""
+"""Maximum length of a shown rejection reason, characters. Chosen: two lines of a terminal."""
 
 MALFORMED_RECORDS = (*MALFORMED, TypeError, AttributeError, IndexError, FloatingPointError)
-"""What reading a record raises that is not of the form that this version writes."""
+"""Exceptions of reading a record that does not have this version's form."""
 
 VERSIONS = {"skyherd": "version", "opencv": "opencv", "numpy": "numpy"}
-"""What made a recording, by name, and where the record of the mission has its version."""
+"""Programs of a recording by name, and the location of their versions in the mission's record."""
 
 
 @dataclass(frozen=True)
 class Recording:
-    """A run read back, as far as its file can be read.
+    """A recorded run, as far as its file is readable.
 
     Attributes:
-        mission: what was run.
-        versions: versions of skyherd and of the libraries that ran it, by name.
-        steps: all steps that can be read, in the order of time, without camera images.
-        wall_s: wall time of the run; None if it was cut short, or the file is not as it was written.
-        has_images: whether camera images were recorded; `read_steps` has them.
-        ended: whether the run came to its end.
-        flaws: what the file lacks; none if it is whole.
+        mission: mission of the run.
+        versions: versions of skyherd and of its libraries during the run, by name.
+        steps: all readable steps, in the order of time, without camera images.
+        wall_s: wall time of the run; None if the run is incomplete, or the file is damaged.
+        has_images: True if camera images were recorded; `read_steps` returns them.
+        ended: True if the run ended normally.
+        flaws: defects of the file; empty if it is intact.
     """
 
     mission: Mission
@@ -61,17 +61,17 @@ class Recording:
 
     @property
     def whole(self) -> bool:
-        """Whether the run came to its end, and every byte is as it was written."""
+        """True if the run ended normally and every byte is intact."""
         return self.ended and not self.flaws
 
 
 def read_messages(path: Path) -> Iterator[tuple[str, float, Any]]:
-    """Iterate over the topic, the time (s) and the content of each message that can be read, each once.
+    """Yield topic, time (s) and content of each readable message, each once.
 
-    The topics are listed in `skyherd.recording.writer`. Messages that are damaged or missing are left out.
+    The topics are listed in `skyherd.recording.writer`. Damaged or missing messages are left out.
 
     Raises:
-        InputError: there is no such file, or it is no recording of skyherd.
+        InputError: there is no such file, or it is not a recording of skyherd.
     """
     with _opened(path) as (stream, found):
         for messages in _chunks(path, stream, found):
@@ -79,10 +79,10 @@ def read_messages(path: Path) -> Iterator[tuple[str, float, Any]]:
 
 
 def read_recording(path: Path) -> Recording:
-    """Read a run back, whole or not, without its images, which `read_steps` has one step at a time.
+    """Read a run, complete or not, without its images, which `read_steps` returns step by step.
 
     Raises:
-        InputError: the file holds no mission, or not one step, or is of another version of skyherd.
+        InputError: the file holds no mission or no step, or has another version of skyherd.
     """
     check_kind("read_recording: path", path, (str, Path), "a path")
     with _opened(path) as (stream, found):
@@ -122,10 +122,10 @@ def read_recording(path: Path) -> Recording:
 
 
 def read_steps(path: Path) -> Iterator[Step]:
-    """Iterate over the steps of a recording with their camera images, which are too large to keep all.
+    """Yield the steps of a recording with their camera images, which are too large to keep all.
 
     Raises:
-        InputError: there is no such file, or it is no recording of skyherd.
+        InputError: there is no such file, or it is not a recording of skyherd.
     """
     check_kind("read_recording: path", path, (str, Path), "a path")
     with _opened(path) as (stream, found):
@@ -140,7 +140,7 @@ def read_steps(path: Path) -> Iterator[Step]:
 
 @contextmanager
 def _opened(path: Path) -> Iterator[tuple[BinaryIO, Survey]]:
-    """Open a recording and survey it; OSError becomes an InputError."""
+    """Open and survey a recording; convert OSError to InputError."""
     with open_regular(path, "a recording, run.mcap", MAX_BYTES) as stream:
         try:
             found = survey(stream)
@@ -158,7 +158,7 @@ def _opened(path: Path) -> Iterator[tuple[BinaryIO, Survey]]:
 
 
 def _told(found: Survey) -> str:
-    """The flaws of a file behind what else is said of it."""
+    """Append the flaws of a file to a message."""
     return f" ({describe_flaws(found.flaws)})" if found.flaws else ""
 
 
@@ -170,7 +170,7 @@ def _need(path: Path, mission: Mission | None, found: Survey) -> Mission:
 
 
 def _chunks(path: Path, stream: BinaryIO, found: Survey) -> Iterator[list[tuple[str, float, Any]]]:
-    """Topic, time and content of the messages of each chunk; the first that can be read names the topics."""
+    """Yield topic, time and content of the messages of each chunk; the first readable names the topics."""
     topics: list[str] = []
     for chunk in found.chunks:
         with _version_checked(path):
@@ -190,7 +190,7 @@ def _chunks(path: Path, stream: BinaryIO, found: Survey) -> Iterator[list[tuple[
 
 
 def _topics(mission: dict[str, Any]) -> list[str]:
-    """The topics that the record of a mission names, in the order of their channels' numbers."""
+    """Return the topics in the mission's record, in the order of their channel numbers."""
     topics = mission["topics"]
     if not isinstance(topics, list) or not all(isinstance(topic, str) for topic in topics):
         raise TypeError("topics: a list of names")
@@ -200,7 +200,7 @@ def _topics(mission: dict[str, Any]) -> list[str]:
 def _steps_of(
     path: Path, mission: Mission, messages: list[tuple[str, float, Any]], *, images: bool
 ) -> Iterator[Step]:
-    """The steps of a chunk's messages, each of which ends with its metrics."""
+    """Yield the steps of a chunk's messages, each of which ends with its metrics."""
     records: dict[str, Any] = {}
     for topic, time_s, record in messages:
         if images or not topic.endswith("/image"):
@@ -214,7 +214,7 @@ def _steps_of(
 
 
 def _read_wall_s(stream: BinaryIO) -> float | None:
-    """Wall time of a run, from the metadata of a file that is whole; None if they do not have it."""
+    """Return the wall time of a run from the metadata of an intact file; None if it is missing."""
     stream.seek(0)
     try:
         for metadata in make_reader(stream).iter_metadata():
@@ -228,7 +228,7 @@ def _read_wall_s(stream: BinaryIO) -> float | None:
 
 @contextmanager
 def _version_checked(path: Path) -> Iterator[None]:
-    """Turn the errors of records that another version wrote into an InputError of one line."""
+    """Convert errors of another version's records to an InputError of one line."""
     try:
         with np.errstate(invalid="raise", over="raise"):
             yield

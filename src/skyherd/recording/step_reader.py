@@ -1,4 +1,4 @@
-"""One step of a run, made again of its recorded messages."""
+"""Reconstruction of one step of a run from its recorded messages."""
 
 import base64
 from typing import Any
@@ -20,11 +20,11 @@ from skyherd.sim.world import Fleet
 
 
 def read_step(time_s: float, records: dict[str, Any], mission: Mission) -> Step:
-    """The step at a time, from the contents of its messages by topic.
+    """Return the step at a time, from the contents of its messages by topic.
 
     Raises:
-        KeyError, TypeError, ValueError: a message is not there, or not of the form that this version writes.
-        InputError: a message has values that no run has.
+        KeyError, TypeError, ValueError: a message is missing, or does not have this version's form.
+        InputError: a message has impossible values.
     """
     units = sorted(int(topic.split("/")[2]) for topic in records if topic.endswith("/detections"))
     observer, world = records["/metrics"], records["/world"]

@@ -1,11 +1,11 @@
-"""What of a recording's file can be read, and what it lacks.
+"""Integrity survey of a recording: its readable chunks and its flaws.
 
-A recording proves that it is whole: every chunk has a checksum, so have the data and the footer, the messages
-are numbered through, and the footer says how many there are. What is not whole is read as far as it goes.
-A chunk is found by its mark, wherever it lies, and not by the lengths of the records before it, so that
-damage in one place hides nothing in another. Its checksum then says whether it is as it was written, and the
-numbers of its messages where it belongs: chunks that were swapped are read in order, chunks that were
-repeated are read once, and chunks that are gone are missed.
+A recording proves its integrity: every chunk, the data and the footer have checksums, the messages are
+numbered consecutively, and the footer has their count. Damaged files are read as far as possible.
+
+A chunk is located by its mark and not by the lengths of the records before it, so that damage in one place
+hides nothing in another. Its checksum then shows whether it is intact, and the numbers of its messages show
+its position. Swapped chunks are read in order, repeated chunks are read once, and lost chunks are reported.
 """
 
 import struct
@@ -21,36 +21,36 @@ from mcap.stream_reader import breakup_chunk
 from skyherd.recording.footer import MAGIC, MALFORMED, find_footer
 
 MAX_CHUNK = 2**30
-"""Largest chunk that is unpacked, bytes. Chosen: a step of a hundred images of 10 MB as JPEG; beyond it a
-few bytes that claim to be terabytes would take all memory."""
+"""Maximum size of an unpacked chunk, bytes. Chosen: a step of a hundred images of 10 MB as JPEG; a few bytes
+that claim terabytes must not fill the memory."""
 
 BLOCK = 2**20
 """Bytes that are searched at a time. Chosen: half and twice of it take the same time."""
 
 SHOWN_FLAWS = 3
-"""Flaws that a message names; the others are counted. Chosen: what fits into a line."""
+"""Maximum number of flaws named in a message; the others are counted. Chosen: fits a line."""
 
 _CHUNK = struct.Struct("<BQQQQII4sQ")
-"""Beginning of a chunk: opcode, length, first and last time, size and checksum of what is packed, length and
-name of the compression, and the packed length."""
+"""Start of a chunk: opcode, length, first and last time, size and checksum of the content, length and name of
+the compression, and packed length."""
 
 _MARK = struct.pack("<I4s", 4, b"zstd")
-"""Length and name of the compression, by which a chunk is found."""
+"""Length and name of the compression, by which a chunk is located."""
 
 _BEFORE_MARK = struct.calcsize("<BQQQQI")
 _FRAME = b"\x28\xb5\x2f\xfd"
-"""First bytes of what zstd packed."""
+"""First bytes of zstd data."""
 
 
 @dataclass(frozen=True)
 class Flaw:
-    """Something that is wrong with a recording.
+    """A defect of a recording.
 
     Attributes:
-        kind: `cut short` where the end is not there, as of a run that was killed or still goes on; `missing`
-            where messages between others are gone; `damaged` where bytes are not as they were written;
-            `repeated` and `misplaced` for chunks that are there twice, or not in the order of time.
-        where: what is so, in a few words.
+        kind: `cut short` where the end is missing, as of a killed or unfinished run; `missing` where messages
+            between others are lost; `damaged` where bytes have changed; `repeated` and `misplaced` for
+            duplicate chunks, or chunks out of order.
+        where: a description of a few words.
     """
 
     kind: Literal["cut short", "missing", "damaged", "repeated", "misplaced"]
@@ -61,13 +61,13 @@ class Flaw:
 
 
 def describe_flaws(flaws: Sequence[Flaw]) -> str:
-    """The flaws in one line: the first `SHOWN_FLAWS`, and how many there are beside them."""
+    """Describe the flaws in one line: the first `SHOWN_FLAWS`, and the number of others."""
     more = f"; and {len(flaws) - SHOWN_FLAWS} more" if len(flaws) > SHOWN_FLAWS else ""
     return "; ".join(map(str, flaws[:SHOWN_FLAWS])) + more
 
 
 class SoundChunk(NamedTuple):
-    """A chunk that is as it was written.
+    """An intact chunk.
 
     Attributes:
         start: byte of the file at which it begins.
@@ -86,12 +86,12 @@ class SoundChunk(NamedTuple):
 
 @dataclass(frozen=True)
 class Survey:
-    """What of a file can be read.
+    """Readable content of a file.
 
     Attributes:
-        chunks: the sound chunks in the order of their messages, none twice.
-        flaws: what is wrong with the file.
-        ended: whether the file's footer says that the run came to its end.
+        chunks: the intact chunks in the order of their messages, without duplicates.
+        flaws: defects of the file.
+        ended: True if the file's footer states that the run ended normally.
     """
 
     chunks: tuple[SoundChunk, ...]
@@ -100,7 +100,7 @@ class Survey:
 
 
 def survey(stream: BinaryIO) -> Survey:
-    """Find what can be read of a recording, and what is wrong with it."""
+    """Find the readable chunks of a recording, and its flaws."""
     size = stream.seek(0, 2)
     footer = find_footer(stream, size)
     data_end = footer.data_end if footer else size
@@ -126,10 +126,10 @@ def survey(stream: BinaryIO) -> Survey:
 
 
 def read_chunk(stream: BinaryIO, start: int) -> list[Message]:
-    """The messages of the chunk that begins at a byte of the file.
+    """Return the messages of the chunk that begins at a byte of the file.
 
     Raises:
-        MALFORMED: its checksum fails, or it is none of ours.
+        MALFORMED: its checksum fails, or skyherd did not write it.
     """
     stream.seek(start)
     head = stream.read(_CHUNK.size)
@@ -156,7 +156,7 @@ def read_chunk(stream: BinaryIO, start: int) -> list[Message]:
 
 
 def _length(stream: BinaryIO, start: int) -> int:
-    """Bytes of the chunk that begins at a byte of the file, as it says itself."""
+    """Return the stated length of the chunk at a byte of the file, bytes."""
     stream.seek(start)
     head = stream.read(_CHUNK.size)
     return _CHUNK.size + int(_CHUNK.unpack(head)[-1]) if len(head) == _CHUNK.size else _CHUNK.size
@@ -168,7 +168,7 @@ def _sound_chunk(start: int, messages: list[Message]) -> SoundChunk:
 
 
 def _in_order(sound: list[SoundChunk], total: int | None) -> tuple[list[SoundChunk], list[Flaw]]:
-    """Chunks in the order of their messages, without those that come again, and what that shows of flaws."""
+    """Return the chunks in the order of their messages without duplicates, and the flaws found."""
     chunks: list[SoundChunk] = []
     flaws: list[Flaw] = []
     expected, since = 0, "at the beginning"
@@ -188,7 +188,7 @@ def _in_order(sound: list[SoundChunk], total: int | None) -> tuple[list[SoundChu
 
 
 def _search(stream: BinaryIO, end: int) -> tuple[int, list[int]]:
-    """Checksum of the bytes before `end`, and where marks of chunks lie in them."""
+    """Return the checksum of the bytes before `end`, and the positions of chunk marks in them."""
     crc, marks, at, tail = 0, list[int](), 0, b""
     mark_size = len(_MARK) + 8 + len(_FRAME)
     stream.seek(0)

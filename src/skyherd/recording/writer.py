@@ -1,34 +1,33 @@
-"""What records a run while it goes on: the interface of recorders, and the one that writes MCAP files.
+"""Recording of runs during the run: the interface of recorders, and the MCAP recorder.
 
-An MCAP file holds every message of a run as it passed. There is a topic for each vehicle and kind of message,
-as JSON with a schema, so that any MCAP viewer opens it. Everything else (figures, summary, page) is made from
-this file, never from the run itself.
+An MCAP file holds every message of a run in its original form. Each vehicle and kind of message has a topic,
+as JSON with a schema, so that any MCAP viewer opens it. All other outputs (figures, summary, page) are made
+from this file, never from the run itself.
 
-The file is written in chunks of whole steps as the run goes, at the latest every `FLUSH_S` of simulated time:
-a run that is killed loses no more. The mission is written twice before the first step, in a chunk of its own
-each time, so that damage to one of them costs nothing. Messages are numbered through, chunks, data and footer
-have checksums, and the footer says how many messages there are; `skyherd.recording.survey` tells by them
-whether a file is whole.
+The file is written in chunks of whole steps, at least every `FLUSH_S` of simulated time: a killed run loses
+no more. The mission is written twice before the first step, in separate chunks, so that damage to one of them
+costs nothing. Messages are numbered consecutively. Chunks, data and footer have checksums, and the footer has
+the number of messages. `skyherd.recording.survey` uses them to check the integrity of a file.
 
 Topics, J being the number of a unit:
 
-    /mission            first, and once more: the scenario, the template, the robots' start, the versions that
-                        ran it, and the topics in the order of their channels' numbers
-    /end                of a run that came to its end: how many steps there are
-    /unit/J/detections  what the unit's detector found in an image
+    /mission            first, and once more: the scenario, the template, the robots' start, the versions, and
+                        the topics in the order of their channel numbers
+    /end                at a normal end of the run: the number of steps
+    /unit/J/detections  detections in an image
     /unit/J/goals       to the robots that it controls; missing while it has none
-    /unit/J/proximity   where robots keep apart: what else is near them; missing without bodies
+    /unit/J/proximity   bodies near the robots, for avoidance; missing without bodies
     /unit/J/report      to the other units
     /unit/J/flight      to its own autopilot
-    /unit/J/map         its map from the image to the ground, of a unit that rectifies
-    /unit/J/truth       which markers were whole in the image, and which of them were detected
+    /unit/J/map         map from the image to the ground, of a unit that rectifies
+    /unit/J/truth       markers that were whole in the image, and which of them were detected
     /unit/J/image       the image, on request
-    /robots/command     the velocities that the wheels were given
-    /world              where robots and units truly are
-    /metrics            judged from the truth, and last of a step
+    /robots/command     wheel velocities
+    /world              true positions of robots and units
+    /metrics            ground-truth metrics, last of a step
 
-The same scenario and seed give the same messages, to the byte. The wall time, which differs, therefore is
-metadata of the file and no message.
+The same scenario and seed give the same messages, to the byte. The wall time varies, and is therefore
+metadata of the file instead of a message.
 """
 
 import math
@@ -59,15 +58,15 @@ from skyherd.sim.truth_metrics import TruthMetrics
 from skyherd.version import __version__
 
 FLUSH_S = 0.5
-"""Simulated time, s, of which a run that is killed loses less than this and one step. Chosen: a
-formation hardly moves in it; shorter chunks compress worse."""
+"""Upper bound of the simulated time that a killed run loses beside one step, s. Chosen: a formation barely
+moves in it; shorter chunks compress worse."""
 
 JPEG_QUALITY = 90
-"""Quality of recorded images, in per cent. Chosen: a video made of them looks like one of the originals; they
-are not for measuring, since JPEG moves edges."""
+"""Quality of recorded images, per cent. Chosen: a video made of them looks like one of the originals; they
+are not for measurements, since JPEG moves edges."""
 
 OBJECT: dict[str, Any] = {"type": "object"}
-"""JSON schema of messages that are no dataclass."""
+"""JSON schema of messages that are not dataclasses."""
 
 UNIT_TOPICS: Mapping[str, Schema] = {
     "detections": ("skyherd.Detections", Detections),
@@ -83,9 +82,9 @@ UNIT_TOPICS: Mapping[str, Schema] = {
 
 
 def recorded_topics(units: int) -> dict[str, Schema]:
-    """The topics of a run of so many units, in the order of their channels' numbers, and their schemas.
+    """Return the topics of a run of so many units, in the order of channel numbers, with their schemas.
 
-    All are registered at the start, so that no chunk is needed to understand another one.
+    All are registered at the start, so that no chunk depends on another.
     """
     of_team: dict[str, Schema] = {
         "/mission": ("skyherd.Mission", OBJECT),
@@ -100,41 +99,42 @@ def recorded_topics(units: int) -> dict[str, Schema]:
 
 
 class Recorder(Protocol):
-    """Whatever keeps the steps of a run; `skyherd.runner.run_mission` takes any number of them.
+    """Receiver of the steps of a run; `skyherd.runner.run_mission` accepts any number of them.
 
-    A recorder is a context manager, whose context the run enters before its first step and leaves after its
-    last. `write` is called once a step, in the order of time, from one thread, and the run waits for it. A
-    step is what `skyherd.loop.run_steps` yields: it may be kept as it is, but for the camera images in
-    `step.frames[unit].sight.image`, which take much memory (`step.without_images()` is the same step without
+    A recorder is a context manager. The run enters it before its first step and exits it after its last.
+    `write` is called once per step, in the order of time, from one thread, and the run waits for it.
+
+    A step is an item of `skyherd.loop.run_steps`. It may be kept unchanged, except for the camera images in
+    `step.frames[unit].sight.image`, which take much memory (`step.without_images()` returns the step without
     them). A recorder must not change a step.
 
-    If the context is left without an exception, whatever is recorded must be whole and closed. If it is left
-    with one (the run was interrupted, a file could not be written), the recorder closes its files and lets
-    the exception pass; whether a part of a recording is useful is its own decision. An exception that `write`
-    raises ends the run: `skyherd.errors.OutputError` or OSError where something cannot be written.
+    If the context is exited without an exception, the recording must be complete and closed. If it is exited
+    with one (an interrupt, a failed write), the recorder closes its files and lets the exception pass. It
+    decides itself whether a partial recording is useful. An exception from `write` ends the run:
+    `skyherd.errors.OutputError` or OSError where writing failed.
     """
 
     def write(self, step: Step) -> None:
         """Record one step."""
 
     def __enter__(self) -> Any:
-        """The run begins."""
+        """Begin the run."""
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None, /
     ) -> bool | None:
-        """The run is over: close all files. Returns nothing true, since exceptions pass."""
+        """End the run: close all files. Returns nothing true, since exceptions pass."""
 
 
 class McapRecorder:
     """A `Recorder` that writes a run's messages to an MCAP file.
 
-    Leaving the context closes the file, and `finish`, called before that, marks a run that came to its end:
-    without it the file reads as a run that was cut short.
+    Exiting the context closes the file. `finish`, called before that, marks a normal end of the run; without
+    it the file reads as an incomplete run.
 
     Args:
-        path: the file to make; one that is there is replaced.
-        mission: what is run.
+        path: the file to create; an existing one is replaced.
+        mission: mission of the run.
         images: record the cameras' images as well, as JPEG.
 
     Raises:
@@ -155,7 +155,7 @@ class McapRecorder:
         self._flushed_s = -math.inf
 
     def write(self, step: Step) -> None:
-        """Append all messages of one step, and flush what would be too much to lose."""
+        """Append all messages of one step, and flush if too much is pending."""
         for unit, frame in step.frames.items():
             self._write_frame(f"/unit/{unit}", step.time_s, frame)
         self._log.put("/robots/command", step.time_s, step.command)
@@ -181,7 +181,7 @@ class McapRecorder:
 
         Args:
             time_s: simulated time of the last step.
-            wall_s: wall time that the run took.
+            wall_s: wall time of the run.
         """
         self._log.put("/end", time_s, {"steps": self._steps})
         self._flush(time_s)
@@ -209,7 +209,7 @@ class McapRecorder:
             self._log.put(f"{topic}/image", time_s, record)
 
     def _flush(self, time_s: float) -> None:
-        """Write what there is as a chunk, so that it stays if the process is killed now."""
+        """Write pending messages as a chunk, which then survives a kill of the process."""
         self._log.flush()
         self._flushed_s = time_s
 

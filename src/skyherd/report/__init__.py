@@ -1,1 +1,1 @@
-"""The pages that show results."""
+"""Pages that show results."""

@@ -1,10 +1,10 @@
-"""What all pages share: the template engine, and the parts that more than one page shows.
+"""Common base of all pages: template engine and shared page parts.
 
-A page is one HTML file that needs no other file, no network and no script: pictures and videos are inside it
-as data URIs. Markup is in templates alone. Every page extends `report/templates/base.html`, which has the
-style sheet `page.css` in it, and imports the macros of `parts.html`; packages above this one have a folder
-`templates/` of their own. The template engine escapes whatever is inserted, so that no text of a scenario, a
-study or a detector's name can become markup.
+A page is one HTML file that needs no other file, network or script. Pictures and videos are embedded as data
+URIs. Markup is in templates only. Every page extends `report/templates/base.html`, which includes the style
+sheet `page.css`, and imports the macros of `parts.html`. Packages above this one have a folder `templates/`
+of their own. The template engine escapes all inserted text, so that no text of a scenario, a study or a
+detector's name can become markup.
 """
 
 from base64 import b64encode
@@ -18,18 +18,17 @@ from PIL import Image
 from skyherd.plots.panels import FigureFile
 
 WIDE_PX = 1000
-"""Figures wider than this, in pixels of the PNG, take the page's full width. Chosen: figures of the width
-that `skyherd.plots` draws by default (936 px) stay in one of the two columns, those with several panels do
-not."""
+"""Width above which a figure takes the page's full width, pixels of the PNG. Chosen: default figures of
+`skyherd.plots` (936 px) stay in one of two columns, those with several panels do not."""
 
 TALL_RATIO = 0.85
-"""Figures whose height over width is greater than this take two rows of the grid of figures. Chosen: two
-figures of the usual ratio, 0.45 to 0.7, with their captions are about as high."""
+"""Ratio of height to width above which a figure takes two rows of the grid. Chosen: two figures of the usual
+ratio, 0.45 to 0.7, with captions are about as high."""
 
 
 @dataclass(frozen=True)
 class Tile:
-    """A number that stands out on a page, as text with its unit, and what it is."""
+    """A highlighted number on a page: text with unit, and label."""
 
     value: str
     label: str
@@ -37,13 +36,13 @@ class Tile:
 
 @dataclass(frozen=True)
 class FigureCard:
-    """A figure as the macro `figure_grid` of `parts.html` shows it.
+    """A figure for the macro `figure_grid` of `parts.html`.
 
     Attributes:
-        shape: CSS class that says how much room it takes: `plain`, `tall` or `wide`.
+        shape: CSS class of its size: `plain`, `tall` or `wide`.
         name: HTML id, unique in the page.
         title: heading.
-        caption: what the figure shows.
+        caption: description of the figure.
         source: the picture, as a data URI.
         width_px: width of the picture.
         height_px: height of the picture.
@@ -64,15 +63,15 @@ def render_page(package: str, template: str, **values: object) -> str:
     Args:
         package: Python package whose folder `templates/` has the template.
         template: file name of the template.
-        **values: what the template refers to, unescaped. A value that the template needs and that is not
-            given raises `jinja2.UndefinedError`; it is never an empty string on the page.
+        **values: variables of the template, unescaped. A missing variable raises `jinja2.UndefinedError`; it
+            is never an empty string on the page.
     """
     return _environment(package).get_template(template).render(values)
 
 
 @lru_cache
 def _environment(package: str) -> Environment:
-    """Templates of a package, read as package resources, and below them those that all pages share."""
+    """Return the environment of a package's templates, with the shared templates as fallback."""
     packages = dict.fromkeys((package, "skyherd.report"))
     return Environment(
         loader=ChoiceLoader([PackageLoader(name, "templates") for name in packages]),
@@ -84,7 +83,7 @@ def _environment(package: str) -> Environment:
 
 
 def figure_card(figure: FigureFile) -> FigureCard:
-    """A figure on disk as a card of a page, its PNG embedded."""
+    """Return a figure on disk as a page card, with its PNG embedded."""
     with Image.open(figure.png) as image:
         width, height = image.size
     return FigureCard(
@@ -99,5 +98,5 @@ def figure_card(figure: FigureFile) -> FigureCard:
 
 
 def data_uri(path: Path, media_type: str) -> str:
-    """A file's bytes as a data URI, such as `data:image/png;base64,…`, for the `src` of an image or video."""
+    """Return a file as a data URI, such as `data:image/png;base64,…`, for an image or video `src`."""
     return f"data:{media_type};base64,{b64encode(path.read_bytes()).decode('ascii')}"

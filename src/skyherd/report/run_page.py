@@ -1,4 +1,4 @@
-"""The page of one run: how it went, its video, its figures, its summary in plain words, and its scenario."""
+"""Page of one run: status, video, figures, explained summary, and scenario."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -14,12 +14,12 @@ PAGE, VIDEO = "report.html", "video.mp4"
 """Files in a run's folder: the page, and the video that is embedded in it."""
 
 TILES = ("shape_error", "scale", "min_separation_m", "detection_recall", "simulated_s", "real_time_factor")
-"""Keys of the summary that stand out at the top of the page, in this order."""
+"""Summary keys highlighted at the top of the page, in this order."""
 
 
 @dataclass(frozen=True)
 class SummaryRow:
-    """One value of the summary: what it is called, its text with the unit, and what it means."""
+    """One value of the summary: label, text with unit, and meaning."""
 
     label: str
     value: str
@@ -28,7 +28,7 @@ class SummaryRow:
 
 @dataclass(frozen=True)
 class SummaryTable:
-    """A group of the summary's values under one name."""
+    """A named group of the summary's values."""
 
     name: str
     rows: list[SummaryRow]
@@ -42,14 +42,14 @@ def write_page(
     versions: Mapping[str, str],
     scenario_text: str,
 ) -> Path:
-    """Write `report.html` into a run's folder, with the folder's `video.mp4` in it if there is one.
+    """Write `report.html` into a run's folder, with the folder's `video.mp4` if there is one.
 
     Args:
         folder: the run's output folder.
         history: the run.
         summary: its summary, with the keys of `summary.json`.
         figures: files to embed, in the order shown.
-        versions: of the programs that made the run, by name.
+        versions: versions of the run's programs, by name.
         scenario_text: the whole scenario, as TOML or JSON.
 
     Returns:
@@ -84,7 +84,7 @@ def write_page(
 
 
 def _status(summary: Mapping[str, object], planned_s: float) -> str:
-    """The sentence at the top of the page that says how the run went."""
+    """Return the sentence at the top of the page on the outcome of the run."""
     formed = "the shape was formed and held" if summary["converged"] else "the shape was not formed and held"
     flaws = str(summary.get("recording", ""))
     if flaws and not flaws.startswith("cut short"):
@@ -96,7 +96,7 @@ def _status(summary: Mapping[str, object], planned_s: float) -> str:
 
 
 def _tables(summary: Mapping[str, object]) -> list[SummaryTable]:
-    """A table for each group of fields that the summary has values of, and one for keys that no group has."""
+    """Return a table for each group of fields with values, and one for keys without a group."""
     known = {field.key for group in GROUPS.values() for field in group} | {"final_positions_m"}
     groups = {**GROUPS, "Other": tuple(Field(key, key) for key in summary if key not in known)}
     tables = [

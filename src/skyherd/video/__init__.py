@@ -1,1 +1,1 @@
-"""The annotated video of a run: panels of the cameras, of the ground and of curves, composed to frames."""
+"""Annotated video of a run: panels of the cameras, of the ground and of curves in one frame."""

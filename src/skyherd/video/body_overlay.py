@@ -1,4 +1,4 @@
-"""Bodies in the video: discs about robots, the room that is kept clear around them, obstacles, overlaps."""
+"""Bodies in the video: discs about robots, safety margins, obstacles, overlaps."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -15,8 +15,7 @@ BODY: Color = (222, 226, 231)
 BODY_RIM: Color = (164, 170, 178)
 STONE: Color = (190, 195, 201)
 STRUCK: Color = (247, 205, 208)
-"""Colours: room kept clear, a body and its rim, an obstacle, and a body that overlaps, whose rim is
-WARNING."""
+"""Colours: safety margin, body and rim, obstacle, and an overlapping body, whose rim is WARNING."""
 
 HATCH_PX = 7.0
 """Distance between the lines of an obstacle's hatching."""
@@ -28,7 +27,7 @@ class BodySizes:
 
     Attributes:
         radius: radius of the robots' bodies; 0 for points.
-        safety: radius of the discs that do not overlap, a body and half of the margin; 0 without avoidance.
+        safety: radius of the discs that must not overlap, a body and half of the margin; 0 without avoidance.
         obstacles: radius of each obstacle, by id.
     """
 
@@ -38,7 +37,7 @@ class BodySizes:
 
     @classmethod
     def of(cls, mission: Mission) -> "BodySizes":
-        """The sizes of a mission's bodies."""
+        """Return the sizes of a mission's bodies."""
         scenario = mission.scenario
         radius, rule = scenario.robots.body_radius_sides, scenario.avoidance
         safety = radius + rule.margin_sides / 2 if rule.on and radius else 0.0
@@ -46,13 +45,13 @@ class BodySizes:
 
 
 def overlapping_ids(mission: Mission, positions_m: Array) -> frozenset[int]:
-    """Ids of robots and obstacles whose bodies overlap, with robots at positions (N, 2), metres."""
+    """Return the ids of overlapping robots and obstacles for robot positions (N, 2), m."""
     everybody = np.concatenate([mission.ids, mission.obstacle_ids])
     return frozenset(everybody[mission.bodies.overlapping(positions_m)].ravel().tolist())
 
 
 def draw_bodies(image: Image, centers: Array, radius_px: float, struck: BoolArray) -> None:
-    """Draw bodies as discs around centres (N, 2), px; those that overlap (N,) have a warning colour."""
+    """Draw bodies as discs around centres (N, 2), px; overlapping ones (N,) in a warning colour."""
     for center, is_struck in zip(centers.tolist(), struck.tolist(), strict=True):
         draw_circle(image, center, radius_px, STRUCK if is_struck else BODY, -1)
         if not is_struck:
@@ -68,7 +67,7 @@ def draw_warning(image: Image, center: list[float], radius_px: float) -> None:
 
 
 def draw_safety(image: Image, centers: Array, radii_px: Array, color: Color = BODY_RIM) -> None:
-    """Draw the room that is kept clear as dashed circles, px, around centres (N, 2) with radii (N,)."""
+    """Draw safety margins as dashed circles, px, around centres (N, 2) with radii (N,)."""
     for center, radius_px in zip(centers, radii_px.tolist(), strict=True):
         draw_lines(image, circle_dashes(center, radius_px, 4.0), color, 1)
 
@@ -76,7 +75,7 @@ def draw_safety(image: Image, centers: Array, radii_px: Array, color: Color = BO
 def draw_obstacle(image: Image, center: Array, radius_px: float, inner_px: float, *, struck: bool) -> None:
     """Draw an obstacle as a hatched disc with a dark rim.
 
-    Nothing is drawn within `inner_px` of its centre, so that a marker in a camera's picture stays visible.
+    The area within `inner_px` of its centre stays empty, so that a marker in a camera's picture is visible.
     """
     if not inner_px:
         draw_circle(image, center.tolist(), radius_px, STRUCK if struck else STONE, -1)
@@ -90,7 +89,7 @@ def draw_obstacle(image: Image, center: Array, radius_px: float, inner_px: float
 
 
 def _hatching(center: Array, radius_px: float, inner_px: float) -> tuple[Array, Array]:
-    """Slanted lines (M, 2) to (M, 2) over the ring between two radii."""
+    """Return slanted lines (M, 2) to (M, 2) over the ring between two radii."""
     count = int(radius_px // HATCH_PX)
     off = HATCH_PX * np.arange(-count, count + 1)
     outer = np.sqrt(np.maximum(radius_px**2 - off**2, 0.0))

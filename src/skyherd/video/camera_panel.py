@@ -1,4 +1,4 @@
-"""The panel of one aerial unit: its camera image, the robots in it, and where it wants them to go."""
+"""Panel of one aerial unit: its camera image, the robots in it, and their desired points."""
 
 import cv2
 import numpy as np
@@ -36,23 +36,23 @@ PLAIN: Color = (236, 237, 233)
 """Colour of the ground where no image was rendered."""
 
 FOREIGN: Color = (78, 83, 90)
-"""Colour of the rings around robots that the unit sees and does not control."""
+"""Colour of the rings around robots that the unit sees but does not control."""
 
 CLEAR_SIDES = 0.95
-"""Radius, in marker sides, around an obstacle's centre in which nothing is drawn: its marker and card."""
+"""Radius of the empty area around an obstacle's centre, in marker sides: its marker and card."""
 
 RING_PX = 4
-"""Distance from a robot's ring to the outer one, of the units that it is shared with."""
+"""Distance from a robot's ring to the outer ring of the units that share it, px."""
 
 LIFT = 0.7
-"""Exponent of the display curve of camera images. Below 1 it brightens mid greys, so that colours stand
+"""Exponent of the display curve of camera images. Values below 1 brighten mid greys, so that colours stand
 out."""
 
 _CURVE = np.rint(255 * (np.arange(256) / 255) ** LIFT).astype(np.uint8)
 
 
 def _tree_text(tree: TreeStatus | None) -> str:
-    """What a title says about the unit's place in the tree."""
+    """Return the title text on the unit's position in the tree."""
     if tree is None:
         return ""
     if tree.tree_id == NO_ID:
@@ -61,12 +61,12 @@ def _tree_text(tree: TreeStatus | None) -> str:
 
 
 def brightened(image: Image) -> Image:
-    """A grey camera image with the display curve of exponent `LIFT` applied."""
+    """Apply the display curve of exponent `LIFT` to a grey camera image."""
     return np.asarray(cv2.LUT(image, _CURVE), dtype=np.uint8)
 
 
 class CameraPanel:
-    """Draws one unit's frames into its cell of the canvas: a title, and the image below it.
+    """Drawing of one unit's frames into its cell of the canvas: a title, and the image below it.
 
     Args:
         unit: number of the unit.
@@ -107,7 +107,7 @@ class CameraPanel:
         self._write_title(f"unit {unit} · no image yet")
 
     def to_panel(self, points_px: Array) -> Array:
-        """Places (..., 2) on the panel of points of the camera's image."""
+        """Map points (..., 2) of the camera's image to the panel."""
         return np.asarray((points_px + 0.5) * self.scale - 0.5)
 
     def draw(self, frame: UnitFrame, sets: ControlSets, struck: frozenset[int] = frozenset()) -> None:
@@ -115,7 +115,7 @@ class CameraPanel:
 
         Args:
             frame: the unit's image and decision.
-            sets: the robots that each unit controls, by unit.
+            sets: robots controlled by each unit, by unit.
             struck: ids of robots and obstacles whose bodies overlap.
         """
         if self._is_dead:
@@ -138,7 +138,7 @@ class CameraPanel:
         self._draw_ids(robots)
 
     def _seen_circle(self, frame: UnitFrame) -> Array:
-        """The safety radius as the camera sees it, as dashes (N, 4, 2)."""
+        """Return the safety radius as the camera sees it, as dashes (N, 4, 2)."""
         if frame.decision.ground_map.ideal:
             return self._circle
         size_px = frame.sight.detections.image_size_px
@@ -147,7 +147,7 @@ class CameraPanel:
         return seen.reshape(self._circle.shape)
 
     def draw_dead(self) -> None:
-        """Show that the unit is in an outage, until the next frame of it is drawn."""
+        """Show that the unit is in an outage, until its next frame is drawn."""
         if not self._is_dead:
             self._is_dead = True
             self._show_nothing(rgb(MUTED))
@@ -160,7 +160,7 @@ class CameraPanel:
         self._picture[:] = PLAIN
 
     def _write_title(self, *texts: str) -> None:
-        """Write the first text that there is room for, large or small; else the last one, small."""
+        """Draw the first text that fits, large or small; else the last one, small."""
         self._title[:] = rgb(PAPER)
         draw_circle(self._title, (7, TITLE_PX / 2), 6, self.color, -1)
         room = self._title.shape[1] - 20
@@ -170,7 +170,7 @@ class CameraPanel:
         draw_text(self._title, text, (20, TITLE_PX / 2), rgb(INK), size_px=size_px)
 
     def _draw_image(self, frame: UnitFrame) -> None:
-        """The picture, or its markers as black squares where none was made."""
+        """Draw the picture, or its markers as black squares without one."""
         image = frame.sight.image
         if image is None:
             self._picture[:] = PLAIN
@@ -187,7 +187,7 @@ class CameraPanel:
         cv2.cvtColor(self._grey, cv2.COLOR_GRAY2RGB, dst=self._picture)
 
     def _draw_obstacles(self, stones: Detections, struck: frozenset[int]) -> None:
-        """Obstacles, hatched around their markers."""
+        """Draw obstacles, hatched around their markers."""
         centers, sides = self.to_panel(stones.centers_px), stones.sides_px * self.scale
         for stone_id, center, side in zip(stones.ids.tolist(), centers, sides.tolist(), strict=True):
             radius = self.bodies.obstacles[stone_id] * side
@@ -195,7 +195,7 @@ class CameraPanel:
             draw_obstacle(self._picture, center, radius, hole, struck=stone_id in struck)
 
     def _draw_bodies(self, robots: Detections, struck: frozenset[int], color: Color) -> None:
-        """The room kept clear around robots, and what overlaps; a robot's own ring shows its body."""
+        """Draw the robots' safety margins, and overlaps; a robot's own ring shows its body."""
         centers, radii = self.to_panel(robots.centers_px), self._radii(robots)
         clear = self.bodies.safety * robots.sides_px * self.scale
         apart = clear > radii + RING_PX
@@ -205,7 +205,7 @@ class CameraPanel:
             draw_warning(self._picture, center, radius + RING_PX)
 
     def _draw_marks(self, robots: Detections, sets: ControlSets) -> None:
-        """Rings: this unit's colour, then the colours of the others that share the robot; else grey."""
+        """Draw rings: this unit's colour, then those of the other sharing units; else grey."""
         owners = owners_by_robot(sets)
         units = [owners.get(robot_id, []) for robot_id in robots.ids.tolist()]
         mine = np.array([self.unit in who for who in units], dtype=bool)
@@ -220,7 +220,7 @@ class CameraPanel:
                 draw_ring(self._picture, center, radius + RING_PX, others)
 
     def _draw_ticks(self, centers: Array, radii: Array, headings_rad: Array, mine: BoolArray) -> None:
-        """Heading ticks (N,) from the rings outwards."""
+        """Draw heading ticks (N,) from the rings outwards."""
         ahead = to_points(np.exp(1j * headings_rad))
         starts, ends = centers + radii[:, None] * ahead, centers + (radii[:, None] + 8) * ahead
         draw_segments(self._picture, starts, ends, rgb(PAPER), 5)
@@ -228,7 +228,7 @@ class CameraPanel:
         draw_segments(self._picture, starts[~mine], ends[~mine], FOREIGN, 3)
 
     def _radii(self, robots: Detections) -> Array:
-        """Radii (N,) of the rings around robots: their bodies', or outside the marker; not too small."""
+        """Return the ring radii (N,) of robots: their bodies', or outside the marker; not too small."""
         return np.maximum((self.bodies.radius or 0.95) * robots.sides_px * self.scale, 7.0)
 
     def _draw_goals(self, frame: UnitFrame) -> None:

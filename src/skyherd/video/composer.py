@@ -1,4 +1,4 @@
-"""Frames of the video: camera images, the ground from above, and curves of cost and scale, side by side."""
+"""Frames of the video: camera images, the ground from above, and curves of V and scale, side by side."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,44 +18,44 @@ from skyherd.video.legend import draw_legend, legend_height_px
 from skyherd.video.rectified_panel import RectifiedPanel
 
 HEADER_PX = 46
-"""Height of the line with name, time and figures at the top."""
+"""Height of the line with name, time and figures at the top, px."""
 
 PLOTS_SHARE = 0.25
 """Height of the curves at the bottom, as a share of the frame's."""
 
 CAMERAS_SHARE = 0.62
-"""Largest width of the block of cameras, as a share of the frame's; the ground has the rest."""
+"""Maximum width of the camera block, as a share of the frame's; the ground has the rest."""
 
 STRIPS_PX = (0, *range(80, 320, 24))
-"""Heights that are tried for a strip with the legend below the cameras; 0 is no strip."""
+"""Candidate heights of a strip with the legend below the cameras, px; 0 means no strip."""
 
 GAP_PX = 14
 """Distance between panels."""
 
 MUCH_LARGER = 1.2
-"""Factor by which cameras must become larger for their block to have a further column, since a wide block
-leaves less width to the ground and more of the frame empty."""
+"""Minimum enlargement of cameras that justifies another column. A wide block leaves less width to the ground
+and more of the frame empty."""
 
 MAX_RECTIFIED = 3
-"""With more units than this there is no room for rectified images."""
+"""Maximum number of units with rectified images; more do not fit."""
 
 MAX_NAMED = 5
-"""With more units than this the curves' names are bare numbers."""
+"""Maximum number of units with named curves; with more the names are bare numbers."""
 
 MIN_COST = 1e-9
-"""Costs below this, m², are those of two robots, which always make their shape, or of none: not shown."""
+"""Threshold below which V, m², is not shown: that of units with two robots, which always fit, or none."""
 
 
 @dataclass(frozen=True)
 class Layout:
-    """Where everything is on the canvas.
+    """Positions of all parts on the canvas.
 
     Attributes:
         cameras: a cell for each camera image.
-        rectified: a cell for each rectified image; none if these are not shown.
+        rectified: a cell for each rectified image; empty if these are not shown.
         key: the legend.
         ground: the ground from above.
-        plots: the curves of the cost, and of the scales.
+        plots: the curves of V, and of the scales.
     """
 
     cameras: list[Box]
@@ -73,17 +73,16 @@ def make_layout(
     bodies: bool = False,
     rectified: bool = False,
 ) -> Layout:
-    """Lay out a frame: cameras in a near-square block on the left, the ground beside it, the curves below.
+    """Lay out a frame: cameras in a near-square block on the left, the ground beside it, curves below.
 
-    With rectified images there is a column for each camera. The legend is put where the last row of the block
-    has room to spare, or else below the block. Of all blocks in which it fits, that with the largest images
-    is chosen.
+    With rectified images each camera has a column. The legend is placed in the free space of the block's last
+    row, or else below the block. Among all fitting blocks, the one with the largest images is chosen.
 
     Args:
         size_px: width and height of the frame.
         image_sizes_px: width and height of each camera's images.
-        tree: the legend has the symbols of the tree of units.
-        bodies: the legend has the symbols of bodies.
+        tree: include the symbols of the tree of units in the legend.
+        bodies: include the symbols of bodies in the legend.
         rectified: show the rectified images as well.
     """
     width, height = size_px
@@ -127,7 +126,7 @@ def _block(
     tree: bool,
     bodies: bool,
 ) -> tuple[int, int, int, Box] | None:
-    """Pitches of the cells, px, columns, and a box for the key; None if the key has no room.
+    """Return cell pitches, px, columns, and a box for the key; None if the key does not fit.
 
     The key is in a strip below the cells, or beside the last row's if that strip is 0 px high.
     """
@@ -158,10 +157,10 @@ def _block(
 
 
 class Composer:
-    """Composes a frame of the video for each step of a mission, which must come in the order of time.
+    """Composer of a video frame for each step of a mission, in the order of time.
 
     Args:
-        mission: what is run.
+        mission: mission of the run.
         size_px: width and height of the pictures, px.
     """
 
@@ -195,7 +194,7 @@ class Composer:
         self._tree = TreeHistory()
 
     def compose(self, step: Step) -> Image:
-        """Picture (height, width, 3) RGB of a step: read-only, and drawn over by the next call."""
+        """Return the picture (height, width, 3) RGB of a step: read-only, overwritten by the next call."""
         self._last |= step.frames
         dead = dead_units(self.mission.scenario, step.time_s)
         for unit in dead:
@@ -226,7 +225,7 @@ class Composer:
         )
 
     def _draw_header(self, step: Step) -> None:
-        """The mission on the left; its figures on the right, in columns that stay in place."""
+        """Draw the mission on the left, and its figures on the right in fixed columns."""
         header = self._canvas[:HEADER_PX]
         header[:] = rgb(PAPER)
         scenario, middle = self.mission.scenario, HEADER_PX / 2
@@ -242,14 +241,14 @@ class Composer:
             right = round(label_right - text_width(label, 16) - 26)
 
     def _nearest(self, step: Step) -> tuple[str, str, int]:
-        """The closest pair of robots, or where they have bodies the least gap between any two."""
+        """Return the closest pair of robots, or the least gap between any two bodies."""
         if not (self._bodies.radius or self._bodies.obstacles):
             return "closest pair", f"{step.metrics.min_separation_m:.2f} m", 74
         gap_m = float(self.mission.bodies.gaps_m(step.positions_m).min())
         return "least gap", f"{gap_m:.2f} m".replace("-", "−"), 74
 
     def _figures(self, step: Step) -> list[tuple[str, str, int]]:
-        """Label, value, and the width in px kept for the value."""
+        """Return label, value, and the width in px reserved for the value."""
         seen = step.metrics
         sights = [frame.sight for frame in self._last.values()]
         found = sum(sight.found_ids.size for sight in sights)

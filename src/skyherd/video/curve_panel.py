@@ -1,4 +1,4 @@
-"""Curves over time that grow from frame to frame: only what is new is drawn, unless the axis must change."""
+"""Growing curves over time: only new samples are drawn, unless the axis changes."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ TITLE_PX = 28
 LEFT_PX = 52
 RIGHT_PX = 14
 BOTTOM_PX = 40
-"""Margins of the field of the curves: title above, labels to the left and below."""
+"""Margins of the plot area, px: title above, labels to the left and below."""
 
 GRID: Color = (232, 233, 231)
 """Colour of the grid."""
@@ -22,7 +22,7 @@ GRID: Color = (232, 233, 231)
 
 @dataclass(frozen=True)
 class Curve:
-    """Name in the legend, colour and width of one curve."""
+    """Legend name, colour and width of one curve."""
 
     name: str
     color: Color
@@ -30,14 +30,14 @@ class Curve:
 
 
 class CurvePanel:
-    """Curves over time in a panel of the canvas; the panel keeps them from frame to frame.
+    """Curves over time in a panel of the canvas, kept from frame to frame.
 
     Args:
         panel: the part of the canvas to draw in.
-        title: what is plotted, with its unit.
+        title: the plotted quantity, with its unit.
         curves: one for each value of a sample; later ones are drawn over earlier ones.
         duration_s: end of the time axis.
-        log: by decades, or linear.
+        log: use a logarithmic axis instead of a linear one.
     """
 
     def __init__(
@@ -57,7 +57,7 @@ class CurvePanel:
         self._field = box.of(panel)
 
     def add(self, time_s: float, values: Array) -> None:
-        """Extend the curves by values (C,), NaN where there is none; draw all anew if they do not fit."""
+        """Extend the curves by values (C,), NaN where unknown; redraw all if they do not fit."""
         self._times_s.append(time_s)
         self._values.append(values)
         axis = self._kind.around(values) if self._range is None else self._range.widened(values)
@@ -104,7 +104,7 @@ class CurvePanel:
         draw_text(self._panel, "time, s", at, rgb(INK), size_px=13, align="center")
 
     def _draw_legend(self) -> None:
-        """Names of the curves, flush right in the title's line."""
+        """Draw the names of the curves, flush right in the title's line."""
         right = float(self._panel.shape[1] - RIGHT_PX)
         for curve in reversed(self._curves):
             right -= text_width(curve.name)

@@ -1,4 +1,4 @@
-"""The panel of the ground from above: true places of robots and units, their fields of view, the shape."""
+"""Panel of the ground from above: true positions of robots and units, fields of view, shape."""
 
 import numpy as np
 from scipy.spatial.distance import pdist, squareform
@@ -31,7 +31,7 @@ from skyherd.video.tree_overlay import TreeOverlay, draw_dead, draw_pair_marks
 TITLE_PX = 26
 LEFT_PX = 34
 BOTTOM_PX = 22
-"""Margins of the map: title above, labels of the axes to the left and below."""
+"""Margins of the map, px: title above, labels of the axes to the left and below."""
 
 FIELD: Color = (248, 248, 246)
 GRID: Color = (228, 229, 226)
@@ -39,41 +39,40 @@ FAINT: Color = (206, 209, 212)
 """Colours of the map, of its grid, and of the paths of the whole run."""
 
 TAILS: tuple[tuple[int, Color], ...] = ((60, (184, 188, 193)), (30, (150, 156, 163)), (12, (112, 119, 128)))
-"""Numbers of last steps of a path, and the colours in which they are drawn over the faint path of the whole
-run."""
+"""Numbers of last steps of a path, and their colours over the faint path of the whole run."""
 
 LABEL_SPOTS = np.array([[33.0, 0.0], [-33.0, 0.0], [0.0, -18.0], [0.0, 18.0]])
-"""Places of a unit's name around its cross, u and v, the preferred one first."""
+"""Candidate positions of a unit's name around its cross, u and v, the preferred one first."""
 
 LABEL_ROOM_PX = np.array([34.0, 18.0])
-"""What is nearer than this to the middle of a unit's name, along u and v, would be covered by it."""
+"""Half extent of a unit's name along u and v, px; nearer items would be covered."""
 
 EXCHANGE_S = 2.0
-"""Simulated time for which a robot's place in the shape is shown as newly exchanged."""
+"""Simulated time for which a robot's role is shown as newly exchanged, s."""
 
 MIN_EXTENT_M = 1e-3
-"""Least extent of the view, so that a single robot that does not move has one at all."""
+"""Minimum extent of the view, m, so that a single static robot has one."""
 
 MARGIN_PX = 16.0
-"""Least distance of robots and units from the edge of the map."""
+"""Minimum distance of robots and units from the edge of the map, px."""
 
 SPACING_PX = 64.0
-"""The view widens to show all fields of view, but only as far as neighbouring robots stay this far apart in
-the median."""
+"""Minimum median distance of neighbouring robots, px, at which the view still widens to show all fields of
+view."""
 
 
 def _spacing_m(positions_m: Array) -> float:
-    """Median distance from a robot to its nearest neighbour; positions (N, 2)."""
+    """Return the median distance from a robot to its nearest neighbour for positions (N, 2)."""
     distances = squareform(pdist(positions_m))
     np.fill_diagonal(distances, np.inf)
     return float(np.median(distances.min(axis=1)))
 
 
 class GroundPanel:
-    """Draws steps into a panel of the canvas; the view widens when a robot or a unit would leave it.
+    """Drawing of steps into a panel of the canvas; the view widens when a robot or a unit would leave it.
 
     Args:
-        mission: what is run.
+        mission: mission of the run.
         panel: the part of the canvas to draw in.
     """
 
@@ -96,7 +95,7 @@ class GroundPanel:
         self._title = panel[:TITLE_PX]
 
     def to_panel(self, points_m: Array) -> Array:
-        """Places (..., 2) in the field of ground points (..., 2): x to the right, y up."""
+        """Map ground points (..., 2) to the panel: x to the right, y up."""
         middle = np.array([self._field.shape[1] - 1, self._field.shape[0] - 1]) / 2
         return np.asarray((points_m - self._center_m) * (self._px_per_m, -self._px_per_m) + middle)
 
@@ -132,7 +131,7 @@ class GroundPanel:
         self._draw_units(step, tree)
 
     def _write_title(self, tree: TreeSnapshot | None) -> None:
-        """The title on the left, and the state of the tree on the right."""
+        """Draw the title on the left, and the state of the tree on the right."""
         self._title[:] = rgb(PAPER)
         width_px = self._title.shape[1] - LEFT_PX - 2
         title, state = (
@@ -150,7 +149,7 @@ class GroundPanel:
         return bool(((places >= MARGIN_PX) & (places <= limit)).all())
 
     def _fit(self, corners_m: list[Array]) -> None:
-        """Choose the view: all that moves with a margin, and the footprints as far as they fit."""
+        """Choose the view: all moving objects with a margin, and footprints as far as they fit."""
         room = np.array([self._field.shape[1], self._field.shape[0]]) - 2 * MARGIN_PX
         past = np.concatenate(self._past_m)
         low, high = past.min(axis=0), past.max(axis=0)
@@ -166,7 +165,7 @@ class GroundPanel:
         self._draw_paper()
 
     def _draw_paper(self) -> None:
-        """Grid, axes, and the paths so far in the new view."""
+        """Draw grid, axes, and the paths so far in the new view."""
         height, width = self._field.shape[:2]
         self._paper[:] = FIELD
         span = np.array([width, height]) / 2 / self._px_per_m
@@ -186,7 +185,7 @@ class GroundPanel:
         self._extend_paths(self._past_m)
 
     def _extend_paths(self, points_m: list[Array]) -> None:
-        """Add the faint paths through the last places (T, N + U, 2)."""
+        """Add the faint paths through the last positions (T, N + U, 2)."""
         places = np.moveaxis(self.to_panel(np.array(points_m)), 0, 1)
         robots = self.mission.ids.size
         draw_lines(self._paper, places[:robots], FAINT)
@@ -199,7 +198,7 @@ class GroundPanel:
             draw_lines(self._field, np.moveaxis(self.to_panel(recent), 0, 1), color)
 
     def _draw_shape(self, step: Step) -> None:
-        """Where each robot belongs in the shape that fits best now, and the way there."""
+        """Draw each robot's point in the current best-fitting shape, and the way there."""
         self._exchanged_s[step.roles != self._roles] = step.time_s
         self._roles = step.roles
         shape = self.mission.shape_at(step.time_s, step.roles)
@@ -217,7 +216,7 @@ class GroundPanel:
             draw_circle(self._field, place, 6.0, rgb(TEMPLATE_COLOR), 1)
 
     def _draw_bodies(self, step: Step, struck: frozenset[int]) -> None:
-        """Obstacles, and under the robots' marks their bodies and what is kept clear around them."""
+        """Draw obstacles, and bodies and safety margins under the robots' marks."""
         mission, px_per_m = self.mission, self._px_per_m
         centers = self.to_panel(mission.obstacle_positions_m)
         radii_m = mission.obstacle_radii_m.tolist()
@@ -250,7 +249,7 @@ class GroundPanel:
             draw_text(self._field, name, at, ink, size_px=12, bold=True, align="center", halo=halo)
 
     def _label_place(self, unit: int, place: Array, others: Array) -> tuple[float, float]:
-        """Where a unit's name goes: beside its cross, changing sides only when something is in the way."""
+        """Return the position of a unit's name beside its cross; it changes only if occupied."""
         spots = place + LABEL_SPOTS
         room = np.linalg.norm((others - spots[:, None]) / LABEL_ROOM_PX, axis=2).min(axis=1)
         if room[self._label_sides[unit]] < 1:
@@ -259,7 +258,7 @@ class GroundPanel:
         return u, v
 
     def _draw_robots(self, step: Step, tree: TreeSnapshot | None) -> None:
-        """Discs with ids, ringed in the colours of the units that control them, noses ahead."""
+        """Draw discs with ids, ringed in the colours of their units, noses ahead."""
         radius = max(9.5, 0.5 * self.mission.scenario.marker.side_m * self._px_per_m)
         places = self.to_panel(step.positions_m)
         owners = owners_by_robot(step.control_sets)

@@ -1,17 +1,16 @@
-"""The line above the ground in the video: its title, and the state of the tree of units beside it."""
+"""Title line above the ground in the video, with the state of the tree of units."""
 
 from skyherd.analysis.tree_snapshot import TreeSnapshot
 from skyherd.drawing.canvas import text_width
 
 TITLE_SIZE_PX, STATE_SIZE_PX, TITLE_GAP_PX = 15, 13, 16
-"""Sizes of the letters of the title and of the tree's state beside it, and the least gap between the two."""
+"""Font sizes of the title and of the tree's state, and the minimum gap between the two, px."""
 
 
 def title_texts(tree: TreeSnapshot, width_px: float) -> tuple[str, str]:
-    """The title and the state of the tree, as long as both fit beside each other into a width, px.
+    """Return the title and the state of the tree, as long as both fit side by side into a width, px.
 
-    The title is shortened first, then dropped; robots that are missing are counted where their ids do not
-    fit.
+    The title is shortened first, then dropped. Missing robots are counted if their ids do not fit.
     """
     for state in (_tree_text(tree), _tree_text(tree, counted=True)):
         room_px = width_px - text_width(state, STATE_SIZE_PX, bold=True) - TITLE_GAP_PX
@@ -22,7 +21,7 @@ def title_texts(tree: TreeSnapshot, width_px: float) -> tuple[str, str]:
 
 
 def _tree_text(tree: TreeSnapshot, *, counted: bool = False) -> str:
-    """The state of the tree in a few words; units and robots `counted` rather than named."""
+    """Return the state of the tree in a few words, with units and robots named, or counted if `counted`."""
     living = len(tree.members) + len(tree.unjoined)
     parts = [f"{len(tree.members)} of {living} units in the tree"]
     if not tree.ready:

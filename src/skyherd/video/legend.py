@@ -1,4 +1,4 @@
-"""The legend of the video: its symbols, and what they mean."""
+"""Legend of the video: symbols and their meanings."""
 
 from collections.abc import Callable
 
@@ -22,16 +22,16 @@ from skyherd.video.camera_panel import FOREIGN
 from skyherd.video.tree_overlay import FLASH, draw_dead, draw_link, draw_turn
 
 SYMBOL_PX = 38
-"""Width that a symbol takes."""
+"""Width of a symbol, px."""
 
 ROW_PX, TIGHT_PX, MANY = 23, 21, 12
-"""Height of a row; the lower one in a legend of more than `MANY` symbols."""
+"""Height of a row, px; the lower one in a legend of more than `MANY` symbols."""
 
 TEXT_PX = 12
 """Size of the text."""
 
 FIRST, SECOND = unit_rgb(0), unit_rgb(1)
-"""Colours of the two units that the symbols are drawn with."""
+"""Colours of the two example units of the symbols."""
 
 
 def _mine(image: Image, u: float, v: float) -> None:
@@ -108,7 +108,7 @@ TREE_ITEMS: tuple[tuple[Callable[[Image, float, float], None], str], ...] = (
     (_granted, "edge that one unit knows"),
     (_dead, "dead unit"),
 )
-"""Further symbols where units form a tree."""
+"""Additional symbols with a tree of units."""
 
 
 def _safety(image: Image, u: float, v: float) -> None:
@@ -135,7 +135,7 @@ BODY_ITEMS: tuple[tuple[Callable[[Image, float, float], None], str], ...] = (
     (_obstacle, "obstacle"),
     (_exchanged, "place just exchanged"),
 )
-"""Further symbols where robots have bodies, or may exchange their places."""
+"""Additional symbols where robots have bodies, or may exchange roles."""
 
 
 def _items(*, tree: bool, bodies: bool) -> tuple[tuple[Callable[[Image, float, float], None], str], ...]:
@@ -143,13 +143,13 @@ def _items(*, tree: bool, bodies: bool) -> tuple[tuple[Callable[[Image, float, f
 
 
 def legend_height_px(width_px: int, *, tree: bool = False, bodies: bool = False) -> int:
-    """Height, px, that the legend takes in a panel of this width, px."""
+    """Return the height of the legend in a panel of this width, px."""
     _, rows, row_px = _grid(width_px, tree=tree, bodies=bodies)
     return rows * row_px
 
 
 def _grid(width_px: int, *, tree: bool, bodies: bool) -> tuple[float, int, int]:
-    """Width of a column, px, rows, and the height of one, px."""
+    """Return column width, px, number of rows, and row height, px."""
     items = _items(tree=tree, bodies=bodies)
     pitch = SYMBOL_PX + max(text_width(text, TEXT_PX) for _, text in items) + 6
     columns = min(len(items), max(1, int(width_px // pitch)))
@@ -157,12 +157,12 @@ def _grid(width_px: int, *, tree: bool, bodies: bool) -> tuple[float, int, int]:
 
 
 def draw_legend(panel: Image, *, tree: bool = False, bodies: bool = False) -> None:
-    """Draw the legend into a panel, in as many columns as there is room for.
+    """Draw the legend into a panel, in as many columns as fit.
 
     Args:
         panel: the part of the canvas to draw in.
-        tree: with the symbols of the tree of units.
-        bodies: with the symbols of bodies.
+        tree: include the symbols of the tree of units.
+        bodies: include the symbols of bodies.
     """
     items = _items(tree=tree, bodies=bodies)
     pitch, rows, row_px = _grid(panel.shape[1], tree=tree, bodies=bodies)

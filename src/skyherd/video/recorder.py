@@ -1,4 +1,4 @@
-"""The annotated video of a run, composed and encoded while the run goes on, beside it if asked."""
+"""Annotated video of a run, composed and encoded during the run, optionally in a process of its own."""
 
 import os
 from contextlib import ExitStack
@@ -14,36 +14,34 @@ from skyherd.messages import TIME_TOLERANCE_S
 from skyherd.video.composer import Composer
 
 FPS = 20
-"""Frames a second of the video. Chosen: at half of it robots jump visibly; twice as many take twice the time
-to draw and show nothing new."""
+"""Frames per second of the video. Chosen: at half of it robots jump visibly; twice as many take twice the
+time to draw and show nothing new."""
 
 SPEED = 4
-"""Simulated seconds that pass in one second of the video. Chosen: a mission of a minute takes 15 s to
-watch."""
+"""Simulated seconds per second of the video. Chosen: a mission of a minute takes 15 s to watch."""
 
 NICENESS = 19
-"""Priority of the process that draws beside the loop. *Chosen*: the least, so that it has what the loop
-leaves of the cores. *Measured* on two cores, whose loop has two processes: 40 s of `star` take 16.5 to 17.1 s
-with it, 19.1 to 22.4 without."""
+"""Niceness of the drawing process. *Chosen*: the lowest priority, so that it uses cores that the loop leaves.
+*Measured* on two cores: 40 s of `star` take 16.5 to 17.1 s, without it 19.1 to 22.4 s."""
 
 WAITING = 8
-"""Steps that may wait to be drawn beside the loop. Chosen: 20 MB of images of six large cameras; with fewer
-the loop waits more often where some frames take longer than others."""
+"""Number of steps that may wait for the drawing process. Chosen: 20 MB of images of six large cameras; with
+fewer the loop waits more often for slow frames."""
 
 
 class VideoRecorder(ExitStack):
     """A `skyherd.recording.writer.Recorder` that makes an MP4 file, a frame each `SPEED / FPS` seconds.
 
-    The file is there, whole, after the context is left without an exception; else nothing is left of it.
+    The file is complete after the context is exited without an exception; else nothing is left of it.
 
     Args:
-        mission: what is run.
+        mission: mission of the run.
         path: the file to make.
-        beside: whether frames are composed and encoded by a process beside this one, where that is possible.
-            What goes wrong there is raised by a later call.
+        beside: compose and encode in a process of its own, where that is possible. A later call raises its
+            errors.
 
     Raises:
-        OutputError: the file cannot be made there, or it did not become whole.
+        OutputError: the file cannot be made there, or it is incomplete.
     """
 
     def __init__(self, mission: Mission, path: Path, *, beside: bool = False) -> None:
@@ -54,14 +52,14 @@ class VideoRecorder(ExitStack):
         self._next_s = 0.0
 
     def write(self, step: Step) -> None:
-        """Have a frame of the step composed and appended, if it is time for one."""
+        """Have a frame of the step composed and appended, if one is due."""
         if step.time_s >= self._next_s - TIME_TOLERANCE_S:
             self._film.add(step)
             self._next_s += SPEED / FPS
 
 
 class _Film(ExitStack):
-    """A video file that is made of steps; the context gives it its name, or removes it after an exception.
+    """A video file made of steps; its context names it on success, and removes it after an exception.
 
     Attributes:
         sink: the file.
@@ -78,7 +76,7 @@ class _Film(ExitStack):
 
 
 class _FilmBeside(ExitStack):
-    """The same, made by a helper of this process."""
+    """A `_Film` in a helper of this process."""
 
     def __init__(self, mission: Mission, path: Path) -> None:
         super().__init__()
@@ -93,7 +91,7 @@ class _FilmBeside(ExitStack):
             self.push(stack.pop_all())
 
     def add(self, step: Step) -> None:
-        """Have a frame of the step composed and appended; it may wait for those before it."""
+        """Have a frame of the step composed and appended; wait if too many are pending."""
         while self._unanswered and self._helper.answered():
             self._take_answer()
         self._helper.ask(step)
@@ -102,7 +100,7 @@ class _FilmBeside(ExitStack):
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Wait for all frames and name the file; or after an exception, remove what there is of it."""
+        """Wait for all frames and name the file; after an exception, remove its remains."""
         try:
             if error is None:
                 self._helper.ask(_END)
@@ -117,17 +115,17 @@ class _FilmBeside(ExitStack):
         self._unanswered -= 1
 
     def _remove_part(self) -> None:
-        """Remove the temporary file, which is there if the helper was closed before its end, or killed."""
+        """Remove the temporary file of a helper that was closed early or killed."""
         if self._part.name:
             self._part.unlink(missing_ok=True)
 
 
 _BEGIN, _END = "begin", "end"
-"""Requests beside steps: make the file; give it its name."""
+"""Requests beside steps: create the file; give it its name."""
 
 
 class _Studio:
-    """What the helper does."""
+    """Request handler of the helper."""
 
     def __init__(self, mission: Mission, path: Path) -> None:
         self._mission, self._path = mission, path

@@ -1,4 +1,4 @@
-"""The panel of a unit's image as an ideal camera would take it, by the map that the unit has learned."""
+"""Panel of a unit's image, rectified to an ideal camera by the learned ground map."""
 
 import cv2
 import numpy as np
@@ -25,12 +25,12 @@ from skyherd.video.camera_panel import BORDER_PX, PLAIN, TITLE_PX, brightened
 Float = npt.NDArray[np.float32]
 
 KNOT_PX = 8
-"""Distance on the panel between points at which the map is computed; it is linear between them, which is
-right to a tenth of a pixel of the panel."""
+"""Knot spacing of the map on the panel, px; linear interpolation between knots is accurate to 0.1 px of the
+panel."""
 
 
 class RectifiedPanel:
-    """Draws one unit's frames, rectified, into its cell of the canvas: a title, and the image below it.
+    """Drawing of one unit's rectified frames into its cell of the canvas: title, and image below.
 
     Args:
         unit: number of the unit.
@@ -57,11 +57,11 @@ class RectifiedPanel:
         self._write_title("rectified · no image yet")
 
     def to_panel(self, points_px: Array) -> Array:
-        """Places (..., 2) on the panel of points of the rectified image."""
+        """Map points (..., 2) of the rectified image to the panel."""
         return np.asarray((points_px + 0.5) * self.scale - 0.5)
 
     def draw(self, frame: UnitFrame) -> None:
-        """Draw a frame. All markers are squares of one size in it if the map is right."""
+        """Draw a frame. With a correct map, all markers are squares of one size."""
         seen = frame.sight.detections
         robots = frame.decision.detections
         self._write_title(*_titles(seen, robots, learned=not frame.decision.ground_map.ideal))
@@ -91,7 +91,7 @@ class RectifiedPanel:
         cv2.cvtColor(grey, cv2.COLOR_GRAY2RGB, dst=self._picture)
 
     def _write_title(self, *texts: str) -> None:
-        """Write the first text that there is room for, else the last one."""
+        """Draw the first text that fits, else the last one."""
         self._title[:] = rgb(PAPER)
         draw_circle(self._title, (7, TITLE_PX / 2), 6, self.color, -1)
         room = self._title.shape[1] - 20
@@ -100,7 +100,7 @@ class RectifiedPanel:
 
 
 def _between(knots: Float, size_px: tuple[int, int]) -> Float:
-    """Values (height, width, 2) between knots that are `KNOT_PX` apart, linear."""
+    """Interpolate linearly between knots `KNOT_PX` apart; return values (height, width, 2)."""
     width, height = size_px
     u, v = np.meshgrid(np.arange(width), np.arange(height))
     where = (u / KNOT_PX).astype(np.float32), (v / KNOT_PX).astype(np.float32)
@@ -108,7 +108,7 @@ def _between(knots: Float, size_px: tuple[int, int]) -> Float:
 
 
 def _titles(seen: Detections, robots: Detections, *, learned: bool) -> list[str]:
-    """What rectification does: by how much markers differ in size, before and after."""
+    """Return texts on the effect of rectification: the spread of marker sizes before and after."""
     if not learned or len(seen) < 2:
         return ["rectified: as seen"]
     before, after = (f"{100 * np.std(d.sides_px) / np.mean(d.sides_px):.2g} %" for d in (seen, robots))

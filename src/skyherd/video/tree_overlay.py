@@ -1,4 +1,4 @@
-"""The tree of units over the ground: edges, shared pairs, the unit whose turn it is, and new pairs."""
+"""Tree of units over the ground: edges, shared pairs, the unit whose turn it is, and new pairs."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -11,18 +11,18 @@ from skyherd.drawing.palette import INK, MUTED, PAPER, rgb, unit_rgb
 from skyherd.geometry import Array, IntArray
 
 FLASH_S = 2.0
-"""Simulated time for which an exchanged pair is shown as new."""
+"""Simulated time for which an exchanged pair is shown as new, s."""
 
 FLASH: Color = (255, 205, 40)
 """Colour behind a new pair and its edge."""
 
 TURN_AT = 0.28
-"""Place on an edge of the mark of the turn, as a share of its length from the unit that has the turn."""
+"""Position of the turn's mark on an edge, as a share of its length from the unit that has the turn."""
 
 
 @dataclass
 class TreeOverlay:
-    """Draws the tree step by step, in the order of time; `ids` (N,) are the robots, ascending."""
+    """Drawing of the tree step by step, in the order of time; `ids` (N,) are the robots, ascending."""
 
     ids: IntArray
     _pairs: dict[Ends, tuple[int, ...]] = field(default_factory=dict, init=False)
@@ -31,7 +31,7 @@ class TreeOverlay:
     def draw_edges(
         self, image: Image, tree: TreeSnapshot, units: Array, robots: Array, time_s: float
     ) -> None:
-        """Draw the edges between units at (U, 2), and their pairs among robots at (N, 2), all in pixels."""
+        """Draw edges between units at (U, 2), and their pairs among robots at (N, 2), all px."""
         self._note_changes(tree, time_s)
         for ends, link in tree.links.items():
             places = units[list(ends)]
@@ -49,7 +49,7 @@ class TreeOverlay:
             draw_segments(image, *dashes(units[[unit]], units[[asked]], 3.0), unit_rgb(unit), 1)
 
     def _note_changes(self, tree: TreeSnapshot, time_s: float) -> None:
-        """Note since when each edge has the pair that it has."""
+        """Note the time since which each edge has its current pair."""
         pairs = {ends: link.pair for ends, link in tree.links.items() if link.pair}
         for ends, pair in pairs.items():
             if self._pairs.get(ends) != pair:
@@ -58,7 +58,7 @@ class TreeOverlay:
 
 
 def draw_link(image: Image, units: Array, pair: Array, ends: Ends) -> None:
-    """Draw an edge, half in each unit's colour, and thin lines from both units to the shared robots."""
+    """Draw an edge, half in each unit's colour, and thin lines from both units to shared robots."""
     colors = [unit_rgb(unit) for unit in ends]
     middle = units.mean(axis=0)
     for unit, color in zip(units, colors, strict=True):

@@ -1,4 +1,4 @@
-"""How the lines and points of a detector look in figures: skyherd's own stand out from the others."""
+"""Line and marker styles of detectors in figures; skyherd's own stand out."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -15,9 +15,9 @@ MARKS = "osD^vPX<>*"
 
 
 def style_of(names: Sequence[str], name: str) -> dict[str, Any]:
-    """Style of the line of one of these detectors: solid for skyherd's own, dashed for the others.
+    """Return the line style of a detector: solid for skyherd's own, dashed for the others.
 
-    Lines of own detectors become narrower one by one, so that lines that coincide all show.
+    Lines of own detectors become narrower one by one, so that coincident lines all remain visible.
     """
     same = [other for other in names if is_ours(other) == is_ours(name)]
     index, ours = same.index(name), is_ours(name)

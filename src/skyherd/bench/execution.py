@@ -1,4 +1,4 @@
-"""The measurement of accuracy: every detector on the same frames, cell by cell, on several processes."""
+"""Accuracy measurement: every detector on the same frames, cell by cell, in parallel processes."""
 
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -21,7 +21,7 @@ from skyherd.messages import Detections
 from skyherd.vision import Detector
 
 Row = dict[str, Any]
-"""A row of the result: the factors of a cell, and what one detector achieved in it."""
+"""A row of the result: the factors of a cell, and the measurements of one detector in it."""
 
 TASK = "accuracy"
 """Name of this part of the benchmark in progress reports."""
@@ -29,14 +29,14 @@ TASK = "accuracy"
 
 @dataclass(frozen=True)
 class Plan:
-    """Which detectors are measured, and on which frames.
+    """Detectors to measure, and their frames.
 
     Attributes:
         detectors: names, or `module:factory`.
-        dictionary: of the markers, where a detector knows it.
+        dictionary: dictionary of the markers, where a detector supports it.
         seed: seed of all frames.
-        corrected: whether the constant biases of the peers are taken off.
-        source: makes the frames.
+        corrected: subtract the constant biases of the peers.
+        source: source of the frames.
     """
 
     detectors: tuple[str, ...]
@@ -93,7 +93,7 @@ def measure_cell(plan: Plan, cell: Cell, index: int) -> list[Row]:
     Args:
         plan: detectors and frames.
         cell: the condition.
-        index: number of the cell, from which the seed of its frames follows.
+        index: number of the cell, which determines the seed of its frames.
     """
     dictionaries = {name: dictionary_for(name, plan.dictionary) for name in plan.detectors}
     rows: dict[str, Row] = {}
@@ -127,14 +127,14 @@ class Entrant:
         self.times_ms: list[float] = []
 
     def measure(self, frame: Frame) -> None:
-        """Detect in one frame, take the time and score the detections; EntrantError if the detector fails."""
+        """Detect in one frame, time it and score the detections; EntrantError if the detector fails."""
         start = perf_counter()
         detections = self._detect(frame)
         self.times_ms.append(1e3 * (perf_counter() - start))
         self.scorer.add(frame, detections)
 
     def row(self) -> Row:
-        """Score and times so far, as a row of the result."""
+        """Return score and times so far, as a row of the result."""
         return {**asdict(self.scorer.score()), **time_row(self.times_ms)}
 
     def _detect(self, frame: Frame) -> Detections:
@@ -147,7 +147,7 @@ class Entrant:
 
 
 def time_row(times_ms: Sequence[float]) -> Row:
-    """Median and 99th percentile of times, ms, as a part of a row; None without any."""
+    """Return median and 99th percentile of times, ms, as a part of a row; None without any."""
     if not times_ms:
         return {"ms_median": None, "ms_p99": None}
     return {"ms_median": float(np.median(times_ms)), "ms_p99": float(np.percentile(times_ms, 99))}

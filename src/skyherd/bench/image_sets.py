@@ -1,6 +1,6 @@
-"""Sets of photographs with markers: which files, and what their markers are, from a TOML file beside them.
+"""Sets of photographs with markers: files and marker properties, from a TOML file beside them.
 
-A table for each set, named as the set is:
+Each set has a table of its name:
 
     [wall]
     files = ["wall_*.jpg", "hall/*.png"]     # patterns, from the folder of the images
@@ -10,7 +10,7 @@ A table for each set, named as the set is:
     ids_repeat = false                       # whether an image may show several markers of one id
     every = 1                                # of videos, every frame, or every second, third, …
 
-A table `board` in it says where the markers of a calibration board lie (`skyherd.bench.boards.layout`).
+Its table `board` gives the marker positions of a calibration board (`skyherd.bench.boards.layout`).
 """
 
 from collections.abc import Iterator, Sequence
@@ -30,14 +30,14 @@ from skyherd.files.video_reader import VIDEO_SUFFIXES, is_video, open_clip, read
 from skyherd.markers.dictionary import load_dictionary
 
 SETS_FILE = "photographs.toml"
-"""File name of the sets in the folder of the images."""
+"""Name of the sets' file in the folder of the images."""
 
 EXAMPLE = "skyherd bench photographs --help"
-"""Command that errors refer to: it says where the format is described."""
+"""Command that describes the format, for error messages."""
 
 
 class ImageSetModel(Model):
-    """One set of images: files, and what is known of the markers in all of them."""
+    """One set of images: files, and common properties of their markers."""
 
     files: Annotated[tuple[str, ...], Field(min_length=1)] = Field(
         description="patterns of file names, from the folder of the images"
@@ -60,12 +60,12 @@ class ImageSetModel(Model):
 
 @dataclass(frozen=True)
 class ImageSet:
-    """A set of images that are there.
+    """A set of existing images.
 
     Attributes:
-        name: of the set.
-        model: what its table says.
-        files: pictures and videos, in the order of their names; at least one.
+        name: name of the set.
+        model: its table.
+        files: pictures and videos, sorted by name; at least one.
     """
 
     name: str
@@ -74,11 +74,11 @@ class ImageSet:
 
     @property
     def dictionary(self) -> str:
-        """Name of the dictionary that detectors are given."""
+        """Name of the dictionary for detectors."""
         return self.model.dictionary
 
     def images(self) -> Iterator[tuple[str, npt.NDArray[np.uint8]]]:
-        """Read the images one by one: name of the file, of videos with the frame's number, and grey levels.
+        """Read the images one by one: file name, with the frame number for videos, and grey levels.
 
         Raises:
             InputError: a file cannot be read.
@@ -92,7 +92,7 @@ class ImageSet:
                     yield f"{path.name}#{frame.index}", frame.image
 
     def marker_options(self) -> dict[str, Any]:
-        """What a detector has to be told of the markers beside their dictionary; only what is not usual."""
+        """Return the detector options of the markers beside their dictionary that are not default."""
         usual = {"border_bits": 1, "inverted": False}
         told = {key: getattr(self.model, key) for key in usual}
         return {key: value for key, value in told.items() if value != usual[key]}
@@ -104,15 +104,15 @@ def load_image_sets(
     """Read the sets of a folder of images.
 
     Args:
-        folder: of the images.
-        sets_file: the TOML file; `photographs.toml` in the folder if left out.
-        only: names of the sets to take; all if empty.
+        folder: folder of the images.
+        sets_file: the TOML file; by default `photographs.toml` in the folder.
+        only: names of the sets to load; all if empty.
 
     Returns:
-        the sets in the order of the file; those of which no file is there are left out.
+        the sets in the order of the file, without those that have no existing file.
 
     Raises:
-        InputError: there is no such folder or file, a key is wrong, a set is not known, or no image is there.
+        InputError: the folder or file is missing, a key is wrong, a set is unknown, or there is no image.
     """
     if not folder.is_dir():
         raise InputError(str(folder), "no such folder", f"a folder of images with a {SETS_FILE} in it")
@@ -132,7 +132,7 @@ def load_image_sets(
 
 
 def read_files(image_sets: Sequence[ImageSet], folder: Path, sets_file: Path | None = None) -> list[Path]:
-    """All files that a measurement of these sets reads, none of which may be written to."""
+    """List all files that a measurement of these sets reads, none of which may be written to."""
     return [sets_file or folder / SETS_FILE, *(file for found in image_sets for file in found.files)]
 
 
@@ -149,10 +149,10 @@ def _parse_set(table: Any, where: str) -> ImageSetModel:
 
 
 def _find(folder: Path, patterns: tuple[str, ...], where: str) -> tuple[Path, ...]:
-    """Pictures and videos that match one of the patterns, each once, in the order of their paths.
+    """Find the pictures and videos that match one of the patterns, each once, sorted by path.
 
     Raises:
-        InputError: a pattern is none, as the empty one and those that begin at the root.
+        InputError: a pattern is invalid: empty, or absolute.
     """
     found = set[Path]()
     for pattern in patterns:

@@ -1,4 +1,4 @@
-"""The page and the Markdown of a measurement: what the pages of all measurements have."""
+"""Common parts of the page and the Markdown of a measurement."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -25,15 +25,15 @@ def write_page(
     """Write `NAME.html` and `NAME.md` into a folder, and return the path of the page.
 
     Args:
-        folder: of the result.
-        name: of both files, and of the template of the page, which extends `measurement.html`.
-        title: of the page.
+        folder: folder of the result.
+        name: name of both files, and of the page's template, which extends `measurement.html`.
+        title: title of the page.
         tiles: the result in a few numbers.
-        figures: to embed, in the order shown.
-        tables: the result in numbers, in the order shown.
-        environment: the programs and the machine that it was measured with.
-        refused: set, detector, and why the one cannot be read by the other.
-        **own: what this page's template refers to beside these.
+        figures: figures to embed, in the order shown.
+        tables: tables of the result, in the order shown.
+        environment: programs and machine of the measurement.
+        refused: set, detector, and the reason why the detector cannot read the set.
+        **own: additional variables of the page's template.
 
     Raises:
         OutputError: a file could not be written.
@@ -54,7 +54,7 @@ def write_page(
 
 
 def set_tiles(result: SetResult) -> list[Tile]:
-    """How much was measured on sets of photographs: detectors, images, and markers that count."""
+    """Return the extent of a measurement on photographs: detectors, images, and confirmed markers."""
     first = {row["set"]: row for row in result.rows}
     return [
         Tile(str(len(result.detectors)), "detectors"),

@@ -1,4 +1,4 @@
-"""The result of a benchmark: its rows, with what they were measured, and selections for tables and plots."""
+"""Result of a benchmark: rows, environment, and selections for tables and plots."""
 
 import json
 import os
@@ -19,20 +19,19 @@ RESULT = "bench.json"
 """File name of a result in its folder."""
 
 Row = dict[str, Any]
-"""One detector in one cell: the cell's factors, the fields of `skyherd.bench.detectors.scorer.Score`, and its
-times."""
+"""One detector in one cell: the cell's factors, its `skyherd.bench.detectors.scorer.Score`, and its times."""
 
 PACKAGES = {
     "opencv": ("opencv-python-headless", "opencv-python"),
     "pupil-apriltags": ("pupil-apriltags",),
     "locus-tag": ("locus-tag",),
 }
-"""Names of a program's packages, of which one is installed, by the name that the result has."""
+"""Alternative package names of a program, of which one is installed, by the name in the result."""
 
 
 @dataclass(frozen=True)
 class Result:
-    """What `bench.json` holds.
+    """Content of `bench.json`.
 
     Attributes:
         environment: versions of programs, the machine, and the options of the run.
@@ -51,16 +50,16 @@ class Result:
         return sorted(names, key=lambda name: not is_ours(name))
 
     def noises(self) -> list[float]:
-        """Noises of the grid, grey levels, ascending."""
+        """Return the noises of the grid, grey levels, ascending."""
         return sorted({row["noise"] for row in self.cells if row["sweep"] == GRID})
 
     def by_side(self, detector: str, noise: float) -> list[Row]:
-        """A detector's rows of the grid at one noise, ascending by marker side."""
+        """Return a detector's rows of the grid at one noise, ascending by marker side."""
         rows = [r for r in self.cells if (r["sweep"], r["detector"], r["noise"]) == (GRID, detector, noise)]
         return sorted(rows, key=lambda row: float(row["side_px"]))
 
     def along(self, sweep: Sweep, detector: str) -> list[tuple[float, Row]]:
-        """A detector's rows along a sweep, ascending by value; the base cell's too if it is one of them."""
+        """Return a detector's rows along a sweep, by value, with the base cell if it belongs to it."""
         rows = [row for row in self.cells if row["detector"] == detector]
         found = [(float(row[sweep.key]), row) for row in rows if row["sweep"] == sweep.name]
         if getattr(Cell(), sweep.key) is not None and not sweep.fixed:
@@ -68,7 +67,7 @@ class Result:
         return sorted(found, key=lambda pair: pair[0])
 
     def empty_clutter(self, detector: str) -> Row | None:
-        """A detector's row of the images of clutter without a marker; None if there is none."""
+        """Return a detector's row for images of clutter without a marker; None if there is none."""
         return next((r for r in self.cells if (r["sweep"], r["detector"]) == (EMPTY, detector)), None)
 
     def write(self, folder: Path) -> Path:
@@ -78,7 +77,7 @@ class Result:
 
 
 def read_result(folder: Path) -> Result:
-    """Read `bench.json` of a folder; InputError if it is not there or is no result."""
+    """Read `bench.json` of a folder; InputError if it is missing or not a result."""
     path = folder / RESULT
     try:
         content = read_json(path, f"a {RESULT} of `skyherd bench`, in its output folder")
@@ -88,7 +87,7 @@ def read_result(folder: Path) -> Result:
 
 
 def environment(**asked: object) -> dict[str, Any]:
-    """Versions of programs and the machine, as a result has them, below the options `asked` of the run."""
+    """Return versions of programs and the machine for a result, after the options `asked` of the run."""
     programs = {name: _first_version(packages) for name, packages in PACKAGES.items()}
     return {
         **asked,
@@ -113,7 +112,7 @@ def _first_version(packages: Iterable[str]) -> str | None:
 
 
 def _processor() -> str:
-    """The processor's name; `not known` if the system does not give it."""
+    """Return the processor's name; `not known` if the system does not state it."""
     try:
         lines = Path("/proc/cpuinfo").read_text("utf-8").splitlines()
         return next(line.partition(":")[2].strip() for line in lines if line.startswith("model name"))

@@ -1,4 +1,4 @@
-"""What a measurement on sets of photographs results in: a row for each set and detector."""
+"""Result of a measurement on sets of photographs: a row for each set and detector."""
 
 import json
 from collections.abc import Callable
@@ -18,7 +18,7 @@ class SetResult:
     Attributes:
         environment: versions of programs, the machine, and the options of the run.
         rows: one for each set and detector that can read it.
-        refused: why a detector could not read a set, by the set's and the detector's names.
+        refused: reasons why a detector could not read a set, by the names of set and detector.
     """
 
     environment: dict[str, Any]
@@ -36,11 +36,11 @@ class SetResult:
         return list(dict.fromkeys([*self.refused, *(row["set"] for row in self.rows)]))
 
     def row(self, set_name: str, detector: str) -> Row | None:
-        """The row of a set and a detector; None if it could not read the set."""
+        """Return the row of a set and a detector; None if it could not read the set."""
         return next((r for r in self.rows if (r["set"], r["detector"]) == (set_name, detector)), None)
 
     def unread(self) -> dict[str, str]:
-        """Why no detector can read a set, by the names of such sets."""
+        """Return the reason why no detector can read a set, by the names of such sets."""
         read = {row["set"] for row in self.rows}
         return {
             name: next(iter(self.refused[name].values()), "none is chosen")
@@ -49,7 +49,7 @@ class SetResult:
         }
 
     def tables_by_set(self, header: tuple[str, ...], cells: Callable[[Row], tuple[str, ...]]) -> list[Table]:
-        """A table for each set that anybody can read, with a row for each detector, as `cells` has it."""
+        """Return a table for each readable set, with a row of `cells` for each detector."""
         return [
             Table(name, "", header, tuple(cells(row) for row in self.rows if row["set"] == name))
             for name in self.sets
@@ -57,7 +57,7 @@ class SetResult:
         ]
 
     def refusals(self) -> list[tuple[str, str, str]]:
-        """Set, detector, and why the one cannot be read by the other."""
+        """Return set, detector, and the reason why the detector cannot read the set."""
         return [(name, *pair) for name, of_set in self.refused.items() for pair in of_set.items()]
 
     def write(self, path: Path) -> Path:

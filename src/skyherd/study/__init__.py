@@ -1,1 +1,1 @@
-"""Studies: a scenario run many times with other parameters, on all cores or a cluster, into one table."""
+"""Studies: a scenario run many times with varied parameters, on all cores or a cluster, into one table."""

@@ -1,4 +1,4 @@
-"""Runs on many processes through Dask: those of this machine, or those of a cluster that exists already.
+"""Execution of runs in many processes by Dask: local ones, or those of an existing cluster.
 
 A worker makes one run at a time on one thread, without any file (`skyherd.study.measure`), and sends back its
 outcome. Local workers listen to this machine alone and have no dashboard. Whoever reaches a worker can let it
@@ -118,7 +118,7 @@ def run_missions(
 
 
 def _threads(client: Client) -> int:
-    """Threads that the cluster has now, 1 at least; OutputError if the scheduler went between two batches."""
+    """Return the cluster's current threads, at least 1; OutputError if the scheduler is gone."""
     try:
         threads: int = sum(client.nthreads().values())
     except OSError:
@@ -214,7 +214,7 @@ def _connect(address: str) -> Iterator[Client]:
 
 
 def _version() -> str:
-    """Version of skyherd where this is called: on a worker."""
+    """Return skyherd's version at the place of the call: on a worker."""
     return __version__
 
 

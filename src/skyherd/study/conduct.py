@@ -1,16 +1,21 @@
-"""A study from start to finish: plan, runs that are not there yet, table, pages.
+"""A study from start to finish: plan, missing runs, table, pages.
 
-Studies are built of these parts: `spec.py` reads the file, `plan.py` lists the runs and their keys,
-`cluster.py` gives them to processes through Dask, each of which makes a run without any file (`measure.py`),
-`store.py` keeps the outcomes in Parquet files that are either whole or not there, `table.py` joins them into
-one table, and a function from table to files draws the pages (`PAGES`). The key of a run is the hash of its
-mission. Resuming a study, changing it and repeating it are therefore one question: is the key in the store?
+- `spec.py` reads the file.
+- `plan.py` lists the runs and their keys.
+- `cluster.py` distributes them to processes through Dask.
+- `measure.py` makes a run without any file.
+- `store.py` keeps the outcomes in Parquet files that are complete or absent.
+- `table.py` joins them into one table.
+- A function from table to files draws the pages (`PAGES`).
+
+The key of a run is the hash of its mission. Resuming, changing and repeating a study are therefore one
+question: is the key in the store?
 
 A new kind of pages needs an entry in `PAGES`, its name in `skyherd.study.spec.StudySpec.pages`, and, to be
 built in, a TOML file in `study/specs/`.
 
-Left in the folder: `study.json`, `parts/` (every outcome there ever was), `table.parquet` (one row a run of
-the study as it is), and the pages.
+The folder receives `study.json`, `parts/` (every outcome so far), `table.parquet` (one row per run of the
+current study), and the pages.
 """
 
 import json
@@ -35,12 +40,12 @@ from skyherd.version import __version__
 
 
 class Pages(NamedTuple):
-    """What is made of a study's table.
+    """Outputs made from a study's table.
 
     Attributes:
-        names: a function of the study: the files that `write` may write, relative to the study's folder.
-        write: a function of the study, its table and its folder that writes files and returns the paths of
-            those to look at, first the one to open. It raises OutputError where a file cannot be written.
+        names: a function of the study: the possible outputs of `write`, relative to the study's folder.
+        write: a function of the study, its table and its folder. It writes files and returns the paths for
+            viewing, the main one first. It raises OutputError where a file cannot be written.
     """
 
     names: Callable[[Study], list[str]]
@@ -52,21 +57,21 @@ PAGES: Mapping[str, Pages] = {
     "invariance": Pages(invariance_names, write_invariance),
     "methods": Pages(methods_names, write_methods),
 }
-"""The pages of studies, by the name that a study's `pages` has."""
+"""Pages of studies, by the name in a study's `pages`."""
 
 
 @dataclass(frozen=True)
 class StudyReport:
-    """What a study came to.
+    """Result of a study.
 
     Attributes:
-        table: the file with one row a run.
-        pages: the files that were made of it, first the one to open.
+        table: the file with one row per run.
+        pages: the files made from it, the main one first.
         runs: number of runs of the study.
         failed: number of runs that ended with an error.
-        reused: number of different runs whose outcome was in the folder already.
-        made: number of runs that were made now.
-        elapsed_s: wall time that these took.
+        reused: number of different runs whose outcome was already in the folder.
+        made: number of new runs.
+        elapsed_s: wall time of the new runs.
     """
 
     table: Path
@@ -87,22 +92,21 @@ def conduct(
     jobs: int | None = None,
     retry: bool = False,
 ) -> StudyReport:
-    """Make all runs of a study that its folder does not hold, then its table and pages.
+    """Make all runs of a study that its folder lacks, then its table and pages.
 
-    Outcomes are written as they come, so that a study that is interrupted or killed goes on from there when
-    it is conducted again.
+    Outcomes are written as they arrive, so that an interrupted or killed study resumes from there.
 
     Args:
         plan: the study and its runs.
         folder: a new folder, or that of a study.
-        progress: is told how many runs are made.
+        progress: receives the number of finished runs.
         scheduler: address of a Dask scheduler to run on; local processes if None.
-        jobs: number of local processes; one a core if None.
-        retry: make runs again that failed.
+        jobs: number of local processes; one per core if None.
+        retry: repeat failed runs.
 
     Raises:
-        InputError: the folder holds something else, or the scheduler is no good.
-        OutputError: something cannot be written, or the cluster is gone.
+        InputError: the folder holds something else, or the scheduler is not usable.
+        OutputError: writing failed, or the cluster is gone.
     """
     pages = PAGES[plan.study.spec.pages]
     with open_store(folder, study_mark(plan.study), _names(plan)) as store:
@@ -129,17 +133,17 @@ def conduct(
 
 
 def preview(plan: Plan, folder: Path, *, retry: bool = False) -> dict[str, Run]:
-    """Runs that `conduct` would make in a folder, by key; changes nothing.
+    """Return the runs that `conduct` would make in a folder, by key; change nothing.
 
     Raises:
-        InputError: as `conduct` does of the folder.
+        InputError: as `conduct` does about the folder.
     """
     check_store(folder, _names(plan))
     return missing_runs(plan, Store(folder), retry=retry)
 
 
 def _names(plan: Plan) -> list[str]:
-    """Files that a study leaves in its folder beside the store's."""
+    """Return the files of a study in its folder beside the store's."""
     return [TABLE, *PAGES[plan.study.spec.pages].names(plan.study)]
 
 
@@ -151,7 +155,7 @@ def _make_runs(
     scheduler: str | None,
     jobs: int | None,
 ) -> None:
-    """Make runs and store their outcomes as they come."""
+    """Make runs and store their outcomes as they arrive."""
     began_s, made, failed = monotonic(), 0, 0
     missions = ((key, plan.mission(run)) for key, run in missing.items())
     with open_client(scheduler, jobs) as client:
@@ -165,17 +169,17 @@ def _make_runs(
 
 
 def runs_per_s(runs: int, elapsed_s: float) -> float:
-    """Throughput, 0 as long as no time has passed."""
+    """Return the throughput, 0 if no time has passed."""
     return runs / elapsed_s if elapsed_s > 0 else 0.0
 
 
 def missing_runs(plan: Plan, store: Store, *, retry: bool = False) -> dict[str, Run]:
-    """Runs that are not in a store, by key, each once; with `retry`, those that failed as well."""
+    """Return the runs that are not in a store, by key, each once; with `retry`, also failed ones."""
     known = store.keys([CURVE + name for name in plan.study.spec.curves], failed=not retry)
     return {run.key: run for run in plan.runs if run.key not in known}
 
 
 def study_mark(study: Study) -> str:
-    """The content of `study.json`: the study in full, as JSON, and the version of skyherd that made it."""
+    """Return the content of `study.json`: the full study as JSON, and the version of skyherd."""
     spec = study.spec.model_dump(mode="json", exclude_none=True)
     return json.dumps({"skyherd": __version__, "study": study.name, **spec}, indent=2) + "\n"

@@ -1,4 +1,4 @@
-"""A study's table as Markdown, and as the figures that the study's file describes."""
+"""A study's table as Markdown, and figures defined in the study's file."""
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
@@ -25,22 +25,22 @@ MARKS = "osD^vPX<"
 """Matplotlib markers of the lines of a figure."""
 
 MAX_ERRORS = 5
-"""Most different errors of failed runs that are listed; the others are counted."""
+"""Maximum number of different errors that are listed; the others are counted."""
 
 MAX_TICKS = 9
-"""With at most this many values of x each has a tick of its own; more would overlap."""
+"""Maximum number of values of x with a tick each; more would overlap."""
 
 HEIGHT_IN = 4.2
 """Height of a figure, inches."""
 
 
 def figure_names(study: Study) -> list[str]:
-    """Names of the files that `write_figure_pages` may write into the study's folder."""
+    """Return the possible outputs of `write_figure_pages` in the study's folder."""
     return [MARKDOWN, *(f"{model.name}.png" for model in study.spec.figures)]
 
 
 def write_figure_pages(study: Study, table: pa.Table, folder: Path) -> list[Path]:
-    """Write `table.md`, and a PNG for each figure of the study that has anything to show.
+    """Write `table.md`, and a PNG for each figure of the study that has data.
 
     Returns:
         the figures and then the Markdown file.
@@ -69,12 +69,12 @@ def _save(figure: Figure, path: Path) -> Path:
 
 
 def draw_figure(model: FigureModel, rows: Sequence[Row], spec: StudySpec) -> Figure | None:
-    """Draw a figure of a study: for each line and each x the median of the runs, and their range.
+    """Draw a figure of a study: median and range of the runs for each line and x.
 
-    Where x is drawn at random, each run is a dot of its own.
+    Where x is drawn at random, each run is a separate dot.
 
     Args:
-        model: the figure as the study's file describes it.
+        model: the figure's definition in the study's file.
         rows: rows of the table of runs without an error.
         spec: the study.
 
@@ -122,7 +122,7 @@ def _draw_points(axes: Axes, points: list[tuple[float, float]], *, dots: bool, *
 
 
 def _places(axes: Axes, values: Sequence[Any], *, log: bool) -> dict[Any, float]:
-    """Where values of x lie on the axis: numbers at their value, others side by side, each with its name."""
+    """Return axis positions of the values of x: numbers at their value, others side by side, with names."""
     distinct = _distinct(values)
     if all(_is_number(value) for value in distinct):
         if log and distinct[0] > 0:
@@ -138,9 +138,9 @@ def _places(axes: Axes, values: Sequence[Any], *, log: bool) -> dict[Any, float]
 
 
 def markdown_table(spec: StudySpec, table: pa.Table) -> str:
-    """The table in Markdown: a row for each combination of parameters, with medians and ranges.
+    """Return the table in Markdown: medians and ranges for each combination of parameters.
 
-    Runs that differ only in the seed or in parameters that are drawn at random share a row.
+    Runs that differ only in the seed or in randomly drawn parameters share a row.
     """
     keys = [key for key in spec.parameters if key != "seed" and key not in spec.drawn]
     keys = [*([SWEEP] if spec.sweeps else []), *keys]
@@ -169,14 +169,14 @@ def markdown_table(spec: StudySpec, table: pa.Table) -> str:
 
 
 def field_label(name: str) -> str:
-    """The label of a field of the summary, with its unit in brackets."""
+    """Return the label of a field of the summary, with its unit in brackets."""
     field = SUMMARY_FIELDS[name]
     unit = "rad" if field.kind == "angle" else field.unit
     return f"{field.label} ({unit})" if unit else field.label
 
 
 def _spread(values: list[Any]) -> str:
-    """Values in one cell: median and range of numbers, the count of those that are true, or all texts."""
+    """Return the values of one cell: median and range of numbers, the count of true values, or all texts."""
     known = [value for value in values if value is not None]
     if not known:
         return "–"
@@ -189,7 +189,7 @@ def _spread(values: list[Any]) -> str:
 
 
 def complaints(table: pa.Table) -> list[str]:
-    """The errors of failed runs as one Markdown list, the most frequent first; nothing if none failed."""
+    """Return the errors of failed runs as a Markdown list, most frequent first; empty if none failed."""
     errors = Counter(error for error in table[ERROR].to_pylist() if error is not None)
     lines = [f"- {count} failed: {error}" for error, count in errors.most_common(MAX_ERRORS)]
     more = len(errors) - len(lines)
@@ -205,7 +205,7 @@ def _is_number(value: Any) -> bool:
 
 
 def _distinct(values: Iterable[Any]) -> list[Any]:
-    """Each value once: numbers ascending, all else as it came."""
+    """Return each value once: numbers ascending, others in their order."""
     distinct = list({_hashable(value): value for value in values}.values())
     return sorted(distinct) if all(_is_number(value) for value in distinct) else distinct
 

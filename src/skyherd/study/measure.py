@@ -1,4 +1,4 @@
-"""One run of a study on a worker: from the mission to the values that are kept, without any file."""
+"""One run of a study on a worker: from the mission to the stored values, without any file."""
 
 from collections.abc import Sequence
 from time import perf_counter
@@ -14,20 +14,20 @@ from skyherd.loop import run_steps
 from skyherd.study.spec import CURVE, SUMMARY_FIELDS
 
 Outcome = dict[str, Any]
-"""What is kept of a run: `key`, `error`, fields of the summary, and arrays of the history."""
+"""Stored values of a run: `key`, `error`, fields of the summary, and arrays of the history."""
 
 
 def measure(key: str, mission: Mission, curves: Sequence[str]) -> Outcome:
-    """Run a mission on one thread; any exception becomes the outcome's error, so that other runs go on.
+    """Run a mission on one thread; any exception becomes the outcome's error, so that other runs continue.
 
     Args:
-        key: of the run.
-        mission: what to run.
+        key: key of the run.
+        mission: mission to run.
         curves: fields of `skyherd.analysis.history.History` to keep.
 
     Returns:
-        `key`, `error` (None if there was none), the summary's values (None for those that the mission does
-        not have), and the named arrays of the history as `history.NAME`.
+        `key`, `error` (None without one), the summary's values (None for missing ones), and the named arrays
+        of the history as `history.NAME`.
     """
     cv2.setNumThreads(1)
     started_s = perf_counter()
@@ -43,5 +43,5 @@ def measure(key: str, mission: Mission, curves: Sequence[str]) -> Outcome:
 
 
 def failure(key: str, error: str) -> Outcome:
-    """The outcome of a run that failed, its error as one line."""
+    """Return the outcome of a failed run, with its error as one line."""
     return {"key": key, "error": " ".join(error.split()) or "an error that says nothing"}

@@ -1,4 +1,4 @@
-"""What varies between the runs of a study: values of keys, grids, draws, sweeps and tasks."""
+"""Variation between the runs of a study: values of keys, grids, draws, sweeps and tasks."""
 
 from typing import Annotated, Any, Self
 
@@ -9,7 +9,7 @@ from skyherd.datasets.configuration.fields import Coordinate, Positive, Seed
 
 
 def _keys(tree: Any) -> Any:
-    """`{a: {b: value}}` as `{"a.b": value}`: TOML reads a dotted key without quotes as tables."""
+    """Convert `{a: {b: value}}` to `{"a.b": value}`: TOML reads an unquoted dotted key as tables."""
     if not isinstance(tree, dict):
         return tree
     flat: dict[str, Any] = {}
@@ -26,11 +26,11 @@ def _kind(value: Any) -> Any:
 
 
 Whole = Annotated[int, Field(gt=-(2**63), lt=2**63)]
-"""A whole number that TOML and JSON hold."""
+"""An integer that TOML and JSON can hold."""
 
 
 class DrawModel(Model):
-    """How the values of a key are drawn: exactly one of these; `[a, b]` alone is `uniform`."""
+    """Distribution of a key's values: exactly one of these; `[a, b]` alone is `uniform`."""
 
     uniform: tuple[Coordinate, Coordinate] | None = Field(None, description="[least, greatest]")
     log: tuple[Positive, Positive] | None = Field(
@@ -61,7 +61,7 @@ class RandomModel(Model):
 
 
 class Parts(Model):
-    """Values that replace those of the scenario, by its keys, in which `*` is every item of a list."""
+    """Values that replace those of the scenario, by key; `*` matches every item of a list."""
 
     set: Annotated[dict[str, Any], BeforeValidator(_keys)] = Field({}, description="one value a key")
     grid: Annotated[dict[str, Annotated[list[Any], Field(min_length=1)]], BeforeValidator(_keys)] = Field(
@@ -71,7 +71,7 @@ class Parts(Model):
 
     @property
     def keys(self) -> list[str]:
-        """Every key of the scenario that is replaced, in the order given."""
+        """All replaced keys of the scenario, in the order given."""
         return [*self.set, *self.grid, *(self.random.draw if self.random else ())]
 
     @model_validator(mode="after")
@@ -82,13 +82,13 @@ class Parts(Model):
 
 
 class SweepModel(Parts):
-    """One series of runs; its keys replace those at the top of the study, which replace the scenario's."""
+    """One series of runs; its keys override those at the top of the study, which override the scenario's."""
 
     name: str = Field(min_length=1, description="what the table calls it")
     about: str = Field("", description="what it is, as pages say it")
 
     def over(self, top: Parts) -> "SweepModel":
-        """The sweep with the keys of the top of the study added that it does not have itself."""
+        """Return the sweep with missing keys taken from the top of the study."""
         mine = set(self.keys)
         random = self.random
         if random is None and top.random is not None:
@@ -104,7 +104,7 @@ class SweepModel(Parts):
 
 
 class TaskModel(Model):
-    """One task of a set: every sweep does it, with its own keys beside those of the task."""
+    """One task of a set; every sweep performs it, with its own keys beside those of the task."""
 
     name: str = Field(min_length=1, description="what tables call it")
     about: str = Field("", description="what it is, as pages say it")

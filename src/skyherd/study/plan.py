@@ -1,4 +1,4 @@
-"""The runs of a study: the settings of each, and the key under which its outcome is kept."""
+"""Runs of a study: settings of each, and the key under which its outcome is kept."""
 
 import hashlib
 import json
@@ -31,14 +31,14 @@ Settings = dict[str, Any]
 """Values that replace those of a scenario, by dotted key."""
 
 MAX_RUNS = 1_000_000
-"""Runs of the largest study, in all its sweeps. *Chosen*: a day's work for a large cluster; a grid of twenty
-keys with three values each has three thousand times as many."""
+"""Maximum number of runs of a study, in all its sweeps. *Chosen*: a day's work for a large cluster; a grid of
+twenty keys with three values each has three thousand times as many."""
 
 NO_TASK = TaskModel.model_construct(name="", about="", set={})
-"""What every sweep of a study without tasks is run on: the scenario as it is."""
+"""Task of a study without tasks: the unchanged scenario."""
 
 SHOWN_VALUE = 40
-"""Most characters of a value that are shown in a line about a run."""
+"""Maximum length of a shown value, characters."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class Run:
 
     Attributes:
         sweep: the sweep it belongs to.
-        task: the task that it is a run of; empty where the study has none.
+        task: its task; empty if the study has none.
         settings: values that replace those of the scenario, by dotted key.
         parameters: the scenario's values at all keys that vary in the study.
         key: hash of everything that its outcome depends on.
@@ -60,7 +60,7 @@ class Run:
     key: str
 
     def text(self) -> str:
-        """What makes the run differ from the others of its study, in a line."""
+        """Return the distinguishing settings of the run in one line."""
         values = ", ".join(f"{key}={_short(value)}" for key, value in self.parameters.items())
         return ": ".join(filter(None, (self.sweep, self.task, values))) or "as the scenario has it"
 
@@ -79,7 +79,7 @@ class Plan:
 
 
 def make_plan(study: Study) -> Plan:
-    """List the runs of a study, after each was checked as a scenario of its own would be.
+    """List the runs of a study, each checked as its own scenario.
 
     Raises:
         InputError: in one line, the file, the key, the value, and what is allowed.
@@ -100,7 +100,7 @@ def make_plan(study: Study) -> Plan:
 
 
 def _check_count(study: Study) -> None:
-    """Refuse more than `MAX_RUNS`: a grid of few lines may have more points than can be counted through.
+    """Reject more than `MAX_RUNS`: a short grid may have too many points to enumerate.
 
     Raises:
         InputError: the study has too many runs.
@@ -114,10 +114,10 @@ def _check_count(study: Study) -> None:
 
 
 def mission_key(mission: Mission) -> str:
-    """Hash, 32 hexadecimal digits, of everything that a run depends on.
+    """Return a hash, 32 hexadecimal digits, of everything that a run depends on.
 
-    That is the scenario, the content of its pictures, and skyherd's version; the paths of the pictures and
-    the scenario's description do not count. Runs of different studies that are the same have the same key.
+    This covers the scenario, the content of its pictures, and skyherd's version. The paths of the pictures
+    and the scenario's description do not count. Equal runs of different studies have the same key.
     """
     scenario = mission.scenario.model_dump(mode="json")
     scenario["description"] = scenario["template"]["image"] = scenario["ground"]["image"] = None
@@ -134,7 +134,7 @@ def mission_key(mission: Mission) -> str:
 
 
 def sweep_settings(sweep: SweepModel) -> Iterator[Settings]:
-    """Yield the settings of a sweep run by run; every point of the grid has the same random draws."""
+    """Yield the settings of a sweep run by run; every grid point has the same random draws."""
     count = sweep.random.runs if sweep.random else 1
     for number in range(count):
         drawn = draw_settings(sweep.random, number) if sweep.random else {}
@@ -145,7 +145,7 @@ def sweep_settings(sweep: SweepModel) -> Iterator[Settings]:
 def draw_settings(random: RandomModel, number: int) -> Settings:
     """Draw number `number` of every key at random.
 
-    Each key has a random stream of its own, so that further runs or keys do not change the other draws.
+    Each key has its own random stream, so that further runs or keys do not change the other draws.
     """
 
     def stream(key: str) -> np.random.Generator:
@@ -156,7 +156,7 @@ def draw_settings(random: RandomModel, number: int) -> Settings:
 
 
 def draw_value(model: DrawModel, rng: np.random.Generator) -> Any:
-    """Draw one value of a parameter as its model says."""
+    """Draw one value of a parameter from its distribution."""
     if model.choice is not None:
         return model.choice[draw_integer(rng, (0, len(model.choice) - 1))]
     if model.whole is not None:
@@ -169,7 +169,7 @@ def draw_value(model: DrawModel, rng: np.random.Generator) -> Any:
 
 
 def study_source(study: Study) -> ScenarioSource:
-    """The scenario of a study, beside its file or built in; InputError if it is missing or no good."""
+    """Return the scenario of a study, beside its file or built in; InputError if missing or invalid."""
     name = study.spec.scenario
     beside = study.folder / name
     try:
@@ -186,7 +186,7 @@ def _mission(source: ScenarioSource, settings: Settings, where: str) -> Mission:
 
 
 def _value(dump: dict[str, Any], key: str) -> Any:
-    """A value of a checked scenario; None where the key of another sweep does not exist in this one."""
+    """Return a value of a checked scenario; None if the key belongs to another sweep."""
     try:
         return get_value(dump, key)
     except (KeyError, IndexError, TypeError, ValueError):
@@ -198,6 +198,6 @@ def _pairs(points: np.ndarray) -> list[list[float]]:
 
 
 def _short(value: Any) -> str:
-    """A value as text of at most `SHOWN_VALUE` characters."""
+    """Return a value as text of at most `SHOWN_VALUE` characters."""
     text = f"{value:.6g}" if isinstance(value, float) else str(value)
     return text if len(text) <= SHOWN_VALUE else f"{text[: SHOWN_VALUE - 1]}…"

@@ -1,4 +1,4 @@
-"""The keys of study files: what each means, and what is allowed."""
+"""Keys of study files, their meaning and allowed values."""
 
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, Self
@@ -13,16 +13,16 @@ from skyherd.files.reading import is_regular
 from skyherd.study.parts import Parts, SweepModel, TaskModel
 
 BUILT_IN = "skyherd.study.specs"
-"""Package whose TOML files are the built-in studies."""
+"""Package of the built-in studies' TOML files."""
 
 CURVE = "history."
 """Prefix of fields of a run's history, which are arrays over time, beside those of its summary."""
 
 REFERENCE = "reference"
-"""Name of the sweep of a study of cameras that the others are compared with."""
+"""Name of the reference sweep of a study of cameras."""
 
 RUN_KEYS = ("perception", "control.rectify", "seed")
-"""Keys of the grid of a study of cameras that are no parameters of the camera."""
+"""Grid keys of a study of cameras that are not camera parameters."""
 
 INVARIANCE_KEEPS = ("goal_error_m", "shape_error", f"{CURVE}positions_m")
 METHODS_KEEPS = (
@@ -41,14 +41,14 @@ METHODS_KEEPS = (
     f"{CURVE}messages_per_robot_s",
     f"{CURVE}numbers_per_robot_s",
 )
-"""Fields that studies with pages of the kinds `invariance` and `methods` must keep."""
+"""Required fields of studies with pages of the kinds `invariance` and `methods`."""
 
 SUMMARY_FIELDS = {field.key: field for group in GROUPS.values() for field in group if field.kind != "ids"}
 """Fields of the summary that a study can keep, by key."""
 
 
 class FigureModel(Model):
-    """A figure of the table: medians with their range over the runs, or a dot a run where x is drawn."""
+    """A figure of the table: medians with ranges over the runs, or a dot per run where x is random."""
 
     name: str = Field(pattern=r"^\w[\w-]*$", description="of the PNG")
     title: str = ""
@@ -64,7 +64,7 @@ class FigureModel(Model):
 
 
 class StudySpec(Parts):
-    """A study: a scenario, what varies between runs, and what is kept of each."""
+    """A study: a scenario, its variations, and the stored values of each run."""
 
     description: str = Field("", description="what it is for")
     scenario: str = Field(description="a built-in scenario, or a TOML file beside the study")
@@ -138,7 +138,7 @@ class StudySpec(Parts):
         return self
 
     def _check_tasks(self) -> None:
-        """Each task has its own name, and keys that no sweep has; together they have a version."""
+        """Check that tasks have unique names, keys of no sweep, and together a version."""
         names = [task.name for task in self.tasks]
         if len(set(names)) < len(names):
             raise ValueError("tasks: give each its own name")
@@ -151,22 +151,22 @@ class StudySpec(Parts):
 
     @property
     def fields(self) -> list[str]:
-        """The fields of the summary that are kept."""
+        """Stored fields of the summary."""
         return [name for name in self.keep if not name.startswith(CURVE)]
 
     @property
     def curves(self) -> list[str]:
-        """The fields of the history that are kept, without their prefix."""
+        """Stored fields of the history, without their prefix."""
         return [name.removeprefix(CURVE) for name in self.keep if name.startswith(CURVE)]
 
     @property
     def all_sweeps(self) -> list[SweepModel]:
-        """The sweeps, each with the keys of the top added; one without a name if the study has none."""
+        """Sweeps with the keys of the top added; one without a name if the study has none."""
         return [sweep.over(self) for sweep in self.sweeps or [SweepModel.model_construct(name="")]]
 
     @property
     def parameters(self) -> list[str]:
-        """Every key that may differ between runs, in the order given."""
+        """All keys that may differ between runs, in the order given."""
         own = [key for part in self.sweeps for key in part.keys]
         own += [key for task in self.tasks for key in task.set]
         drawn = self.random.draw if self.random else {}
@@ -174,12 +174,12 @@ class StudySpec(Parts):
 
     @property
     def drawn(self) -> frozenset[str]:
-        """The keys that are drawn at random in some sweep."""
+        """Keys that are drawn at random in some sweep."""
         return frozenset(key for sweep in self.all_sweeps if sweep.random for key in sweep.random.draw)
 
 
 class Study(NamedTuple):
-    """A checked study: name, content, how errors refer to it, and the folder in which it lies."""
+    """A checked study: name, content, name in error messages, and its folder."""
 
     name: str
     spec: StudySpec
@@ -188,17 +188,17 @@ class Study(NamedTuple):
 
 
 def study_names() -> list[str]:
-    """Names of the built-in studies."""
+    """List the names of the built-in studies."""
     return built_in_names(BUILT_IN)
 
 
 def study_text(name: str) -> str:
-    """The TOML text of a built-in study; InputError if there is none of that name."""
+    """Return the TOML text of a built-in study; InputError if the name is unknown."""
     return built_in_text(BUILT_IN, name, "study")
 
 
 def load_study(name_or_file: str, *, quick: bool = False) -> Study:
-    """Read and check a built-in study or a TOML file, with its table `quick` merged over it if asked.
+    """Read and check a built-in study or a TOML file, optionally with its table `quick` merged.
 
     Raises:
         InputError: in one line, the file, the key, the value, and what is allowed.
@@ -220,7 +220,7 @@ def load_study(name_or_file: str, *, quick: bool = False) -> Study:
 
 
 def _merge(under: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
-    """Merge two trees: tables are merged, everything else is replaced."""
+    """Merge two trees: tables are merged, other values are replaced."""
     merged = dict(under)
     for key, value in over.items():
         both = isinstance(value, dict) and isinstance(under.get(key), dict)

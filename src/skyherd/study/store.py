@@ -1,7 +1,7 @@
-"""Outcomes on disk: small Parquet files that are either whole or not there.
+"""Outcomes on disk: small Parquet files that are complete or absent.
 
 A part is written under another name and then renamed, so that a process that is killed at any instant loses
-at most what it had not yet written. Parts are numbered, and the last outcome of a run counts.
+only unwritten outcomes. Parts are numbered, and the last outcome of a run counts.
 """
 
 import re
@@ -22,20 +22,20 @@ from skyherd.files.reading import is_regular, open_regular
 from skyherd.study.measure import Outcome
 
 PARTS, MARK = "parts", "study.json"
-"""Names in a study's folder: the folder of parts, and the file that says which study it is."""
+"""Names in a study's folder: the folder of parts, and the file that identifies the study."""
 
 PART_NAME = re.compile(r"[0-9]{8}\.parquet")
 """Names of the parts, which are numbered."""
 
 VERB = "study"
-"""Verb by which the record of output folders (`skyherd.files.output_folder`) knows the files of a study."""
+"""Verb under which the record of output folders (`skyherd.files.output_folder`) lists a study's files."""
 
 KEY, ERROR = "key", "error"
 """Columns that every outcome has."""
 
 
 class Store:
-    """The outcomes in a study's folder. Only a store from `open_store` may be written to."""
+    """Outcomes in a study's folder. Only a store from `open_store` is writable."""
 
     def __init__(self, folder: Path, on_append: Callable[[], None] = lambda: None) -> None:
         self.folder = folder / PARTS
@@ -49,11 +49,11 @@ class Store:
         self._on_append()
 
     def keys(self, columns: Sequence[str] = (), *, failed: bool = True) -> set[str]:
-        """Keys of the runs whose outcome is stored.
+        """Return the keys of the runs whose outcome is stored.
 
         Args:
             columns: only runs with a value in all of these.
-            failed: runs that ended with an error as well.
+            failed: include failed runs.
         """
         table = self.read()
         if any(name not in table.column_names for name in columns):
@@ -69,7 +69,7 @@ class Store:
         }
 
     def read(self) -> pa.Table:
-        """Read all outcomes, one row a run, the last one of each."""
+        """Read all outcomes, one row per run, the last one of each."""
         tables = [_read(path) for path in self._paths()]
         if not tables:
             return pa.table({KEY: pa.array([], pa.string()), ERROR: pa.array([], pa.string())})
@@ -82,7 +82,7 @@ class Store:
         return table.take(sorted(last.values()))
 
     def compact(self) -> None:
-        """Replace all parts by one, written before the others are removed, so that no row is missing."""
+        """Replace all parts by one, written before the others are removed, so that no row is lost."""
         paths = self._paths()
         if len(paths) > 1:
             self._write(self.read())
@@ -99,15 +99,15 @@ class Store:
 
 
 def write_parquet(table: pa.Table, path: Path) -> Path:
-    """Write a table to a Parquet file, whole or not at all; OutputError if it cannot be written."""
+    """Write a table to a Parquet file atomically; OutputError if it cannot be written."""
     return write_whole(path, lambda part: pq.write_table(table, part, compression="zstd"))
 
 
 def check_store(folder: Path, names: Sequence[str] = ()) -> OutputFolder:
-    """The output folder of a study, not yet entered; arguments are those of `open_store`. Changes nothing.
+    """Return the output folder of a study, not entered; arguments as `open_store`. Change nothing.
 
     Raises:
-        InputError: the folder holds something else, or a file that would be replaced and that no study made.
+        InputError: the folder holds something else, or a foreign file that would be replaced.
     """
     if _is_foreign(folder):
         raise InputError(str(folder), "holds something else", "a new folder, or that of a study; see --out")
@@ -118,14 +118,14 @@ def check_store(folder: Path, names: Sequence[str] = ()) -> OutputFolder:
 
 @contextmanager
 def open_store(folder: Path, mark: str, names: Sequence[str] = ()) -> Iterator[Store]:
-    """Open the store in a folder for one process at a time, and write `mark` to `study.json` beside it.
+    """Open the store in a folder for one process at a time, and write `mark` to `study.json`.
 
-    If the body of the `with` fails before an outcome is stored in a new folder, nothing is left of it.
+    If the body of the `with` fails before the first outcome in a new folder, nothing is left of it.
 
     Args:
         folder: a new folder, or that of a study.
-        mark: content of `study.json`: which study it is.
-        names: further files that will be written into the folder.
+        mark: content of `study.json`, which identifies the study.
+        names: additional outputs in the folder.
 
     Raises:
         InputError: as `check_store` does, or another process uses the folder.
@@ -138,7 +138,7 @@ def open_store(folder: Path, mark: str, names: Sequence[str] = ()) -> Iterator[S
 
 
 def _read(path: Path) -> pa.Table:
-    """A part; InputError if it is not one that `Store.append` wrote."""
+    """Read a part; InputError if `Store.append` did not write it."""
     advice = "remove it, and its runs are made again"
     try:
         with open_regular(path, advice) as stream:
@@ -158,7 +158,7 @@ def _read(path: Path) -> pa.Table:
 
 
 def _is_foreign(folder: Path) -> bool:
-    """Whether the folder has content that is not of a study."""
+    """Return whether the folder has content that does not belong to a study."""
     if not is_directory(folder) or is_regular(folder / MARK):
         return False
     return any(entry.name != RECORD and not PART.fullmatch(entry.name) for entry in folder.iterdir())

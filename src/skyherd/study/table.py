@@ -1,4 +1,4 @@
-"""The table of a study: one row a run, in the study's order, with its parameters and what was kept of it."""
+"""Table of a study: one row per run, in the study's order, with parameters and stored values."""
 
 import json
 from pathlib import Path
@@ -34,7 +34,7 @@ def make_table(plan: Plan, outcomes: pa.Table) -> pa.Table:
 
     Returns:
         a table with the columns `sweep` (if the study has sweeps), `task` (if it has tasks), every parameter,
-        every field kept, `error`, `key`.
+        every stored field, `error`, `key`.
     """
     place = {key: row for row, key in enumerate(outcomes[KEY].to_pylist())}
     rows = outcomes.take([place[run.key] for run in plan.runs])
@@ -49,10 +49,10 @@ def make_table(plan: Plan, outcomes: pa.Table) -> pa.Table:
 
 
 def read_table(folder: Path) -> pa.Table:
-    """Read the table in the folder of a study that was finished.
+    """Read the table in the folder of a finished study.
 
     Raises:
-        InputError: there is none, or it is damaged.
+        InputError: it is missing or damaged.
     """
     try:
         return pq.read_table(folder / TABLE)
@@ -63,13 +63,13 @@ def read_table(folder: Path) -> pa.Table:
 
 
 def good_rows(table: pa.Table) -> list[Row]:
-    """The rows of runs without an error, without their arrays over time."""
+    """Return the rows of runs without an error, without their arrays over time."""
     names = [name for name in table.column_names if not name.startswith(CURVE)]
     return [row for row in table.select(names).to_pylist() if row[ERROR] is None]
 
 
 def _column(values: list[Any]) -> pa.Array:
-    """A column of values; as JSON texts where they have no common type."""
+    """Return a column of values; as JSON texts if they have no common type."""
     if not any(isinstance(value, dict) for value in values):
         try:
             return pa.array(values)

@@ -1,14 +1,14 @@
-"""From residuals to errors: medians, the floor that all detectors share, and whether covariances hold.
+"""Errors from residuals: medians, the common error floor, and consistency of covariances.
 
 **Errors.** The standardised residuals of a marker's corners give its centre's error (their mean), the
-corners' errors, and the heading's (the turn that fits them best). The learned errors of the board are
-uncertain themselves: their variance is taken off, in the mean over all markers of a set.
+corners' errors, and the heading's (the best-fitting rotation). The learned errors of the board are uncertain
+themselves. Their variance is subtracted, averaged over all markers of a set.
 
-**The floor.** What two independent detectors get wrong in the same way is the board, the lens, the shutter or
-the image, and no error of either: the covariance of their residuals, estimated from the spread of sum and
-difference, (V(a + b) - V(a - b)) / 4. The image's noise moves both alike, too. How far is measured by adding
-noise to the images: the covariance of the shifts, in proportion to the image's own noise, is taken off.
-The floor is that of the two most accurate detectors of different families.
+**The floor.** Common errors of two independent detectors come from the board, the lens, the shutter or the
+image. The covariance of their residuals measures them. It is estimated from the spread of sum and difference,
+(V(a + b) - V(a - b)) / 4. Image noise also moves both detectors alike. Added noise measures this effect: the
+covariance of the shifts, scaled to the image's own noise, is subtracted. The floor is that of the two most
+accurate detectors of different families.
 """
 
 from collections.abc import Mapping, Sequence
@@ -25,11 +25,11 @@ RAYLEIGH_MEDIAN = float(np.sqrt(2 * np.log(2)))
 """Median length of a vector of two independent standard normal variables. Derived."""
 
 FEWEST_COMMON = 20
-"""Fewest markers that two detectors must both have found for a floor. Chosen: a variance from fewer is off by
-more than a third."""
+"""Minimum number of common markers of two detectors for a floor. Chosen: a variance from fewer has an error
+above a third."""
 
 QUANTITIES = ("center", "corner", "heading")
-"""What has an error: of the centre and of corners in px, of the heading in degrees."""
+"""Quantities with an error: centre and corners in px, heading in degrees."""
 
 
 @dataclass(frozen=True)
@@ -41,9 +41,9 @@ class MarkerErrors:
         center: (N, 2) of the centre, px.
         corner: (N, 8) of the corners, px.
         heading: (N, 1) degrees.
-        learned: variances of the board's learned errors that are in these, by the quantity's name, per axis.
+        learned: variances of the board's learned errors included here, by the quantity's name, per axis.
         covariances: (N, 3, 3) that the detector reports, of (u, v, heading), in px and rad.
-        outliers: number of markers that lie far from where they must be; not among the N.
+        outliers: number of markers far from their predicted positions; not among the N.
     """
 
     keys: Array
@@ -55,26 +55,26 @@ class MarkerErrors:
     outliers: int
 
     def values(self, quantity: str) -> Array:
-        """Errors (N, axes) of a quantity."""
+        """Return the errors (N, axes) of a quantity."""
         return np.asarray(getattr(self, quantity))
 
     def share_of_detector(self, quantity: str) -> float:
-        """Factor for lengths that takes off the variance of the board's learned errors."""
+        """Return the length factor that removes the variance of the board's learned errors."""
         variance = robust_sigma(self.values(quantity)) ** 2
         return float(np.sqrt(max(1 - self.learned[quantity] / variance, 0.0))) if variance > 0 else 1.0
 
     def median(self, quantity: str) -> float:
-        """Median of the centre's and corners' distance from where they must be, px, or of |heading|, deg."""
+        """Return the median distance of centre or corners from their prediction, px, or |heading|, deg."""
         lengths = _lengths(self.values(quantity))
         return float(np.median(lengths)) * self.share_of_detector(quantity)
 
     def percentile(self, quantity: str, percent: float) -> float:
-        """Percentile of the same."""
+        """Return a percentile of the distances of `median`."""
         lengths = _lengths(self.values(quantity))
         return float(np.percentile(lengths, percent)) * self.share_of_detector(quantity)
 
     def nees(self, quantity: str, floor: float) -> float | None:
-        """Mean of error² over the reported variance with the floor's, of centre or heading; None without any.
+        """Return the mean of error² over the reported variance plus the floor's; None without any.
 
         Args:
             quantity: `center` or `heading`.
@@ -90,7 +90,7 @@ class MarkerErrors:
 
 
 def collect_errors(fits: Sequence[Fitted], learned: BoardErrors) -> MarkerErrors | None:
-    """Errors of all fits of one detector in one set; None if there is no marker."""
+    """Collect the errors of all fits of one detector in one set; None if there is no marker."""
     parts = [(one, one.fit.standardised(learned.without[one.image])) for one in fits]
     keys, centers, corners, headings, covariances, spreads = [], [], [], [], [], []
     outliers = 0
@@ -119,7 +119,7 @@ def collect_errors(fits: Sequence[Fitted], learned: BoardErrors) -> MarkerErrors
 
 
 def turns_deg(fit: BoardFit, residuals: Array) -> Array:
-    """Turns (..., M), degrees, that fit the residuals (..., M, 4, 2) of the corners best: small ones."""
+    """Return the small rotations (..., M), degrees, that best fit corner residuals (..., M, 4, 2)."""
     corners = to_complex(fit.predicted_px)
     arms = corners - corners.mean(axis=1, keepdims=True)
     crossed = (arms.conj() * to_complex(residuals)).imag.sum(axis=-1)
@@ -129,12 +129,12 @@ def turns_deg(fit: BoardFit, residuals: Array) -> Array:
 def find_floor(
     errors: Mapping[str, MarkerErrors], shifts: Mapping[str, MarkerErrors], share: float
 ) -> dict[str, float | None]:
-    """Standard deviation of each axis that all detectors share, by quantity; None without two families.
+    """Estimate the common standard deviation per axis, by quantity; None without two families.
 
     Args:
-        errors: of each detector in a set.
-        shifts: by how much added noise moved what each detector found, in the same form.
-        share: variance of the images' own noise over that of the added.
+        errors: errors of each detector in a set.
+        shifts: shifts of each detector's results by added noise, in the same form.
+        share: variance of the images' own noise over that of the added noise.
     """
     floors: dict[str, float | None] = {}
     for quantity in QUANTITIES:
@@ -155,7 +155,7 @@ def find_floor(
 
 
 def covariance(one: MarkerErrors, other: MarkerErrors, quantity: str) -> float | None:
-    """Robust covariance of two detectors' errors of the same markers, per axis; None of too few markers."""
+    """Return the robust covariance, per axis, of two detectors' errors; None of too few common markers."""
     rows = {tuple(key): row for row, key in enumerate(other.keys.tolist())}
     pairs = [(k, rows[tuple(key)]) for k, key in enumerate(one.keys.tolist()) if tuple(key) in rows]
     if len(pairs) < FEWEST_COMMON:
@@ -166,16 +166,16 @@ def covariance(one: MarkerErrors, other: MarkerErrors, quantity: str) -> float |
 
 
 def only(errors: MarkerErrors, keys: set[tuple[int, ...]]) -> MarkerErrors:
-    """The errors of some markers."""
+    """Select the errors of some markers."""
     keep = np.array([tuple(key) in keys for key in errors.keys.tolist()], dtype=bool)
     parts = {name: getattr(errors, name)[keep] for name in ("keys", *QUANTITIES, "covariances")}
     return replace(errors, **parts)
 
 
 def _learned_variances(fit: BoardFit, learned: BoardErrors) -> Array:
-    """Variances (M, 3) per axis of centre, corners and heading that come from the board's learned errors.
+    """Return the variances (M, 3) per axis of centre, corners and heading from the learned board errors.
 
-    px² and, of the heading, deg².
+    In px² and, for the heading, deg².
     """
     count = len(fit.ids)
     apart = np.zeros((count, 4, 2, 4, 2))
@@ -192,7 +192,7 @@ def _learned_variances(fit: BoardFit, learned: BoardErrors) -> Array:
 
 
 def _lengths(values: Array) -> Array:
-    """Lengths of the vectors (u, v) in rows, or magnitudes of single values."""
+    """Return the lengths of the vectors (u, v) in rows, or magnitudes of single values."""
     if values.shape[1] == 1:
         return np.abs(values[:, 0])
     return np.asarray(np.linalg.norm(values.reshape(-1, 2), axis=1))

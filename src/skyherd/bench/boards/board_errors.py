@@ -1,14 +1,13 @@
-r"""What a board itself has wrong, learned from all detectors and images together.
+r"""Errors of a board itself, estimated from all detectors and images together.
 
-Print, paper and the grid of a monitor displace each corner by δ from where the layout has it. All images
-share δ, so that least squares finds it: Σ w |e - J δ|², with the residuals e of every detector's fits, the
-fits' Jacobians J from the board to the image, and weights w of one over the variance of the detector in its
-set.
-What a homography and a polynomial explain is no error of the board, and stays 0.
+Print, paper and the pixel grid of a monitor displace each corner by δ from the layout. All images share δ,
+so that least squares finds it: Σ w |e - J δ|². Here e are the residuals of every detector's fits, J the fits'
+Jacobians from the board to the image, and w one over the variance of the detector in its set. Displacements
+that a homography and a polynomial explain are not board errors, and stay 0.
 
-For the residuals of an image, δ comes from the *other* images: with S = Σ w JᵀJ and the image's own share
-S_i, b_i = Σ w Jᵀ e of it, leaving it out moves δ by -(S - S_i)⁻¹ b_i. How far the images disagree about δ
-says how uncertain it is: its covariance, one of n images left out, is (n / (n - 1))² Σ S⁻¹ b_i b_iᵀ S⁻¹.
+For the residuals of an image, δ comes from the *other* images. With S = Σ w JᵀJ, and the image's own share
+S_i and b_i = Σ w Jᵀ e, leaving it out moves δ by -(S - S_i)⁻¹ b_i. The disagreement between images gives the
+uncertainty of δ. Its covariance, one of n images left out, is (n / (n - 1))² Σ S⁻¹ b_i b_iᵀ S⁻¹.
 """
 
 from collections.abc import Sequence
@@ -20,23 +19,23 @@ from skyherd.bench.boards.board_fit import BoardFit, robust_sigma
 from skyherd.geometry import Array
 
 PASSES = 12
-"""Number of passes over all residuals. Chosen: the fits take part of δ away, so that a pass leaves a share of
-it, a tenth to a third; what is left after twelve is below a thousandth."""
+"""Number of passes over all residuals. Chosen: the fits absorb a part of δ, so that a pass leaves a tenth to
+a third of it; after twelve, less than a thousandth is left."""
 
 FEWEST_IMAGES = 3
-"""Fewest images in which a marker must be seen for its δ to be learned; of fewer it stays 0. Chosen: with one
+"""Minimum number of images of a marker for which δ is estimated; with fewer it stays 0. Chosen: with one
 image left out, two remain."""
 
 
 @dataclass(frozen=True)
 class Fitted:
-    """A fit, and where it is from.
+    """A fit and its origin.
 
     Attributes:
-        set_name: of the image's set.
+        set_name: set of the image.
         image: number of the image among all images of the board.
-        detector: whose fit it is.
-        fit: of the board to what the detector found.
+        detector: detector of the fit.
+        fit: fit of the board to the detections.
     """
 
     set_name: str
@@ -50,7 +49,7 @@ class BoardErrors:
     """Errors of one board.
 
     Attributes:
-        displacements: (K, 4, 2) δ of each corner, in marker sides; 0 where too little is known.
+        displacements: (K, 4, 2) δ of each corner, in marker sides; 0 with too little data.
         without: (I, K, 4, 2) the same, from all images but one.
         variances: (K, 8, 8) covariance of the corners' coordinates in `without`, in squared marker sides.
     """
@@ -61,7 +60,7 @@ class BoardErrors:
 
 
 def learn_board_errors(fits: Sequence[Fitted], markers: int, images: int) -> BoardErrors:
-    """Learn the errors of a board with this many markers from all fits to it in this many images."""
+    """Estimate the errors of a board with this many markers from all its fits in this many images."""
     delta = np.zeros((markers, 4, 2))
     for _ in range(PASSES):
         sigmas = detector_sigmas(fits, delta)
@@ -77,7 +76,7 @@ def learn_board_errors(fits: Sequence[Fitted], markers: int, images: int) -> Boa
 
 
 def detector_sigmas(fits: Sequence[Fitted], delta: Array | None) -> dict[tuple[str, str], float]:
-    """Robust standard deviation of the corners' residuals, px, of each detector in each set."""
+    """Return the robust standard deviation of corner residuals, px, of each detector in each set."""
     values: dict[tuple[str, str], list[Array]] = {}
     for one in fits:
         values.setdefault((one.set_name, one.detector), []).append(one.fit.raw(delta).ravel())
@@ -87,7 +86,7 @@ def detector_sigmas(fits: Sequence[Fitted], delta: Array | None) -> dict[tuple[s
 def _sums(
     fits: Sequence[Fitted], sigmas: dict[tuple[str, str], float], delta: Array, markers: int, images: int
 ) -> tuple[Array, Array, Array]:
-    """Of each image: Σ w JᵀJ (I, K, 4, 2, 2), Σ w Jᵀe (I, K, 4, 2), and who was seen (I, K)."""
+    """Return Σ w JᵀJ (I, K, 4, 2, 2), Σ w Jᵀe (I, K, 4, 2) and visibility (I, K) of each image."""
     whole = np.zeros((images, markers, 4, 2, 2))
     pull = np.zeros((images, markers, 4, 2))
     seen = np.zeros((images, markers), dtype=bool)
@@ -103,7 +102,7 @@ def _sums(
 
 
 def _solved(whole: Array, pull: Array) -> Array:
-    """Solutions (..., 2) of `whole` x = `pull`; 0 where nothing is known."""
+    """Return the solutions (..., 2) of `whole` x = `pull`; 0 where singular."""
     known = np.linalg.det(whole) > 0
     safe = np.where(known[..., None, None], whole, np.eye(2))
     return np.where(known[..., None], np.linalg.solve(safe, pull[..., None])[..., 0], 0.0)

@@ -1,14 +1,14 @@
-r"""The fit of a board to what one detector found in one image, and residuals with a marker left out.
+r"""Fit of a board to one detector's result in one image, and leave-one-out residuals.
 
-A homography takes the board to points q of the image, and polynomials of q in u and in v, of one degree for
-both, stand for the lens: with degree 3, for radial distortion k1, and for tangential distortion. What is left
-of the observed corners is linear in the polynomials' coefficients, so that leaving a marker out needs no new
-fit: with the hat matrix H of least squares and the residuals e of all corners, those of marker m against the
-fit to all others are (I - H_mm)^-1 e_m. For noise of variance σ² they have the covariance
-σ² (I - H_mm)^-1. Standardised residuals, (I - H_mm)^-1/2 e_m, have σ² again, whether it is the corners' noise
-or the whole marker's, and are what is reported: the error of the detector, without that of the fit.
+A homography maps the board to points q of the image. Polynomials of q in u and in v, of one degree for both,
+model the lens: with degree 3, radial distortion k1 and tangential distortion. The remaining error of the
+observed corners is linear in the polynomials' coefficients, so that leaving a marker out needs no new fit.
+With the hat matrix H of least squares and the residuals e of all corners, the residuals of marker m against
+the fit to all others are (I - H_mm)^-1 e_m. For noise of variance σ² they have the covariance
+σ² (I - H_mm)^-1. Standardised residuals, (I - H_mm)^-1/2 e_m, have variance σ² again, both for noise of
+corners and of the whole marker. They are reported: the error of the detector without that of the fit.
 
-Markers that lie far from where the others put them are kept out of the fit, and judged by it.
+Outliers, markers far from the prediction of the others, are excluded from the fit and evaluated against it.
 """
 
 from dataclasses import dataclass, replace
@@ -23,24 +23,25 @@ from skyherd.geometry import MEDIAN_PER_SIGMA, Array, BoolArray, IntArray, apply
 from skyherd.markers.dictionary import pose_of_corners
 
 RANSAC_SIDES = 0.25
-"""Distance, in marker sides, at which a corner counts as fitting the first homography. Chosen: a wrong id is
-a side off at least; a lens bends the board by less."""
+"""Inlier distance of a corner to the first homography, in marker sides. Chosen: a wrong id is off by at least
+a side; a lens bends the board by less."""
 
 OUTLIER_SIGMAS = 8.0
-"""Residual, in robust standard deviations, beyond which a marker is kept out of the fit. Chosen: far out of
-any noise, so that no marker is left out because it is merely inaccurate."""
+"""Residual, in robust standard deviations, above which a marker is an outlier. Chosen: far above any noise,
+so that merely inaccurate markers stay."""
 
 ROUNDS = 3
-"""Number of fits, each without the outliers of the one before."""
+"""Number of fits, each without the outliers of the previous one."""
 
 SPARE_MARKERS = 2
-"""Markers needed beyond those that have as many corners as a polynomial has terms."""
+"""Markers needed beyond those whose corners equal the number of polynomial terms."""
 
 MAX_LEVERAGE = 0.95
-"""Largest eigenvalue of H_mm at which a marker is judged; beyond it, the others hardly say where it is."""
+"""Largest eigenvalue of H_mm at which a marker is evaluated; above it, the others barely determine its
+position."""
 
 STEP = 1e-3
-"""Step of the differences that give a fit's derivatives, in marker sides. Chosen: the map is smooth over many
+"""Step of the finite differences of a fit's derivatives, in marker sides. Chosen: the map is smooth over many
 sides, so that the error is of the order of the step's square, and that of rounding 1e-10."""
 
 
@@ -52,10 +53,10 @@ class BoardFit:
         ids: (M,) of the markers, each once.
         rows: (M,) their rows in arrays of the board's markers.
         residuals_px: (M, 4, 2) observed corners less the homography of the nominal ones.
-        jacobians: (M, 4, 2, 2) of homography and lens: px for a marker side on the board.
+        jacobians: (M, 4, 2, 2) of homography and lens: px per marker side on the board.
         predicted_px: (M, 4, 2) the homography of the nominal corners.
-        basis: (M, 4, P) the polynomials at the corners, orthonormal over the markers that are fitted.
-        fitted: (M,) whether a marker takes part in the fit.
+        basis: (M, 4, P) the polynomials at the corners, orthonormal over the fitted markers.
+        fitted: (M,) True for markers that take part in the fit.
         covariances: (M, 3, 3) that the detector reports.
     """
 
@@ -69,7 +70,7 @@ class BoardFit:
     covariances: Array
 
     def raw(self, board_error: Array | None = None) -> Array:
-        """Residuals (M, 4, 2), px, of the fit to all markers that are fitted.
+        """Return the residuals (M, 4, 2), px, of the fit to all fitted markers.
 
         Args:
             board_error: (K, 4, 2) displacement of the corners on the board, in marker sides.
@@ -82,22 +83,23 @@ class BoardFit:
         return np.asarray(left - self.basis @ coefficients)
 
     def standardised(self, board_error: Array | None = None) -> Array:
-        """Standardised residuals (M, 4, 2), px, each marker against the fit to all others.
+        """Return standardised residuals (M, 4, 2), px, each marker against the fit to all others.
 
-        They are NaN if the others cannot say where the marker is.
+        They are NaN if the others do not determine the marker's position.
         """
         return np.asarray(self._whitening @ self.raw(board_error))
 
     def left_out(self) -> Array:
-        """Residuals (F, 4, 2), px, of the markers that are fitted, each against the fit to all others.
+        """Return leave-one-out residuals (F, 4, 2), px, of the fitted markers.
 
-        They have the errors of that fit in them; NaN if the others cannot say where the marker is.
+        They include the errors of the fit to the others; NaN if the others do not determine the marker's
+        position.
         """
         return np.asarray((self._whitening @ self._whitening @ self.raw())[self.fitted])
 
     @cached_property
     def _whitening(self) -> Array:
-        """(I - H_mm)^-1/2 of markers that are fitted, (I + G_mm)^-1/2 of others, (M, 4, 4)."""
+        """(I - H_mm)^-1/2 of fitted markers, (I + G_mm)^-1/2 of others, (M, 4, 4)."""
         values, vectors = np.linalg.eigh(self.basis @ self.basis.swapaxes(1, 2))
         signed = np.where(self.fitted[:, None], -values, values)
         scales = np.where(signed > -MAX_LEVERAGE, 1 + signed, np.nan) ** -0.5
@@ -105,14 +107,14 @@ class BoardFit:
 
 
 def fit_board(corners: dict[int, Array], seen: Sightings, degree: int) -> BoardFit | None:
-    """Fit a board to what was found in an image; None if that is too little, or no board.
+    """Fit a board to the detections in an image; None with too few, or without a board.
 
     Ids that are not on the board, or that were found several times, are left out.
 
     Args:
         corners: (4, 2) of each marker by id, in marker sides.
-        seen: what a detector found.
-        degree: of the polynomials.
+        seen: detections.
+        degree: degree of the polynomials.
     """
     rows_of = {marker_id: row for row, marker_id in enumerate(corners)}
     ids, first, count = np.unique(seen.ids, return_index=True, return_counts=True)
@@ -153,7 +155,7 @@ def fit_board(corners: dict[int, Array], seen: Sightings, degree: int) -> BoardF
 
 
 def _find_homography(nominal: Array, observed_px: Array, reach_px: float) -> Array | None:
-    """The homography (3, 3) that takes most corners to within a reach of where they are; None without one."""
+    """Find the homography (3, 3) with most corners within the inlier distance; None without one."""
     found: Any = cv2.findHomography(nominal.reshape(-1, 2), observed_px.reshape(-1, 2), cv2.RANSAC, reach_px)[
         0
     ]
@@ -161,12 +163,12 @@ def _find_homography(nominal: Array, observed_px: Array, reach_px: float) -> Arr
 
 
 def terms(degree: int) -> int:
-    """Number of monomials in two variables up to a degree."""
+    """Return the number of monomials in two variables up to a degree."""
     return (degree + 1) * (degree + 2) // 2
 
 
 def robust_sigma(values: Array) -> float:
-    """Standard deviation of normal values around 0 that have this median magnitude; NaNs are left out."""
+    """Return the standard deviation of zero-mean normal values of this median magnitude, without NaNs."""
     known = values[np.isfinite(values)]
     return float(np.median(np.abs(known)) / MEDIAN_PER_SIGMA) if known.size else float("nan")
 
@@ -178,7 +180,7 @@ def _inliers(standardised: Array) -> BoolArray:
 
 @dataclass(frozen=True)
 class _Frame:
-    """Shift and scale by which the points of an image are taken into the unit square around 0."""
+    """Shift and scale that normalise the points of an image to the unit square about 0."""
 
     middle_px: Array
     reach_px: float
@@ -189,7 +191,7 @@ class _Frame:
         return _Frame((low + high) / 2, float((high - low).max()) / 2)
 
     def monomials(self, points_px: Array, degree: int) -> Array:
-        """All monomials (..., P) up to a degree of points (..., 2)."""
+        """Return all monomials (..., P) up to a degree of points (..., 2)."""
         inside = ((points_px - self.middle_px) / self.reach_px)[..., None]
         ones = np.ones((*points_px.shape, 1))
         powers = np.concatenate([ones, *np.repeat(inside[None], degree, axis=0)], axis=-1).cumprod(axis=-1)
@@ -206,7 +208,7 @@ def _jacobians(
     nominal: Array,
     degree: int,
 ) -> Array:
-    """Derivatives (M, 4, 2, 2) of the images of the board's points (M, 4, 2), by central differences."""
+    """Return derivatives (M, 4, 2, 2) of the images of board points (M, 4, 2), by central differences."""
     columns = basis.shape[2]
     known = basis[fit.fitted].reshape(-1, columns), fit.residuals_px[fit.fitted].reshape(-1, 2)
     coefficients = np.linalg.lstsq(*known, rcond=None)[0]

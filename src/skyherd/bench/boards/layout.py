@@ -1,4 +1,4 @@
-"""Calibration boards: where each marker's corners lie on the board, nominally.
+"""Calibration boards: nominal corner positions of each marker on the board.
 
 A table `board` in a set's table (`skyherd.bench.image_sets`):
 
@@ -11,10 +11,10 @@ A table `board` in a set's table (`skyherd.bench.image_sets`):
     gap = 0.3            # aprilgrid and aruco: space between markers, in sides of a marker
     first_id = 0
     name = "monitor"     # sets with the same name show the same board; that of the set if left out
-    degree = 5           # of the polynomials that stand for the lens; chosen by the errors if left out
+    degree = 5           # of the polynomials that model the lens; chosen by the errors if left out
 
-An AprilGrid is as Kalibr prints it: ids run from the lower left, row by row upwards. The markers of an ArUco
-grid run from the upper left, row by row downwards, as OpenCV has them.
+An AprilGrid has Kalibr's order: ids run from the lower left, row by row upwards. The markers of an ArUco grid
+have OpenCV's order: from the upper left, row by row downwards.
 """
 
 from typing import Annotated, Literal
@@ -29,7 +29,7 @@ from skyherd.geometry import Array
 from skyherd.markers.dictionary import dictionary_size, load_dictionary
 
 HALF_TURN = [2, 3, 0, 1]
-"""Order of the corners of a marker turned by half a turn: AprilTag's markers stand upside down in OpenCV's
+"""Corner order of a marker rotated by 180 degrees: AprilTag's markers are upside down in OpenCV's
 dictionaries (`skyherd.vision.detectors.peers`), and Kalibr prints them upright."""
 
 UNIT_SQUARE = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
@@ -53,7 +53,7 @@ class BoardModel(Model):
 
     @property
     def markers(self) -> int:
-        """How many markers it has: of a ChArUco board one in every second square."""
+        """Number of markers: on a ChArUco board one in every second square."""
         squares = self.columns * self.rows
         return squares // 2 if self.kind == "charuco" else squares
 
@@ -61,7 +61,7 @@ class BoardModel(Model):
         """Check that a dictionary has all its markers.
 
         Raises:
-            InputError: it has not, or there is no marker on the board, or not a square to either side.
+            InputError: a marker is missing, the board has no marker, or less than one square per side.
         """
         if self.kind == "charuco" and min(self.columns, self.rows) < 2:
             raise InputError(where, f"{self.columns} x {self.rows} squares", "charuco: at least 2 x 2")
@@ -72,9 +72,9 @@ class BoardModel(Model):
 
 
 def board_corners(board: BoardModel, dictionary: str) -> dict[int, Array]:
-    """Corners (4, 2) of each marker on the board by id, in marker sides, x to the right and y down.
+    """Return the corners (4, 2) of each marker on the board by id, in marker sides, x right and y down.
 
-    They are in the order of `skyherd.geometry.SQUARE_CORNERS` where the board stands upright.
+    They are in the order of `skyherd.geometry.SQUARE_CORNERS` on an upright board.
     """
     if board.kind == "charuco":
         made = cv2.aruco.CharucoBoard(

@@ -1,4 +1,4 @@
-"""Fits of all images of a board, and the choice of the polynomials' degree for the lens of each set."""
+"""Fits of all images of a board, and choice of the polynomial degree for each set's lens."""
 
 from collections.abc import Mapping, Sequence
 
@@ -10,24 +10,24 @@ from skyherd.bench.photographs.sightings import Sightings
 from skyherd.geometry import Array
 
 DEGREES = (2, 3, 4, 5, 6, 7)
-"""Degrees of the polynomials among which one is chosen. Chosen: the first is what a homography needs that was
-fitted roughly; the last has as many terms as nine markers have corners."""
+"""Candidate degrees of the polynomials. Chosen: the first corrects a rough homography; the last has as many
+terms as nine markers have corners."""
 
 TOLERANCE = 0.03
-"""Relative increase of the errors at which a lower degree is taken. Chosen: about what chance does to a
-standard deviation from a thousand residuals."""
+"""Relative increase of the errors at which a lower degree is still chosen. Chosen: about the random error of
+a standard deviation from a thousand residuals."""
 
 ImagesOfSets = Mapping[str, Sequence[Mapping[str, Sightings]]]
-"""What each detector found, by its name, in each image of each set of a board, by the set's name."""
+"""Detections of each detector, by its name, in each image of each set of a board, by the set's name."""
 
 
 def fit_images(corners: dict[int, Array], found: ImagesOfSets, degrees: Mapping[str, int]) -> list[Fitted]:
-    """Fit the board to all that was found, with the degree of each set; images are numbered through all sets.
+    """Fit the board to all detections, with the degree of each set; images are numbered through all sets.
 
     Args:
         corners: (4, 2) of each marker by id, in marker sides.
-        found: in the images of each set.
-        degrees: of the polynomials, by the set's name.
+        found: detections in the images of each set.
+        degrees: degrees of the polynomials, by the set's name.
     """
     fits = []
     before = 0
@@ -42,12 +42,12 @@ def fit_images(corners: dict[int, Array], found: ImagesOfSets, degrees: Mapping[
 
 
 def choose_degrees(corners: dict[int, Array], found: ImagesOfSets) -> dict[str, int]:
-    """The lowest degree for each set beyond which the errors hardly become smaller.
+    """Return the lowest degree for each set above which the errors barely decrease.
 
-    For each degree, fits are made and the board's errors are learned. The robust standard deviations σ of
-    each detector's standardised residuals are taken together as (Σ 1 / σ²)^-1/2: the accurate ones count.
-    Terms that are not needed do not change it, while a lens that is not described adds to it: the lowest
-    degree within `TOLERANCE` of the least is returned. Without any fit it is the lowest of all.
+    For each degree, fits are made and the board's errors are estimated. The robust standard deviations σ of
+    each detector's standardised residuals are combined as (Σ 1 / σ²)^-1/2, which favours accurate detectors.
+    Unnecessary terms do not change it, while unmodelled distortion increases it. The lowest degree within
+    `TOLERANCE` of the least is returned; without any fit, the lowest of all.
     """
     scores: dict[str, list[float]] = {name: [] for name in found}
     images = sum(len(of_set) for of_set in found.values())

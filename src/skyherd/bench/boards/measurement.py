@@ -1,4 +1,4 @@
-"""The measurement on boards: every detector on every image, once as it is and once with noise added."""
+"""Measurement on boards: every detector on every image, with and without added noise."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -34,17 +34,17 @@ ADDED_NOISE = 5.0
 their resolution, and changes no threshold of a detector on boards of usual contrast."""
 
 COMMON_RECALL = 0.8
-"""Recall from which a detector counts for the markers that all find. Chosen: one that is blind to most would
-leave next to nothing to compare."""
+"""Minimum recall of a detector that defines the common markers. Chosen: a detector with low recall would
+leave almost no common marker."""
 
 
 @dataclass(frozen=True)
 class SetErrors:
-    """What came out of one set.
+    """Errors of one set.
 
     Attributes:
-        errors: of each detector, by name.
-        floors: standard deviation that all share, by quantity, per axis; None if it is not known.
+        errors: errors of each detector, by name.
+        floors: common standard deviation, by quantity, per axis; None if unknown.
     """
 
     errors: dict[str, MarkerErrors]
@@ -53,13 +53,13 @@ class SetErrors:
 
 @dataclass
 class Measurement:
-    """All that was measured.
+    """Result of the measurement.
 
     Attributes:
         rows: one for each set and detector.
         sets: the errors behind them, by the set's name.
         boards: nominal corners (K, 4, 2) and learned errors of each board, by its name.
-        refused: why a detector could not read a set, by the set's and the detector's names.
+        refused: reasons why a detector could not read a set, by the names of set and detector.
     """
 
     rows: list[Row] = field(default_factory=list)
@@ -70,7 +70,7 @@ class Measurement:
 
 @dataclass
 class _SetRun:
-    """What detectors found in the images of one set."""
+    """Detections in the images of one set."""
 
     image_set: ImageSet
     board: BoardModel
@@ -95,8 +95,8 @@ def measure_boards(
     Args:
         image_sets: the images; sets without a board are left out.
         reported: names of the detectors that get rows.
-        judges: names of the detectors that take part in learning and confirming, beside the reported ones.
-        progress: is told the number of images done.
+        judges: names of additional detectors that take part in learning and confirming.
+        progress: receives the number of processed images.
 
     Raises:
         InputError: no set has a board, or an image cannot be read.
@@ -153,7 +153,7 @@ def _count(run: _SetRun, found: dict[str, Sightings]) -> None:
 
 
 def _measure_board(measured: Measurement, name: str, runs: list[_SetRun], reported: Sequence[str]) -> None:
-    """Fit all sets of one board, learn its errors, and add the rows of its sets."""
+    """Fit all sets of one board, estimate its errors, and add the rows of its sets."""
     corners = board_corners(runs[0].board, runs[0].image_set.dictionary)
     clean = {run.image_set.name: run.clean for run in runs}
     degrees = {run.image_set.name: run.board.degree for run in runs}
@@ -185,7 +185,7 @@ def _by_detector(fits: Sequence[Fitted], learned: BoardErrors) -> dict[str, Mark
 
 
 def _shifts(clean: Sequence[Fitted], noisy: Sequence[Fitted]) -> dict[str, MarkerErrors]:
-    """By how much the added noise moved the markers that a detector found both times, by its name."""
+    """Return the marker shifts by added noise for markers found both times, by detector."""
     shifts = {}
     noisy_fits = {(one.image, one.detector): one.fit for one in noisy}
     for name in dict.fromkeys(one.detector for one in clean):
@@ -217,7 +217,7 @@ def _shifts(clean: Sequence[Fitted], noisy: Sequence[Fitted]) -> dict[str, Marke
 
 
 def _common(run: _SetRun, errors: Mapping[str, MarkerErrors]) -> set[tuple[int, ...]]:
-    """Images and ids of the markers that all detectors find which find most."""
+    """Return image and id of the markers that all detectors of high recall find."""
     able = [one for name, one in errors.items() if run.found[name] >= COMMON_RECALL * run.confirmed]
     return set.intersection(*({tuple(key) for key in one.keys.tolist()} for one in able)) if able else set()
 
@@ -250,7 +250,7 @@ def _row(
 def _error_columns(
     errors: MarkerErrors | None, common: set[tuple[int, ...]], floors: Mapping[str, float | None]
 ) -> Row:
-    """Medians, what of them is beyond the floor, 95th percentiles and NEES; None where nothing is known."""
+    """Return medians, their excess over the floor, 95th percentiles and NEES; None where unknown."""
     columns: Row = {}
     shared = None if errors is None else only(errors, common)
     for quantity in QUANTITIES:

@@ -1,4 +1,4 @@
-"""The page of a measurement on boards: `boards.html`, its Markdown and its figures."""
+"""Page of a measurement on boards: `boards.html`, its Markdown and its figures."""
 
 from pathlib import Path
 
@@ -14,7 +14,7 @@ PAGE, MARKDOWN, RESULT = "boards.html", "boards.md", "boards.json"
 """File names in the result's folder."""
 
 FIGURES = ("distributions", "medians", "boards")
-"""Names of the figures that `skyherd.bench.boards.plots.make_panels` may make."""
+"""Names of the possible figures of `skyherd.bench.boards.plots.make_panels`."""
 
 OUTPUT_NAMES = (
     RESULT,
@@ -22,7 +22,7 @@ OUTPUT_NAMES = (
     MARKDOWN,
     *(f"figures/{name}{kind}" for name in FIGURES for kind in (".png", ".svg")),
 )
-"""All that may be written into the result's folder, relative to it."""
+"""All possible outputs in the result's folder, relative to it."""
 
 
 def write_outputs(result: SetResult, measured: Measurement, folder: Path) -> Path:
@@ -45,7 +45,7 @@ def write_outputs(result: SetResult, measured: Measurement, folder: Path) -> Pat
 
 
 def _tiles(result: SetResult) -> list[Tile]:
-    """The run in a few numbers: how much was measured, and the least error."""
+    """Return the run in a few numbers: its extent, and the least error."""
     tiles = set_tiles(result)
     best = [(row["center_px"], row["detector"], row["set"]) for row in result.rows if row["center_px"]]
     if best:

@@ -1,4 +1,4 @@
-"""The result on boards as figures: how errors are distributed, medians over the floor, the boards' errors."""
+"""Figures of the result on boards: error distributions, medians over the floor, board errors."""
 
 import numpy as np
 from matplotlib.axis import Axis
@@ -14,15 +14,15 @@ from skyherd.plots.panels import Panel
 from skyherd.plots.style import legend_above, new_figure, plain
 
 LOWEST_PX = 0.005
-"""Where the axes of errors begin, px. Chosen: below the median of any detector on photographs."""
+"""Lower end of error axes, px. Chosen: below the median of any detector on photographs."""
 
 ARROW_SIDES = 0.35
-"""Length of the median arrow in the figure of a board's errors, in marker sides. Chosen: arrows are seen, and
-hardly reach the next marker."""
+"""Length of the median arrow in the figure of a board's errors, in marker sides. Chosen: arrows are visible,
+and barely reach the next marker."""
 
 
 def make_panels(result: SetResult) -> tuple[Panel[Measurement], ...]:
-    """The figures of a result, to be drawn of what was measured, in the order shown."""
+    """Return the figures of a result, in the order shown."""
     return (
         Panel(
             "distributions",
@@ -49,7 +49,7 @@ def make_panels(result: SetResult) -> tuple[Panel[Measurement], ...]:
 
 
 def draw_distributions(result: SetResult, measured: Measurement) -> Figure | None:
-    """Draw, for each set, the share of markers whose centre is off by less than a distance."""
+    """Draw, for each set, the cumulative distribution of centre errors."""
     sets = [name for name, found in measured.sets.items() if found.errors]
     if not sets:
         return None
@@ -123,7 +123,7 @@ def _plain_logarithms(axis: Axis) -> None:
 
 
 def draw_boards(measured: Measurement) -> Figure | None:
-    """Draw where the corners of each board are displaced to, as arrows, longer than they are."""
+    """Draw the displacements of each board's corners as enlarged arrows."""
     boards = {name: found for name, found in measured.boards.items() if found[1].displacements.any()}
     if not boards:
         return None

@@ -1,4 +1,4 @@
-"""The result on boards as tables of texts, for the terminal, the page and Markdown alike."""
+"""Text tables of the result on boards, for the terminal, the page and Markdown."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -10,14 +10,14 @@ from skyherd.bench.table import NONE, Table, share, short
 
 @dataclass(frozen=True)
 class Comparison:
-    """A table that compares the detectors in each set: title and note, and what a row of the result says."""
+    """A table that compares the detectors in each set: title, note, and a column of the result."""
 
     title: str
     note: str
     cell: Callable[[Row], str]
 
     def table(self, result: SetResult) -> Table:
-        """Rows of detectors, columns of sets; without detectors of which there is no number."""
+        """Return rows of detectors and columns of sets, without detectors that have no number."""
         sets = [name for name in result.sets if name not in result.unread()]
         body = []
         for detector in result.detectors:
@@ -34,7 +34,7 @@ def make_tables(result: SetResult) -> list[Table]:
 
 
 def set_tables(result: SetResult) -> list[Table]:
-    """A table for each set, with a row for each detector, narrow enough for a terminal."""
+    """Make a table for each set, with a row for each detector, narrow enough for a terminal."""
 
     def cells(row: Row) -> tuple[str, ...]:
         return (
@@ -52,7 +52,7 @@ def set_tables(result: SetResult) -> list[Table]:
 
 
 def fine(value: float | None) -> str:
-    """A small number with three decimals; `–` for None."""
+    """Format a small number with three decimals; `–` for None."""
     return NONE if value is None else f"{value:.3f}"
 
 
@@ -67,7 +67,7 @@ def _nees(row: Row) -> str:
 
 
 def _errors(row: Row, kind: str = "") -> str:
-    """Errors of centre, corners and heading, of a kind such as `_common`: px, px and degrees."""
+    """Return errors of centre, corners and heading, of a kind such as `_common`: px, px and degrees."""
     keys = (f"center{kind}_px", f"corner{kind}_px", f"heading{kind}_deg")
     return " / ".join(fine(row[key]) for key in keys)
 
@@ -125,4 +125,4 @@ COMPARISONS = (
         lambda row: f"{share(row['recall'])}, {short(row['ms_median'])}, {short(row['times_reference'])}x",
     ),
 )
-"""The tables that compare detectors, in the order shown."""
+"""Tables that compare detectors, in the order shown."""

@@ -9,7 +9,7 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 from skyherd.drawing.palette import INK, MUTED
 
 AIM = 1.2
-"""Ratio of RMSE to bound that the detectors aim at; a dotted line in the figures."""
+"""Target ratio of RMSE to bound; a dotted line in the figures."""
 
 SIDE_TICKS = (8, 12, 16, 20, 30, 40, 60, 100)
 """Marker sides, px, that have a tick."""
@@ -18,11 +18,11 @@ RATIO_TICKS = (1, 2, 5, 10, 20, 50, 100, 200, 500)
 """Ratios that have a tick."""
 
 MARGIN = 1.15
-"""Factor by which logarithmic axes reach beyond the least and the greatest value."""
+"""Factor by which logarithmic axes extend beyond the least and the greatest value."""
 
 
 def side_axis(axes: Axes, sides_px: Iterable[float]) -> None:
-    """Make the horizontal axis one of marker sides, px: logarithmic, with ticks in plain numbers."""
+    """Format the horizontal axis for marker sides, px: logarithmic, with ticks as plain numbers."""
     sides = sorted(set(sides_px))
     axes.set_xscale("log")
     ticks = [side for side in SIDE_TICKS if sides[0] <= side <= sides[-1]]
@@ -32,7 +32,7 @@ def side_axis(axes: Axes, sides_px: Iterable[float]) -> None:
 
 
 def span(panels: Sequence[Axes], low: float, high: float) -> tuple[float, float]:
-    """Limits of logarithmic axes that show all lines of some panels, and the values `low` and `high`."""
+    """Return log limits that show all lines of some panels, and the values `low` and `high`."""
     lines = [line for axes in panels for line in axes.lines]
     drawn = np.concatenate([[low, high], *(np.asarray(line.get_ydata(), float) for line in lines)])
     shown = drawn[np.isfinite(drawn) & (drawn > 0)]
@@ -40,7 +40,7 @@ def span(panels: Sequence[Axes], low: float, high: float) -> tuple[float, float]
 
 
 def ratio_axes(panels: Sequence[Axes]) -> None:
-    """Make the vertical axes ratios to the bound: logarithmic, all alike, with lines at 1 and at `AIM`."""
+    """Format vertical axes for ratios to the bound: logarithmic, equal, with lines at 1 and at `AIM`."""
     low, high = span(panels, 0.9, 3.0)
     for axes in panels:
         _ratio_axis(axes, low, high)
@@ -57,6 +57,6 @@ def _ratio_axis(axes: Axes, low: float, high: float) -> None:
 
 
 def share_axes(panels: Sequence[Axes]) -> None:
-    """Make the vertical axes shares from 0 to 1."""
+    """Format vertical axes for shares from 0 to 1."""
     for axes in panels:
         axes.set_ylim(-0.03, 1.03)

@@ -1,10 +1,12 @@
-"""What is measured: cells, each one condition under which every detector is given the same frames.
+"""Design of the benchmark: cells, each one condition with common frames for every detector.
 
 The design is a grid of marker side by noise, and sweeps of one factor at a time around the base cell (30 px,
 noise 5). Where a cell does not fix the blur, each camera has its own, spread over 0.5 to 1.5 px, which no
-detector is given. Some sweeps hold other factors at values of their own: those of the lens's blur have a
-sharp Gaussian beside it, a drawing has no blur and plain ground, and blur that differs from marker to marker
-needs a tilt. The bound is always that of the raw pixels: what a camera does to them afterwards can only lose.
+detector knows.
+
+Some sweeps hold other factors at special values. Those of the lens's blur have a sharp Gaussian beside it. A
+drawing has no blur and plain ground. Spatially varying blur needs a tilt. The bound is always that of the raw
+pixels: processing in the camera can only lose information.
 """
 
 from collections.abc import Iterable, Mapping
@@ -21,17 +23,17 @@ MIDDLE_GREY = 130.0
 clipped."""
 
 GROUND_GREY = 128.0
-"""Mean grey level of the ground, but in drawings."""
+"""Mean grey level of the ground, except in drawings."""
 
 MAX_MARKERS = 16
-"""Most markers in an image: a grid of four by four."""
+"""Maximum number of markers in an image: a grid of four by four."""
 
 SMALL_IMAGES_PX = 40.0
-"""Markers up to this side, px, are shown in images of 640x480, larger ones in 1280x960."""
+"""Marker side, px, up to which images have 640x480 pixels instead of 1280x960."""
 
 
 NO_FACTORS = ("blur_px", "markers", "cameras", "frames")
-"""Fields of a cell that its rows do not have: they say how much is measured, or have their own columns."""
+"""Fields of a cell that its rows omit: they state the sample size, or have their own columns."""
 
 
 @dataclass(frozen=True)
@@ -44,14 +46,14 @@ class Cell:
         noise: standard deviation of the sensor's noise, grey levels.
         blur_px: standard deviation of the lens's blur; None: of each camera's own.
         motion_px: length of the streak that the exposure makes of a point, in a direction drawn per frame.
-        contrast: white less black, grey levels.
+        contrast: white minus black, grey levels.
         tilt_deg: angle between optical axis and vertical, in a direction drawn per camera.
         uneven: change of the light from one side of the image to the other, as a share of its mean.
         occlusion: share of each marker's square that a dark disc about one of its corners covers.
         clutter: dark quadrilaterals in view.
         touching: side of black squares that touch the markers' corners, as on AprilGrid boards, in marker
             sides.
-        plain: whether the ground is as white as the cards, without texture, as in a drawing.
+        plain: True if the ground is as white as the cards, without texture, as in a drawing.
         disc_px: radius of the disc of defocus, beside the Gaussian.
         coma_px: C of the lens's coma, in a direction drawn per camera.
         defocus_px: radius of the disc in the image corner that is farthest out of focus; the middle is in
@@ -116,13 +118,13 @@ class Cell:
         return (640, 480) if self.side_px <= SMALL_IMAGES_PX else (1280, 960)
 
     def blur_of(self, camera: int) -> float:
-        """Blur of one camera, px: the cell's, or one of an even spread over `BLURS_PX`."""
+        """Return the blur of one camera, px: the cell's, or one of an even spread over `BLURS_PX`."""
         if self.blur_px is not None:
             return self.blur_px
         return float(np.interp((camera + 0.5) / self.cameras, (0, 1), BLURS_PX))
 
     def factors(self) -> dict[str, float | int | str | None]:
-        """The factors of the cell by name, as the result's rows have them; the blur is each camera's."""
+        """Return the cell's factors by name for the result's rows; the blur is each camera's."""
         return {key: value for key, value in asdict(self).items() if key not in NO_FACTORS}
 
 
@@ -131,11 +133,11 @@ class Sweep:
     """One factor of the design and its values, beside the one that it has in the base cell.
 
     Attributes:
-        name: of the sweep.
+        name: name of the sweep.
         key: field of `Cell` that is varied.
-        label: of the factor on axes, with its unit.
-        values: of the factor.
-        fixed: other factors that differ from the base cell, which is then no part of the series.
+        label: label of the factor on axes, with its unit.
+        values: values of the factor.
+        fixed: other factors that differ from the base cell, which then does not belong to the series.
     """
 
     name: str
@@ -156,10 +158,10 @@ SWEEPS = (
     Sweep("touching", "touching", "black squares at the corners (sides)", (0.15, 0.3, 0.5)),
     Sweep("drawing", "noise", "noise of a drawing without blur", (0.0, 2.0), {"blur_px": 0.0, "plain": True}),
 )
-"""The sweeps of the full design over scene and sensor, a series of cells each."""
+"""Sweeps of the full design over scene and sensor, a series of cells each."""
 
 SHARP_LENS = {"blur_px": 0.5}
-"""The Gaussian beside another lens blur, small so that the other matters."""
+"""Gaussian beside another lens blur, small so that the other dominates."""
 
 CONSUMER = {
     "blur_px": 0.6,
@@ -171,7 +173,7 @@ CONSUMER = {
     "sharpen": 0.6,
     "h264": 23,
 }
-"""A whole consumer camera, about as in the scenario `star-consumer`."""
+"""A typical consumer camera, about as in the scenario `star-consumer`."""
 
 CAMERA_SWEEPS = (
     Sweep("disc", "disc_px", "disc of defocus, radius (px)", (1.0, 2.0, 3.0), SHARP_LENS),
@@ -189,7 +191,7 @@ CAMERA_SWEEPS = (
     Sweep("scaler", "shrink", "shrunk by a scaler's box (px)", (1.5, 2.0, 2.7)),
     Sweep("consumer", "side_px", "side through a whole camera (px)", (16.0, 24.0, 40.0), CONSUMER),
 )  # fmt: skip
-"""The sweeps over lens and processing."""
+"""Sweeps over lens and processing."""
 
 QUICK_VALUES: dict[str, tuple[float, ...]] = {
     "blur": (0.5, 1.5),
@@ -221,28 +223,28 @@ QUICK_SIDES_PX = (12, 16, 20, 30, 60)
 """Marker sides, px, and noises, grey levels, of the grid; with `--quick` only the noise 5."""
 
 GRID, EMPTY = "side x noise", "empty clutter"
-"""Names of the series that are no sweeps: the grid, and the images of clutter without a marker."""
+"""Names of the series beside sweeps: the grid, and the images of clutter without a marker."""
 
 QUADS = 150
 """Number of dark quadrilaterals in each image of the search for false positives."""
 
 PER_CLUTTER = 4
-"""Images of the same clutter, which differ in their noise alone. Chosen: clutter is slow to make."""
+"""Images of the same clutter, which differ only in their noise. Chosen: clutter is slow to make."""
 
 
 def full_design(clutter_images: int = 240) -> list[Cell]:
-    """All cells, with this many images of clutter and no marker in which false positives are counted."""
+    """Return all cells, with this many images of empty clutter for false positives."""
     return _design(Cell(), SIDES_PX, NOISES, (*SWEEPS, *CAMERA_SWEEPS), clutter_images)
 
 
 def quick_design(clutter_images: int = 12) -> list[Cell]:
-    """Few cells of few frames, to see that everything works and roughly how well; as `full_design`."""
+    """Return few cells of few frames, for a quick functional check; arguments as `full_design`."""
     sweeps = [replace(sweep, values=QUICK_VALUES[sweep.name]) for sweep in (*SWEEPS, *CAMERA_SWEEPS)]
     return _design(Cell(cameras=2, frames=3), QUICK_SIDES_PX, (5.0,), sweeps, clutter_images)
 
 
 def _frames(base: Cell, side_px: float) -> int:
-    """Images of a camera; a third of them if large, since they take longer and hardly differ in recall."""
+    """Return the images per camera; a third for large ones, which take longer and barely differ in recall."""
     return base.frames if side_px <= SMALL_IMAGES_PX else -(-base.frames // 3)
 
 

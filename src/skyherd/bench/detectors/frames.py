@@ -1,6 +1,6 @@
-"""Frames with their truth, rendered by `skyherd.render`: the images that every detector is given.
+"""Frames with ground truth, rendered by `skyherd.render`: the common images of all detectors.
 
-Any other source can take its place that yields `Frame`s for a cell, a dictionary and a seed (`FrameSource`).
+Any function that yields `Frame`s for a cell, a dictionary and a seed can replace it (`FrameSource`).
 """
 
 import math
@@ -35,14 +35,14 @@ from skyherd.render import (
 )
 
 EXPOSURE_S = 0.01
-"""Exposure of images with motion blur. The length of the streak is the cell's; this sets the camera's speed
-alone."""
+"""Exposure of images with motion blur, s. The cell sets the length of the streak; the exposure sets only the
+camera's speed."""
 
 GOLDEN_ANGLE_RAD = np.pi * (3.0 - 5.0**0.5)
-"""Angle by which directions of coma differ from camera to camera: they fill the circle, however many."""
+"""Angle between coma directions of consecutive cameras, rad: they fill the circle for any number."""
 
 MIN_BLUR_PX = 0.05
-"""Least blur of the bound's lens. *Chosen*: as narrow as the renderer draws one; the pixel hides it."""
+"""Minimum blur of the bound's lens, px. *Chosen*: as narrow as the renderer draws; the pixel hides it."""
 
 QUAD_SIDES = (0.4, 1.2)
 """Least and greatest side of clutter, in marker sides."""
@@ -50,17 +50,17 @@ QUAD_SIDES = (0.4, 1.2)
 
 @dataclass(frozen=True)
 class Frame:
-    """One image and the truth about it.
+    """One image and its ground truth.
 
     Attributes:
         image: grey, (height, width).
         unit_id: the camera.
-        time_s: when it was taken.
+        time_s: time of the image.
         ids: (N,) markers in view.
         centers_px: (N, 2) images of their centres.
         headings_rad: (N,) directions of their forward axes there.
         sides_px: (N,) their sides.
-        whole: (N,) whether the marker and its card are inside the image, so that a detector should find it.
+        whole: (N,) True if marker and card are inside the image, so that a detector should find it.
         bounds: (N, 3, 3) Cramér–Rao bound of (u, v, heading).
         blur_px: standard deviation of the lens's blur.
     """
@@ -78,15 +78,15 @@ class Frame:
 
 
 class FrameSource(Protocol):
-    """A function that makes the frames of a cell; the same arguments give the same frames, to the bit."""
+    """Function that makes the frames of a cell; the same arguments give the same frames, to the bit."""
 
     def __call__(self, cell: Cell, dictionary: str, seed: int) -> Iterator[Frame]:
-        """Yield the frames of all cameras of the cell, one camera after the other, each in the order of time.
+        """Yield the frames of all cameras of the cell, camera by camera, each in the order of time.
 
         Args:
             cell: the condition.
-            dictionary: of the markers.
-            seed: of everything random.
+            dictionary: dictionary of the markers.
+            seed: seed of all random draws.
         """
         ...
 
@@ -117,10 +117,10 @@ def rendered_frames(cell: Cell, dictionary: str, seed: int) -> Iterator[Frame]:
 
 
 def shrunk(frame: Frame, shrink: float) -> Frame:
-    """Return a frame as a scaler makes it that takes means over boxes of `shrink` by `shrink` pixels.
+    """Return a frame downscaled by means over boxes of `shrink` by `shrink` pixels.
 
-    The size is rounded up to whole pixels, and the image continued by its last lines and columns. A point u
-    lies at `(u + 1/2) / shrink - 1/2` afterwards. The bound stays that of the pixels before.
+    The size is rounded up to whole pixels, and the image is padded with its last rows and columns. A point u
+    moves to `(u + 1/2) / shrink - 1/2`. The bound stays that of the original pixels.
     """
     height, width = (math.ceil(length / shrink) for length in frame.image.shape)
     more = (
@@ -140,7 +140,7 @@ def shrunk(frame: Frame, shrink: float) -> Frame:
 
 
 def _box_means(values: Array, shrink: float, count: int) -> Array:
-    """Means (count, K) over `shrink` lines each of values (L, K), in which a line counts by its share."""
+    """Return means (count, K) over `shrink` rows each of values (L, K), rows weighted by their share."""
     sums = np.vstack([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
     at = np.minimum(shrink * np.arange(count + 1), len(values))
     whole = np.minimum(at.astype(int), len(values) - 1)
@@ -149,12 +149,12 @@ def _box_means(values: Array, shrink: float, count: int) -> Array:
 
 
 def _mosaic(cell: Cell) -> Mosaic:
-    """The colour filters of a cell's cameras."""
+    """Return the colour filters of a cell's cameras."""
     return Mosaic("edge-aware", cell.white_balance, cell.white_balance) if cell.white_balance else Mosaic()
 
 
 def _processing(cell: Cell) -> Processing:
-    """What a cell's cameras do to their images, but for the JPEG."""
+    """Return the image processing of a cell's cameras, except JPEG."""
     return Processing(
         mosaic=_mosaic(cell),
         gamma=cell.gamma,
@@ -165,10 +165,10 @@ def _processing(cell: Cell) -> Processing:
 
 
 def lens_blur(cell: Cell, shot: Shot) -> LensBlur:
-    """Defocus and coma of a camera: what is seen in the image's middle is in focus.
+    """Return defocus and coma of a camera, with the image's centre in focus.
 
-    The aperture follows from the disc asked for in the image corner that is farthest out of focus. The
-    coma's direction is the camera's own, by the golden angle.
+    The aperture follows from the requested disc in the image corner that is farthest out of focus. The coma's
+    direction is the camera's own, by the golden angle.
     """
     blur = LensBlur(cell.disc_px, cell.coma_px, coma_rad=GOLDEN_ANGLE_RAD * shot.unit_id)
     if not cell.defocus_px:
@@ -201,13 +201,13 @@ def _renderer(cell: Cell, dictionary: str, shot: Shot, sensor: Sensor) -> Render
 
 @lru_cache(maxsize=6)
 def _ground(seed: int, sigma_px: float, clutter: Clutter | None, mean: float, plain: bool) -> Ground:
-    """The ground of a camera; it is slow to make, and the same cameras come back in every cell."""
+    """Return the ground of a camera; cached, since it is slow to make and used in every cell."""
     kind: Literal["plain", "concrete"] = "plain" if plain else "concrete"
     return Ground(seed, kind=kind, mean=mean, sigma_px=sigma_px, clutter=clutter)
 
 
 def _area(corners: Array) -> float:
-    """Area of a polygon (K, 2)."""
+    """Return the area of a polygon (K, 2)."""
     x, y = corners.T
     return float(abs(x @ np.roll(y, -1) - y @ np.roll(x, -1)) / 2)
 
@@ -229,9 +229,9 @@ def _expose(cell: Cell, shot: Shot, renderer: Renderer, rng: np.random.Generator
 
 
 def make_frame(shot: Shot, image: npt.NDArray[np.uint8], truth: FrameTruth, bounds: Array) -> Frame:
-    """Put a frame together of a shot, its image, its truth, and the bounds (N, 3, 3) of its markers.
+    """Assemble a frame from a shot, its image, its truth, and the bounds (N, 3, 3) of its markers.
 
-    Markers that something covers count as whole all the same: a detector should find them.
+    Occluded markers count as whole: a detector should find them.
     """
     return Frame(
         image=image,
@@ -248,18 +248,18 @@ def make_frame(shot: Shot, image: npt.NDArray[np.uint8], truth: FrameTruth, boun
 
 
 def marker_bounds(cell: Cell, dictionary: str, blur_px: float, truth: FrameTruth) -> Array:
-    """Cramér–Rao bounds (N, 3, 3) on u, v (px) and heading (rad) of the markers of an image.
+    """Return Cramér–Rao bounds (N, 3, 3) on u, v (px) and heading (rad) of an image's markers.
 
-    Rounding to grey levels adds a variance of 1/12 to the noise, and colour filters take from what its
-    pixels tell. A streak of length L has the variance L² / 12 along its direction; over both axes that is L²
-    / 24 of the variance of the blur. What the camera does to the pixels afterwards is left out.
+    Rounding to grey levels adds a variance of 1/12 to the noise, and colour filters reduce the pixels'
+    information. A streak of length L has the variance L² / 12 along its direction; averaged over both axes
+    that adds L² / 24 to the variance of the blur. Later processing in the camera is ignored.
 
     Args:
         cell: the condition.
-        dictionary: of the markers.
-        blur_px: standard deviation of the lens's blur; that of discs and coma is taken as Gaussian, and
-            where it differs from marker to marker as its mean.
-        truth: of the image.
+        dictionary: dictionary of the markers.
+        blur_px: standard deviation of the lens's blur. Discs and coma count as Gaussian, spatially varying
+            blur as its mean.
+        truth: ground truth of the image.
     """
     noise = float(np.hypot(cell.noise / _mosaic(cell).information ** 0.5, UNIFORM_VARIANCE**0.5))
     return pose_covariances(
@@ -275,7 +275,7 @@ def marker_bounds(cell: Cell, dictionary: str, blur_px: float, truth: FrameTruth
 
 
 def _shake(cell: Cell, shot: Shot, rng: np.random.Generator) -> Motion:
-    """A motion of the camera by which a point makes a streak of `motion_px` in a random direction."""
+    """Return a camera motion with streaks of `motion_px` in a random direction."""
     toward = rng.uniform(-np.pi, np.pi)
     speed = cell.motion_px / EXPOSURE_S * shot.pose.height_m / shot.camera.focal_px
     return Motion(camera_mps=(float(speed * np.cos(toward)), float(speed * np.sin(toward)), 0.0))

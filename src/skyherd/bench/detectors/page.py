@@ -1,4 +1,4 @@
-"""The benchmark's page, its Markdown and its figures: `bench.html`, `bench.md` and `figures/`."""
+"""Page, Markdown and figures of the benchmark: `bench.html`, `bench.md` and `figures/`."""
 
 from pathlib import Path
 
@@ -14,7 +14,7 @@ PAGE, MARKDOWN = "bench.html", "bench.md"
 
 
 def output_names() -> list[str]:
-    """Names of all files that a benchmark may leave in its folder, relative to it."""
+    """Return the names of all possible outputs of a benchmark, relative to its folder."""
     figures = [f"figures/{plot.name}{kind}" for plot in PLOTS for kind in (".png", ".svg")]
     return [RESULT, MARKDOWN, PAGE, *figures]
 
@@ -37,7 +37,7 @@ def write_outputs(result: Result, folder: Path) -> Path:
 
 
 def _tiles(result: Result) -> list[Tile]:
-    """The run in a few numbers: how much was measured, and the best accuracy in the base cell."""
+    """Return the run in a few numbers: its extent, and the best accuracy in the base cell."""
     images = sum(row["images"] for row in result.cells[:: max(len(result.detectors), 1)])
     markers = sum(row["markers"] for row in result.cells[:: max(len(result.detectors), 1)])
     tiles = [

@@ -1,4 +1,4 @@
-"""The result of the benchmark as figures, PNG and SVG."""
+"""Figures of the benchmark's result, PNG and SVG."""
 
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
@@ -20,16 +20,16 @@ from skyherd.plots.panels import FigureFile, Panel, write_panels
 from skyherd.plots.style import legend_above, new_figure
 
 NEES_BAND = (0.8, 1.25)
-"""Band of NEES in which reported variances count as right: off by at most a quarter."""
+"""NEES band of consistent variances: off by at most a quarter."""
 
 
 def write_plots(result: Result, folder: Path) -> list[FigureFile]:
-    """Draw all figures that the result has rows for into a folder, as `skyherd.plots.panels.write_panels`."""
+    """Draw all figures with data into a folder, as `skyherd.plots.panels.write_panels`."""
     return write_panels(PLOTS, result, folder)
 
 
 def detector_style(result: Result, name: str) -> dict[str, Any]:
-    """Style of a detector's line, the same in all figures of a result."""
+    """Return the style of a detector's line, the same in all figures of a result."""
     return style_of(result.detectors, name)
 
 
@@ -46,7 +46,7 @@ def _line(axes: Axes, points: list[tuple[float, float | None]], style: dict[str,
 def _grid_figure(
     result: Result, keys: tuple[tuple[str, str], ...], height_in: float
 ) -> tuple[Figure, Any] | None:
-    """A panel for each key and noise level, with a line over the side for each detector."""
+    """Create a panel for each key and noise level, with a line over the side for each detector."""
     noises = result.noises()
     if not noises:
         return None
@@ -69,7 +69,7 @@ def _grid_figure(
 
 
 def draw_accuracy(result: Result) -> Figure | None:
-    """Draw RMSE over bound by marker side, a column for each noise: the position above, the heading below."""
+    """Draw RMSE over bound by marker side, a column for each noise: position above, heading below."""
     made = _grid_figure(
         result, (("ratio_px", "position: RMSE / bound"), ("ratio_deg", "heading: RMSE / bound")), 6.6
     )
@@ -254,4 +254,4 @@ PLOTS: tuple[Panel[Result], ...] = (
         draw_times,
     ),
 )
-"""The figures of the benchmark's page, in the order shown."""
+"""Figures of the benchmark's page, in the order shown."""

@@ -1,6 +1,6 @@
-"""Where a cell's cameras and markers are, and what lies about them.
+"""Scene of a cell: cameras, markers and their surroundings.
 
-Markers are on smooth paths, slow enough for trackers to follow.
+Markers follow smooth paths, slow enough for trackers.
 """
 
 from collections.abc import Iterator
@@ -17,20 +17,19 @@ FRAME_RATE_HZ = 30.0
 """Images a second of each camera."""
 
 SPEED_PX, TURN_RAD = 3.0, 0.07
-"""Most that a marker moves, px, and turns, rad, from one image to the next: 90 px/s and 2 rad/s."""
+"""Maximum motion, px, and rotation, rad, of a marker between images: 90 px/s and 2 rad/s."""
 
 FOCAL_SHARE = 1.0
-"""Focal length in image widths: a horizontal field of view of 53 deg. Under a steep tilt it is longer."""
+"""Focal length in image widths: a horizontal field of view of 53 deg. It is longer under a steep tilt."""
 
 MAX_OBLIQUE_DEG = 80.0
 """Largest angle between a ray of an image and the vertical. *Chosen*: at 90 it is the horizon."""
 
 MAX_IDS = 50
-"""Only this many first markers of a dictionary are shown, so that the ids are the same in all
-dictionaries."""
+"""Number of first markers of a dictionary that are used, so that ids are the same in all dictionaries."""
 
 COVER_LEVEL = 40.0
-"""Grey level of the discs that cover markers: dark, and neither a marker's black nor its white."""
+"""Grey level of occluding discs: dark, and neither a marker's black nor its white."""
 
 
 @dataclass(frozen=True)
@@ -41,9 +40,9 @@ class Team:
         ids: (N,) ascending.
         homes_px: (N, 2) points of the grid.
         room_px: amplitude of the paths along u and v.
-        phases_rad: (N, 2) where on their path they begin.
-        headings_rad: (N,) at the beginning, on the ground.
-        turns_rad: (N,) turn from one frame to the next.
+        phases_rad: (N, 2) initial phases.
+        headings_rad: (N,) initial headings, on the ground.
+        turns_rad: (N,) rotation per frame.
     """
 
     ids: IntArray
@@ -54,14 +53,14 @@ class Team:
     turns_rad: Array
 
     def at(self, index: int) -> tuple[Array, Array]:
-        """Image points (N, 2), px, of the markers in a frame, and headings (N,), rad, on the ground."""
+        """Return image points (N, 2), px, and ground headings (N,), rad, of the markers in a frame."""
         pace = np.array([1.0, 1.31]) * SPEED_PX / (2.0 * max(self.room_px, SPEED_PX))
         swing = np.sin(self.phases_rad + pace * index)
         return self.homes_px + self.room_px * swing, self.headings_rad + self.turns_rad * index
 
 
 def make_team(cell: Cell, dictionary: str, rng: np.random.Generator) -> Team:
-    """Place as many markers as fit the image without ever touching, up to `cell.markers`, at random."""
+    """Place as many markers as fit without contact, up to `cell.markers`, at random."""
     width, height = cell.size_px
     # Under tilt the near half of the image shows larger markers.
     largest = cell.side_px * (1.0 + 2.0 * np.tan(np.radians(cell.tilt_deg)) * 0.5)
@@ -83,13 +82,13 @@ def make_team(cell: Cell, dictionary: str, rng: np.random.Generator) -> Team:
 
 
 def focal_share(cell: Cell) -> float:
-    """Focal length in image widths: `FOCAL_SHARE`, or so long that no ray is beyond `MAX_OBLIQUE_DEG`."""
+    """Return the focal length in image widths: `FOCAL_SHARE`, or longer to obey `MAX_OBLIQUE_DEG`."""
     half_diagonal = np.hypot(*cell.size_px) / (2.0 * cell.size_px[0])
     return max(FOCAL_SHARE, float(half_diagonal / np.tan(np.radians(MAX_OBLIQUE_DEG - cell.tilt_deg))))
 
 
 def make_view(cell: Cell, rng: np.random.Generator) -> tuple[Camera, CameraPose]:
-    """A camera at a random place that sees a marker of side 1 m at its centre with `cell.side_px`."""
+    """Return a camera at a random place that sees a marker of side 1 m at its centre with `cell.side_px`."""
     camera = Camera(cell.size_px, focal_px=focal_share(cell) * cell.size_px[0])
     tilt, toward = np.radians(cell.tilt_deg), rng.uniform(-np.pi, np.pi)
     # At the centre a tilted view shrinks by cos for the distance and by sqrt cos for the slant.
@@ -106,16 +105,16 @@ def make_view(cell: Cell, rng: np.random.Generator) -> tuple[Camera, CameraPose]
 
 @dataclass(frozen=True)
 class Shot:
-    """What one image shows; markers have sides of 1 m.
+    """Scene of one image; markers have sides of 1 m.
 
     Attributes:
         unit_id: number of the camera.
-        time_s: when it is taken.
+        time_s: time of the image.
         camera: its intrinsics.
-        pose: where it is.
+        pose: its pose.
         blur_px: standard deviation of its lens's blur.
         ids: (N,) markers.
-        positions_m: (N, 2) where they lie.
+        positions_m: (N, 2) their positions.
         headings_rad: (N,) their headings on the ground.
     """
 
@@ -130,7 +129,7 @@ class Shot:
 
 
 def camera_shots(cell: Cell, dictionary: str, unit: int, rng: np.random.Generator) -> Iterator[Shot]:
-    """Iterate over the shots of one camera of a cell, in the order of time; the camera stands still."""
+    """Yield the shots of one static camera of a cell, in the order of time."""
     camera, pose = make_view(cell, rng)
     team = make_team(cell, dictionary, rng)
     ground_image: Array = np.asarray(np.linalg.inv(homography_image_ground(camera, pose)), dtype=np.float64)
@@ -149,7 +148,7 @@ def camera_shots(cell: Cell, dictionary: str, unit: int, rng: np.random.Generato
 
 
 def covering_discs(cell: Cell, shot: Shot, rng: np.random.Generator) -> list[Disc]:
-    """A disc about a random corner of each marker; a quarter of it covers `cell.occlusion` of the square."""
+    """Return a disc about a random corner of each marker that covers `cell.occlusion` of the square."""
     if not cell.occlusion:
         return []
     radius = float(np.sqrt(4.0 * cell.occlusion / np.pi))
@@ -159,7 +158,7 @@ def covering_discs(cell: Cell, shot: Shot, rng: np.random.Generator) -> list[Dis
 
 
 def touching_squares(cell: Cell, shot: Shot) -> list[Quad]:
-    """Black squares outside of the markers' corners, each of which touches its marker in that one point."""
+    """Return black squares outside the markers, each of which touches its marker at one corner."""
     if not cell.touching:
         return []
     square = np.array([0.0, 1.0, 1.0 + 1.0j, 1.0j]) * cell.touching

@@ -1,8 +1,8 @@
-"""The score of a detector: recall, false positives, bias, RMSE compared with the bound, and NEES.
+"""Score of a detector: recall, false positives, bias, RMSE compared with the bound, and NEES.
 
-A detection is right if its id is in the image and its centre is within half a side of that marker's; each
-marker counts once. Everything else is a false positive. Markers that are not whole in the image count in
-neither way.
+A detection is correct if its id is in the image and its centre is within half a side of that marker's. Each
+marker counts once. All other detections are false positives. Markers that are not whole in the image are
+ignored in both counts.
 """
 
 from dataclasses import dataclass
@@ -16,23 +16,22 @@ from skyherd.messages import Detections
 
 @dataclass(frozen=True)
 class Score:
-    """A detector's score over some frames; a figure is None where there was nothing to measure it by.
+    """A detector's score over some frames; a value is None where it is undefined.
 
     Attributes:
-        images: frames seen.
+        images: number of frames.
         markers: whole markers in them.
-        found: how many of these were found.
+        found: number of these that were found.
         recall: found over markers.
-        false_positives_per_image: detections that are of no marker, an image.
+        false_positives_per_image: detections without a marker, per image.
         bias_px: length of the mean error of (u, v).
         bias_deg: mean error of the heading.
-        rmse_px: root of the mean square of the errors of u and v, per axis, bias included.
+        rmse_px: root mean square error of u and v, per axis, bias included.
         rmse_deg: the same of the heading.
-        crb_px, crb_deg: what the Cramér–Rao bound gives for the same markers.
+        crb_px, crb_deg: Cramér–Rao bound of the same markers.
         ratio_px, ratio_deg: RMSE over bound.
         nees_u, nees_v, nees_heading: normalised estimation error squared, the mean of error² over the
-            variance
-            that was reported: 1 if the variances are right. None if the detector reports none.
+            reported variance: 1 if the variances are consistent. None if the detector reports none.
         nees: mean of the three.
     """
 
@@ -56,7 +55,7 @@ class Score:
 
 
 class Scorer:
-    """Collects the errors of a detector frame by frame."""
+    """Accumulated errors of a detector over frames."""
 
     def __init__(self) -> None:
         self._images, self._markers, self._false = 0, 0, 0
@@ -66,7 +65,7 @@ class Scorer:
         self._missed: list[Array] = []
 
     def add(self, frame: Frame, detections: Detections) -> None:
-        """Compare the detections of one frame with its truth, and count them in."""
+        """Compare the detections of one frame with its truth, and accumulate the errors."""
         answers, rows = match(frame, detections)
         wanted = frame.whole[rows]
         self._images += 1
@@ -81,7 +80,7 @@ class Scorer:
         self._missed.append(_variances(np.delete(frame.bounds, rows, axis=0)))
 
     def score(self) -> Score:
-        """The score over all frames so far."""
+        """Return the score over all frames so far."""
         errors = np.concatenate([np.zeros((0, 3)), *self._errors])
         found = len(errors)
         bounds = np.concatenate([np.zeros((0, 3)), *(self._bounds if found else self._missed)])
@@ -111,9 +110,9 @@ class Scorer:
 
 
 def match(frame: Frame, detections: Detections) -> tuple[IntArray, IntArray]:
-    """Rows (K,) of the detections that are right, and rows (K,) of the markers that they are of.
+    """Return rows (K,) of the correct detections, and rows (K,) of their markers.
 
-    Of several detections of one marker the nearest is right, and the others are false positives.
+    Of several detections of one marker, the nearest is correct, and the others are false positives.
     """
     if not len(frame.ids) or not len(detections.ids):
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
@@ -127,12 +126,12 @@ def match(frame: Frame, detections: Detections) -> tuple[IntArray, IntArray]:
 
 
 def _variances(covariances: Array) -> Array:
-    """Diagonals (N, 3) of covariances (N, 3, 3)."""
+    """Return the diagonals (N, 3) of covariances (N, 3, 3)."""
     return np.asarray(np.einsum("nii->ni", covariances.reshape(-1, 3, 3)))
 
 
 def _rms_of_variances(variances: Array) -> tuple[float | None, float | None]:
-    """Root of the mean variance, per axis of the position and of the heading, of (N, 3)."""
+    """Return the root of the mean variance (N, 3), per axis of the position and of the heading."""
     if not len(variances):
         return None, None
     return float(np.sqrt(variances[:, :2].mean())), float(np.sqrt(variances[:, 2].mean()))
@@ -143,7 +142,7 @@ def _ratio(value: float | None, bound: float | None) -> float | None:
 
 
 def _nees(errors: Array, variances: Array) -> Array | None:
-    """Mean of error² / variance for each axis (3,), None if not every detection has a variance."""
+    """Return the mean of error² / variance for each axis (3,); None if a detection has no variance."""
     if not len(errors) or not (variances > 0).all():
         return None
     return np.asarray((errors**2 / variances).mean(axis=0))

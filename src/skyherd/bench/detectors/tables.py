@@ -1,4 +1,4 @@
-"""The result of the benchmark as tables of texts, for the page and for Markdown alike."""
+"""Text tables of the benchmark's result, for the page and for Markdown."""
 
 from collections.abc import Callable, Sequence
 
@@ -10,7 +10,7 @@ SHOWN_SIDES_PX = (10, 12, 14, 16, 18, 20, 30, 60, 100)
 """Marker sides, px, that have a column; the figures show all of them."""
 
 MIDDLE_NOISE = 5.0
-"""The table of NEES is of the noise nearest to this one, grey levels: that of the base cell."""
+"""Target noise of the NEES table, grey levels; the nearest one is used: that of the base cell."""
 
 
 def make_tables(result: Result) -> list[Table]:
@@ -48,7 +48,7 @@ def _pair(row: Row) -> str:
 
 
 def _by_side(result: Result, noise: float, title: str, note: str, cell: Callable[[Row], str]) -> Table:
-    """Rows of detectors, columns of sides."""
+    """Return rows of detectors and columns of sides."""
     rows = {name: {row["side_px"]: row for row in result.by_side(name, noise)} for name in result.detectors}
     sides = sorted({side for found in rows.values() for side in found if side in SHOWN_SIDES_PX})
     body = tuple(
@@ -80,7 +80,7 @@ def _recalls(result: Result, noise: float) -> Table:
 
 
 def _factors(result: Result, sweeps: Sequence[Sweep], title: str, note: str) -> Table:
-    """Rows of conditions, columns of detectors; none without a cell of the sweeps."""
+    """Return rows of conditions and columns of detectors; empty without a cell of the sweeps."""
     names = [name for name in result.detectors if any(row["detector"] == name for row in result.cells)]
     body = []
     base = {row["detector"]: row for row in result.cells if row["sweep"] == "base"}
@@ -140,7 +140,7 @@ def _false_positives(result: Result) -> Table:
 
 
 def _times(result: Result, noise: float) -> Table:
-    """Rows of detectors, columns of resolutions."""
+    """Return rows of detectors and columns of resolutions."""
     rows = {(r["detector"], r["width_px"], r["height_px"]): r for r in result.timing if r["noise"] == noise}
     sizes = sorted({key[1:] for key in rows})
     body = tuple(

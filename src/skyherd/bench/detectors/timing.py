@@ -1,9 +1,8 @@
-"""The measurement of time per frame, on one thread: moving markers, clean and noisy, at four resolutions.
+"""Measurement of time per frame, on one thread: moving markers, clean and noisy, at four resolutions.
 
-All detectors process a frame one after the other before the next one comes, so that other load of the machine
-affects all of them alike. Ratios are to `cv2.aruco` at its defaults in the same run. A slow detector is left
-out once it has used up its time. Trackers get every frame, so that their scheduled searches of the whole
-image count.
+All detectors process a frame one after the other before the next one comes, so that other load affects all of
+them alike. Ratios are to `cv2.aruco` at its defaults in the same run. A slow detector is skipped once it has
+used up its time. Trackers get every frame, so that their scheduled searches of the whole image count.
 """
 
 from collections.abc import Sequence
@@ -18,12 +17,10 @@ from skyherd.jobs.helpers import one_thread
 from skyherd.jobs.progress import NO_PROGRESS, Progress
 
 WARM_UP = 3
-"""Number of first frames that do not count: caches are filled, memory is allocated, and trackers find their
-markers."""
+"""Number of ignored first frames: caches fill, memory is allocated, and trackers find their markers."""
 
 FEWEST = 6
-"""Fewest frames that count, however slow a detector is. Chosen: the median of fewer depends on single
-frames."""
+"""Minimum number of timed frames of any detector. Chosen: the median of fewer depends on single frames."""
 
 TASK = "time per frame"
 """Name of this part of the benchmark in progress reports."""
@@ -47,7 +44,7 @@ class TimingCell(Cell):
 
 
 def timing_cells(frames: int, sizes_px: Sequence[tuple[int, int]] = SIZES_PX) -> list[TimingCell]:
-    """Cells of sixteen markers of 30 px and one camera at each size, clean and noisy."""
+    """Return cells of sixteen markers of 30 px and one camera at each size, clean and noisy."""
     base = TimingCell(sweep="timing", side_px=SIDE_PX, blur_px=0.8, cameras=1, frames=frames)
     return [replace(base, image_px=size, noise=noise) for size in sizes_px for noise in NOISES]
 
@@ -64,8 +61,8 @@ def measure_times(
     Args:
         plan: detectors and frames.
         cells: the conditions.
-        budget_s: time after which a detector is left out of the rest of a cell, but for `FEWEST` frames.
-        progress: is told the number of cells done.
+        budget_s: time after which a detector skips the rest of a cell, except for `FEWEST` frames.
+        progress: receives the number of finished cells.
 
     Returns:
         a row for each cell and detector.

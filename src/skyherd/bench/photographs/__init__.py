@@ -1,6 +1,6 @@
-"""`skyherd bench photographs`: what detectors find on photographs, where nobody knows the truth.
+"""`skyherd bench photographs`: recall of detectors on photographs without ground truth.
 
-`sightings.py` runs detectors that can be told of a set's markers, `confirmation.py` says which markers count
-as there, `measurement.py` goes through the sets and counts, `result.py` keeps the rows, and
-`contact_sheet.py`, `tables.py` and `page.py` show them.
+`sightings.py` runs detectors with a set's marker options. `confirmation.py` decides which markers count.
+`measurement.py` processes the sets and counts, and `result.py` keeps the rows. `contact_sheet.py`,
+`tables.py` and `page.py` show them.
 """

@@ -1,10 +1,10 @@
-"""Which markers count as there on a photograph: those that two independent detectors find at one place.
+"""Confirmation of markers on a photograph: two independent detectors agree on place and id.
 
 Sightings of one id whose centres are within `SAME_PLACE_SIDES` of a side are one place. A place is confirmed
-if detectors of two families find it. Skyherd's own detectors are one family, and so are all refinements of
-`cv2.aruco`, since these search and read alike; each other detector is a family of its own. Of two confirmed
-ids at one place, and of two places of an id in a set whose ids do not repeat, the one that more families find
-counts.
+if detectors of two families find it. Skyherd's own detectors are one family. All refinements of `cv2.aruco`
+are another, since these search and read alike. Each other detector is a family of its own. Conflicts are two
+confirmed ids at one place, and two places of an id in a set without repeated ids. The one with more families
+then counts.
 """
 
 from collections.abc import Mapping
@@ -20,13 +20,12 @@ from skyherd.geometry import Array
 from skyherd.markers.dictionary import pose_of_corners
 
 SAME_PLACE_SIDES = 0.3
-"""Largest distance of centres at one place, in sides of the smaller square. Chosen: markers do not overlap,
-so that centres of two are a side apart, while a corner that is off by a whole side moves a centre by a
-quarter."""
+"""Maximum distance of centres at one place, in sides of the smaller square. Chosen: centres of separate
+markers are at least a side apart; a corner off by a side moves a centre by a quarter."""
 
 ENOUGH_FAMILIES = 2
-"""Number of families that have to find a marker. Chosen: with three, markers that only the best two detectors
-find would be out of every count."""
+"""Number of families that confirm a marker. Chosen: with three, markers that only the best two detectors
+find would never count."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +36,7 @@ class Place:
         marker_id: the id.
         center_px: (2,) median of the centres found.
         side_px: median of the sides found.
-        corners_px: (4, 2) as the first detector has them.
+        corners_px: (4, 2) from the first detector.
         found_by: names of the detectors, in their order.
     """
 
@@ -55,12 +54,12 @@ class Place:
 
 @dataclass(frozen=True)
 class Judged:
-    """The places of one image.
+    """Classified places of one image.
 
     Attributes:
-        confirmed: where a marker is.
-        mistaken: where a confirmed marker was read as another id.
-        alone: where only one family of detectors finds anything.
+        confirmed: places of markers.
+        mistaken: places where a confirmed marker was read as another id.
+        alone: places that only one family of detectors found.
     """
 
     confirmed: tuple[Place, ...]
@@ -69,18 +68,18 @@ class Judged:
 
 
 def family(name: str) -> str:
-    """What a detector has in common with others that do not confirm it: `ours`, `opencv`, or its own name."""
+    """Return the family of a detector: `ours`, `opencv`, or its own name."""
     if is_ours(name):
         return "ours"
     return "opencv" if name.startswith("opencv") else name
 
 
 def judge(found: Mapping[str, Sightings], *, ids_repeat: bool = False) -> Judged:
-    """Say where markers are in an image, from what all detectors found in it.
+    """Classify the places in an image, from the sightings of all detectors.
 
     Args:
         found: sightings by the detector's name.
-        ids_repeat: whether an id may be confirmed at several places.
+        ids_repeat: allow confirmation of an id at several places.
     """
     ranked = sorted(_places(found), key=lambda place: (-place.families, place.marker_id))
     confirmed: list[Place] = []
@@ -97,7 +96,7 @@ def judge(found: Mapping[str, Sightings], *, ids_repeat: bool = False) -> Judged
 
 
 def same_place(one: Place, other: Place) -> bool:
-    """Whether two places are one, whatever the ids."""
+    """Return whether two places are one, whatever the ids."""
     apart = float(np.hypot(*(one.center_px - other.center_px)))
     return apart < SAME_PLACE_SIDES * min(one.side_px, other.side_px)
 

@@ -1,4 +1,4 @@
-"""Contact sheets: the places of many images side by side, cut out, enlarged and named."""
+"""Contact sheets: places of many images side by side, cropped, enlarged and labelled."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,27 +15,27 @@ from skyherd.drawing.palette import INK, PAPER, UNIT_COLORS, rgb
 from skyherd.files.atomic import write_whole
 
 TILE_PX = 128
-"""Side of a tile, px. Chosen: the cells of a marker of 6 x 6 bits can be told apart."""
+"""Side of a tile, px. Chosen: resolves the cells of a marker of 6x6 bits."""
 
 SHOWN_SIDES = 2.4
-"""Side of what a tile shows, in marker sides. Chosen: the marker fills a sixth of it, so that what surrounds
-it is seen, too."""
+"""Side of a tile's content, in marker sides. Chosen: the marker fills a sixth of it, so that its
+surroundings are visible."""
 
 COLUMNS, MAX_TILES = 8, 64
-"""Tiles in a row, and on a sheet. Chosen: of more, tiles at equal steps are shown; a sheet has a screen's
-height."""
+"""Tiles in a row, and on a sheet. Chosen: a sheet has a screen's height; of more tiles, a regular subset is
+shown."""
 
 TEXT_PX, LINE_PX = 11, 14
-"""Height of letters and of a line of text below a tile, px. Chosen: about as small as can be read."""
+"""Height of letters and of a line of text below a tile, px. Chosen: about the smallest legible size."""
 
 LETTERS = 18
-"""Letters of a line below a tile; of longer names the end is shown. Chosen: capitals, which are
-the widest, fit its width."""
+"""Maximum letters of a line below a tile; longer names lose their beginning. Chosen: capitals, the widest
+letters, fit its width."""
 
 
 @dataclass(frozen=True)
 class PlaceTile:
-    """A place cut out of its image.
+    """A place cropped from its image.
 
     Attributes:
         picture: RGB (TILE_PX, TILE_PX, 3), with the place outlined.
@@ -47,7 +47,7 @@ class PlaceTile:
 
 
 def cut_tile(image: npt.NDArray[np.uint8], place: Place, file: str) -> PlaceTile:
-    """Cut a place out of a grey image, with its id and its side below it; grey where the image ends."""
+    """Crop a place from a grey image, with its id and side below it; grey beyond the image."""
     reach = int(np.ceil(SHOWN_SIDES * place.side_px / 2)) + 1
     middle = np.rint(place.center_px).astype(int)
     cut = np.full((2 * reach + 1, 2 * reach + 1), 128, dtype=np.uint8)
@@ -65,7 +65,7 @@ def cut_tile(image: npt.NDArray[np.uint8], place: Place, file: str) -> PlaceTile
 
 
 def draw_sheet(tiles: Sequence[PlaceTile]) -> npt.NDArray[np.uint8]:
-    """Lay at most `MAX_TILES` tiles out in rows, and return the sheet (height, width, 3) in RGB."""
+    """Arrange at most `MAX_TILES` tiles in rows, and return the sheet (height, width, 3) in RGB."""
     chosen = [tiles[k] for k in np.linspace(0, len(tiles) - 1, min(len(tiles), MAX_TILES)).astype(int)]
     lines = max(len(tile.lines) for tile in chosen)
     height, width = TILE_PX + LINE_PX * lines + 6, TILE_PX + 6

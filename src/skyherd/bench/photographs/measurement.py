@@ -1,4 +1,4 @@
-"""The measurement: every detector on every image of the sets, and what of it is confirmed."""
+"""Measurement on photographs: every detector on every image of the sets, with confirmed counts."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
@@ -16,18 +16,18 @@ from skyherd.jobs.helpers import one_thread
 from skyherd.jobs.progress import NO_PROGRESS, Progress
 
 JUDGES = ("opencv", "apriltag3", "locus-tag", "photometric")
-"""Names of the detectors by which markers are confirmed, whichever are reported: at least one of each family
-(`skyherd.bench.photographs.confirmation`), so that what counts does not depend on what is reported."""
+"""Names of the detectors that confirm markers, whichever are reported. They include at least one of each
+family (`skyherd.bench.photographs.confirmation`), so that counts do not depend on the reported detectors."""
 
 
 @dataclass
 class Count:
-    """What one detector did in one set.
+    """Counts of one detector in one set.
 
     Attributes:
         found: confirmed markers that it found.
         wrong_ids: confirmed markers at whose place it found another id.
-        alone: places where no other family of detectors finds anything.
+        alone: places that no other family of detectors found.
         times_ms: time of each image.
     """
 
@@ -39,15 +39,15 @@ class Count:
 
 @dataclass
 class Measurement:
-    """All that was measured.
+    """Result of the measurement.
 
     Attributes:
         rows: one for each set and detector, as the result has them.
         missed: one for each confirmed marker that a reported detector did not find.
-        unconfirmed: one for each place that only one family found, or where the id is a wrong one.
+        unconfirmed: one for each place that only one family found, or with a wrong id.
         missed_tiles: pictures of the missed markers, by the detector's name.
         unconfirmed_tiles: pictures of the unconfirmed ones, by the detector's name.
-        refused: why a detector could not read a set, by the set's and the detector's names.
+        refused: reasons why a detector could not read a set, by the names of set and detector.
     """
 
     rows: list[Row] = field(default_factory=list)
@@ -68,10 +68,10 @@ def measure_photographs(
     """Run detectors on all images of all sets, each on one thread.
 
     Args:
-        image_sets: the images, and what their markers are.
+        image_sets: the images and their markers.
         reported: names of the detectors that get rows.
-        judges: names of the detectors by which markers are confirmed, beside the reported ones.
-        progress: is told the number of files done.
+        judges: names of additional detectors that confirm markers.
+        progress: receives the number of processed files.
 
     Raises:
         InputError: an image cannot be read.
@@ -127,7 +127,7 @@ def _record(
     judged: Judged,
     reported: Sequence[str],
 ) -> None:
-    """Note the markers that a reported detector missed, and the places that nothing confirms."""
+    """Note the markers that a reported detector missed, and the unconfirmed places."""
     for place in judged.confirmed:
         missed_by = [name for name in reported if name not in place.found_by]
         if missed_by:

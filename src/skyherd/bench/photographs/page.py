@@ -1,4 +1,4 @@
-"""The page of a measurement on photographs: `photographs.html`, its Markdown, figure and contact sheets."""
+"""Page of a measurement on photographs: `photographs.html`, Markdown, figure and contact sheets."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -16,11 +16,11 @@ PAGE, MARKDOWN = "photographs.html", "photographs.md"
 """File names in the result's folder."""
 
 SHEETS = ("missed", "unconfirmed")
-"""Kinds of contact sheets, of which a detector may have one each."""
+"""Kinds of contact sheets; a detector may have one of each."""
 
 
 def output_names(detectors: Sequence[str]) -> list[str]:
-    """Names of all files that a measurement of these detectors may leave in its folder, relative to it."""
+    """Return the names of all possible outputs of these detectors, relative to the folder."""
     figures = [f"figures/{panel.name}{kind}" for panel in PANELS for kind in (".png", ".svg")]
     sheets = [f"figures/{_stem(kind, name)}.png" for kind in SHEETS for name in detectors]
     return [RESULT, MISSED, UNCONFIRMED, PAGE, MARKDOWN, *figures, *sheets]
@@ -62,5 +62,5 @@ def _sheets(tiles: dict[str, list[PlaceTile]], folder: Path, kind: str, title: s
 
 
 def _stem(kind: str, detector: str) -> str:
-    """File name, without its ending, of a detector's contact sheet."""
+    """Return the file name, without suffix, of a detector's contact sheet."""
     return f"{kind}_{detector.replace(':', '_')}"

@@ -1,4 +1,4 @@
-"""The result on photographs as a figure: recall."""
+"""Figure of the result on photographs: recall."""
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -30,4 +30,4 @@ def draw_recall(result: PhotographsResult) -> Figure:
 PANELS = (
     Panel("recall", "Recall", "Share of the markers that two independent detectors confirm.", draw_recall),
 )
-"""The figures of the page, in the order shown."""
+"""Figures of the page, in the order shown."""

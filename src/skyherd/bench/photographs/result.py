@@ -1,4 +1,4 @@
-"""The result of a measurement on photographs: `photographs.json`, and tables of places as CSV."""
+"""Result of a measurement on photographs: `photographs.json`, and tables of places as CSV."""
 
 import csv
 import io
@@ -15,12 +15,12 @@ RESULT, MISSED, UNCONFIRMED = "photographs.json", "missed.csv", "unconfirmed.csv
 """File names in the folder of a result."""
 
 PLACE_COLUMNS = ("set", "image", "id", "u_px", "v_px", "side_px", "found_by")
-"""Columns that both tables of places have."""
+"""Columns of both tables of places."""
 
 
 @dataclass(frozen=True)
 class PhotographsResult(SetResult):
-    """What `photographs.json` holds; its rows are made of `skyherd.bench.photographs.measurement.Count`."""
+    """Content of `photographs.json`; its rows derive from `skyherd.bench.photographs.measurement.Count`."""
 
     def write_all(self, folder: Path, missed: Sequence[Row], unconfirmed: Sequence[Row]) -> None:
         """Write the result and the tables of places into a folder.
@@ -34,7 +34,7 @@ class PhotographsResult(SetResult):
 
 
 def csv_text(rows: Sequence[Row], columns: Sequence[str]) -> str:
-    """Rows as comma-separated values below a line with the columns' names; texts as `table_cell` has them."""
+    """Return rows as comma-separated values under a header line; texts pass `table_cell`."""
     text = io.StringIO()
     writer = csv.DictWriter(text, columns, lineterminator="\n")
     writer.writeheader()

@@ -1,4 +1,4 @@
-"""What a detector finds in one image, repeated ids too, and the detectors that can read a set's markers."""
+"""Sightings of a detector in one image, including repeated ids, and detectors for a set's markers."""
 
 from dataclasses import dataclass
 from inspect import signature
@@ -16,13 +16,13 @@ from skyherd.vision import Detector, create_detector
 
 @dataclass(frozen=True)
 class Sightings:
-    """What a detector found in one image.
+    """Result of a detector in one image.
 
     Attributes:
         ids: (K,) ids of the markers, which may repeat.
         corners_px: (K, 4, 2) corners, in the order of `skyherd.geometry.SQUARE_CORNERS`.
         covariances: (K, 3, 3) of (u, v, heading); all zero where the detector reports none.
-        time_ms: time that the detector took.
+        time_ms: processing time.
     """
 
     ids: IntArray
@@ -32,16 +32,16 @@ class Sightings:
 
 
 REPEATS_TOLD = ("photometric",)
-"""Names of the detectors that report every place of an id if they are asked to."""
+"""Names of the detectors that can report every place of an id."""
 
 
 class Reader:
-    """A detector for the images of one set, each taken as the first that it ever sees.
+    """A detector for the images of one set, without memory between images.
 
     Args:
-        name: of the detector, or `module:factory`.
-        dictionary: of the markers.
-        options: what `create_detector` has to be told of the markers besides, such as `border_bits`.
+        name: name of the detector, or `module:factory`.
+        dictionary: dictionary of the markers.
+        options: additional marker options of `create_detector`, such as `border_bits`.
 
     Raises:
         InputError: the detector cannot read such markers.
@@ -57,9 +57,9 @@ class Reader:
         self._images = 0
 
     def read(self, image: npt.NDArray[np.uint8]) -> Sightings:
-        """Find the markers in a grey image, all places of an id if the detector tells them.
+        """Find the markers in a grey image, all places of an id if the detector reports them.
 
-        Each image has a number of its own as `unit_id`, so that nothing learned from another affects it.
+        Each image has its own `unit_id`, so that nothing learned from another affects it.
 
         Raises:
             EntrantError: the detector raised an exception.
@@ -89,7 +89,7 @@ def make_readers(
     """Make a reader of each detector for markers of one kind.
 
     Returns:
-        the readers by name, and why there is none of the others.
+        the readers by name, and the reasons why the others have none.
     """
     readers: dict[str, Reader] = {}
     refused: dict[str, str] = {}

@@ -1,4 +1,4 @@
-"""The result on photographs as tables of texts, for the terminal, the page and Markdown alike."""
+"""Text tables of the result on photographs, for the terminal, the page and Markdown."""
 
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
@@ -37,7 +37,7 @@ def make_tables(result: PhotographsResult) -> list[Table]:
 
 
 def set_tables(result: PhotographsResult) -> list[Table]:
-    """A table for each set, with a row for each detector, narrow enough for a terminal."""
+    """Make a table for each set, with a row for each detector, narrow enough for a terminal."""
 
     def cells(row: Row) -> tuple[str, ...]:
         return (
@@ -62,7 +62,7 @@ def _by_set(
     cell: Callable[[Row], str],
     about: Mapping[str, Callable[[Row], str]] = MappingProxyType({}),
 ) -> Table:
-    """Rows of sets, columns of detectors, and before these what `about` says of a set by any row of it."""
+    """Return rows of sets and columns of detectors, preceded by the columns `about` of a set."""
     body = []
     for name in result.sets:
         rows = [result.row(name, detector) for detector in result.detectors]

@@ -1,1 +1,1 @@
-"""A study of cameras: how much a run depends on each parameter of its camera, measured and predicted."""
+"""Study of cameras: measured and predicted sensitivity of a run to each camera parameter."""

@@ -1,24 +1,25 @@
-"""What a study of cameras measured, sweep by sweep, and what geometry predicts for it.
+"""Measurements of a study of cameras, sweep by sweep, and geometric predictions.
 
 The control law does not depend on the camera as long as the image is a similarity of the ground (Property 1:
-square pixels, no distortion, a vertical optical axis). A study of cameras tests that, and shows how much is
-lost outside this class and how much of it rectification brings back. Each sweep changes one parameter of the
+square pixels, no distortion, a vertical optical axis). A study of cameras tests that. It also shows the loss
+outside this class, and the share of it that rectification recovers. Each sweep changes one parameter of the
 camera; robots, start and gains are the same in all runs.
 
 Three numbers are measured for each run. Lengths are divided by the side of a marker. x are the robots'
-places, x^d the desired points, and x* the places in the reference's run, where an ideal camera gives exact
-detections:
+positions, x^d the desired points, and x* the positions in the reference run, where an ideal camera gives
+exact detections:
 
     goals   max |x^d - x^d of the truth|    over robots and images (`goal_error_m` of the run's summary)
     paths   max |x - x*|                    over robots and time
-    shape   the shape error at the end
+    shape   the final shape error
 
-The same numbers are predicted without a run (`predict`): the template is fitted to the first image of the
+The same numbers are predicted without a run (`predict`). The template is fitted to the first image of the
 camera as if the camera were ideal, and the fitted points are projected to the ground through the true camera.
-Their distance from the template fitted on the ground itself is the predicted error of the goals; their own
-deviation from the shape is the predicted shape error. The file `plots.py` draws both, and `page.py` writes
-them down. `skyherd.analysis.goal_points` computes the `goal_error_m` of a run, since that needs the true
-camera and the true places.
+Their distance from the template fitted on the ground is the predicted error of the goals. Their own deviation
+from the shape is the predicted shape error.
+
+`plots.py` draws both, and `page.py` tabulates them. `skyherd.analysis.goal_points` computes the
+`goal_error_m` of a run, since that needs the true camera and the true positions.
 """
 
 from collections.abc import Iterable, Mapping
@@ -43,15 +44,14 @@ from skyherd.study.store import ERROR
 from skyherd.study.table import SWEEP
 
 IDEAL, NOISY, RENDERED = "ideal", "noisy", "rendered"
-"""Kinds of perception of a scenario: exact projection, the same with the detector's noise, and rendered
-images."""
+"""Kinds of perception of a scenario: exact projection, the same with detector noise, and rendered images."""
 
 INSTANTS = 25
-"""Number of instants, evenly spread over a run, at which a prediction is made for a camera that
-moves. Chosen: more instants come nearer to the largest error in between, and cost time in proportion."""
+"""Number of evenly spaced instants of a run at which a moving camera is predicted. Chosen: more instants
+approximate the maximum better, in proportional time."""
 
 CAMERA = "units.0.camera"
-"""Key of the one camera of these studies in their scenario."""
+"""Key of the camera in the scenario of these studies."""
 
 PROPERTY_1 = frozenset(
     {
@@ -64,8 +64,7 @@ PROPERTY_1 = frozenset(
         *(f"{CAMERA}.principal_point_px.{axis}" for axis in (0, 1)),
     }
 )
-"""Keys that leave a camera in Property 1's class whatever their value, as long as no other key takes it
-out."""
+"""Keys whose values keep a camera in Property 1's class, as long as no other key leaves it."""
 
 LABELS: Mapping[str, str] = {
     "units.0.height_m": "height (m)",
@@ -83,16 +82,16 @@ LABELS: Mapping[str, str] = {
     f"{CAMERA}.distortion.k1": "distortion k1",
     f"{CAMERA}.zoom_k1": "k1 gained by a doubling of the zoom",
 }
-"""Labels of the figures' horizontal axes by key, with units. A key that is not here is its own label."""
+"""Labels of the figures' horizontal axes by key, with units. A missing key is its own label."""
 
 
 class Measures(NamedTuple):
-    """The three numbers of one run, or of its prediction; NaN where one is not known.
+    """Three numbers of one run, or of its prediction; NaN where unknown.
 
     Attributes:
         goals: largest error of a desired point, marker sides.
-        paths: largest distance of a robot from its path in the reference's run, marker sides.
-        shape: shape error at the end, a share of the formation's RMS radius.
+        paths: largest distance of a robot from its path in the reference run, marker sides.
+        shape: final shape error, a share of the formation's RMS radius.
     """
 
     goals: float
@@ -101,7 +100,7 @@ class Measures(NamedTuple):
 
 
 UNKNOWN = Measures(goals=np.nan, paths=np.nan, shape=np.nan)
-"""The measures of a run that was not made."""
+"""Measures of a missing run."""
 
 
 @dataclass(frozen=True)
@@ -109,10 +108,9 @@ class Point:
     """One value of a sweep's parameter.
 
     Attributes:
-        value: the parameter's value, as a number or, where it is a table or a text, as a text.
-        runs: measures of each run, by kind of perception and by whether the controller rectified its
-            detections.
-        predicted: what geometry predicts for a camera that is taken as ideal.
+        value: the parameter's value, as a number, or as a text for tables and texts.
+        runs: measures of each run, by kind of perception and by use of rectification.
+        predicted: geometric prediction for a camera that is assumed ideal.
     """
 
     value: float | str
@@ -120,7 +118,7 @@ class Point:
     predicted: Measures
 
     def worst(self, perception: str, *, rectified: bool) -> Measures:
-        """The largest value of each measure over the seeds of one kind of run; all NaN if there was none."""
+        """Return the largest value of each measure over the seeds of one kind of run; NaN without any."""
         runs = np.array(self.runs.get((perception, rectified), [UNKNOWN]))
         return Measures(*(float(np.max(column)) for column in runs.T))
 
@@ -132,9 +130,9 @@ class Sweep:
     Attributes:
         name: the sweep's name in the study's file.
         label: the parameter's label on axes, with its unit.
-        inside: whether all cameras of the sweep are in Property 1's class.
+        inside: True if all cameras of the sweep are in Property 1's class.
         points: its values, in the study's order.
-        noise: measures of the reference's run with nothing but the detector's noise.
+        noise: measures of the reference run with detector noise only.
     """
 
     name: str
@@ -144,31 +142,31 @@ class Sweep:
     noise: Measures
 
     def worst(self, perception: str, *, rectified: bool) -> Measures:
-        """The largest value of each measure over all points; NaN in a measure that no point has."""
+        """Return the largest value of each measure over all points; NaN in a measure that no point has."""
         return _largest(point.worst(perception, rectified=rectified) for point in self.points)
 
     def predicted(self) -> Measures:
-        """The largest value of each prediction over all points."""
+        """Return the largest value of each prediction over all points."""
         return _largest(point.predicted for point in self.points)
 
     def floors(self) -> list[Measures]:
-        """Measures with the detector's noise alone at each point; the reference's where that was not run."""
+        """Return the measures with detector noise only at each point; the reference's if there is no run."""
         own = [point.worst(NOISY, rectified=False) for point in self.points]
         return [self.noise if np.isnan(floor.shape) else floor for floor in own]
 
 
 def make_sweeps(plan: Plan, table: pa.Table) -> list[Sweep]:
-    """Compare the runs of a study of cameras with its reference, and with what geometry predicts.
+    """Compare the runs of a study of cameras with its reference, and with geometric predictions.
 
     Args:
         plan: the study and its runs.
         table: the study's table, with the columns that `skyherd.study.spec.INVARIANCE_KEEPS` names.
 
     Returns:
-        the sweeps in the study's order, without the reference. Runs that failed are left out.
+        the sweeps in the study's order, without the reference. Failed runs are left out.
 
     Raises:
-        InputError: the reference's run failed.
+        InputError: the reference run failed.
     """
     rows = _rows(table)
     exact = [row for row in rows if row[SWEEP] == REFERENCE and row["perception"] == IDEAL]
@@ -190,21 +188,20 @@ def make_sweeps(plan: Plan, table: pa.Table) -> list[Sweep]:
 
 
 def own_key(sweep: SweepModel) -> str:
-    """The key of the camera that a sweep changes; the rest of its grid is perception, rectification, seed."""
+    """Return the camera key that a sweep changes; other grid keys are perception, rectification, seed."""
     return next(key for key in sweep.grid if key not in RUN_KEYS)
 
 
 def predict(mission: Mission) -> Measures:
-    """What geometry predicts for a mission whose first camera is taken as ideal, without a run.
+    """Predict the errors of a mission geometrically, with its first camera assumed ideal, without a run.
 
-    The robots stand still at the start while the camera moves as it would. At `INSTANTS` instants the
+    The robots stand still at the start while the camera moves as in the mission. At `INSTANTS` instants the
     template is fitted to their exact image, and the fitted image points are projected to the ground through
     the true camera.
 
     Returns:
         the largest distance of these points from the template fitted on the ground, in marker sides; NaN for
-        the paths; and the shape error that the last ones have. All NaN if a camera's ray does not reach the
-        ground.
+        the paths; and the shape error of the last ones. All NaN if a camera's ray does not reach the ground.
     """
     world, scenario = make_world(mission), mission.scenario
     template = mission.template.points_of(mission.ids)
@@ -258,7 +255,7 @@ def _sweep(sweep: SweepModel, plan: Plan, measured: Mapping[str, Measures], nois
 
 
 def _shown(value: Any) -> float | str:
-    """A parameter's value as an axis shows it: a number, the name of a preset, or any other value's text."""
+    """Return a parameter's value for an axis: a number, a preset's name, or another value's text."""
     if isinstance(value, int | float):
         return float(value)
     return str(value.get("preset", value)) if isinstance(value, dict) else str(value)

@@ -35,18 +35,18 @@ HEAD = (
 """Columns of the table, in the order of `cells`. Goals and paths are in marker sides."""
 
 ROUNDING = 1e-9
-"""Measures below this, in marker sides, are written as 0. Derived: float64 has a relative error of 1e-16 an
-operation, and a run of some hundred steps over places of some ten sides adds up to less than this."""
+"""Measures below this, in marker sides, are written as 0. Derived: float64 has a relative error of 1e-16 per
+operation; some hundred steps over positions of some ten sides add up to less."""
 
 SCIENTIFIC = 1e-3
-"""Measures below this are written with an exponent, since `0.00012` is harder to read than `1.2e-4`."""
+"""Measures below this are written with an exponent, since `1.2e-4` is more legible than `0.00012`."""
 
 MISSING = "–"
-"""What the table has where nothing was measured."""
+"""Text of a cell without a measurement."""
 
 
 def invariance_names(study: Study) -> list[str]:
-    """Names of the files that `write_invariance` may write into the study's folder."""
+    """Return the possible outputs of `write_invariance` in the study's folder."""
     figures = [figure_name(sweep.name) for sweep in study.spec.all_sweeps]
     return [PAGE, MARKDOWN, *(f"figures/{name}{kind}" for name in figures for kind in (".png", ".svg"))]
 
@@ -58,7 +58,7 @@ def write_invariance(study: Study, table: pa.Table, folder: Path) -> list[Path]:
         the page and the Markdown file.
 
     Raises:
-        InputError: the reference's run failed.
+        InputError: the reference run failed.
         OutputError: a file could not be written.
     """
     sweeps = make_sweeps(make_plan(study), table)
@@ -86,13 +86,13 @@ def write_invariance(study: Study, table: pa.Table, folder: Path) -> list[Path]:
 
 
 def markdown(sweeps: Sequence[Sweep]) -> str:
-    """The table in Markdown: one row a sweep, with the worst rendered run of it."""
+    """Return the table in Markdown: one row per sweep, with its worst rendered run."""
     rows = [list(HEAD), ["---"] * len(HEAD), *map(cells, sweeps)]
     return "\n".join(f"| {' | '.join(row)} |" for row in rows)
 
 
 def cells(sweep: Sweep) -> list[str]:
-    """A sweep's row of the table, in the order of `HEAD`: the worst rendered run of it, as texts."""
+    """Return a sweep's row of the table, in the order of `HEAD`, of its worst rendered run, as texts."""
     seen, rectified = (sweep.worst(RENDERED, rectified=rectified) for rectified in (False, True))
     predicted, noise_paths = sweep.predicted(), max(floor.paths for floor in sweep.floors())
     numbers = (
@@ -104,7 +104,7 @@ def cells(sweep: Sweep) -> list[str]:
 
 
 def _range(sweep: Sweep) -> str:
-    """The parameter and the span of its values, or how many there are if they are no numbers."""
+    """Return the parameter and the span of its values, or their number if they are not numeric."""
     values = [point.value for point in sweep.points]
     numbers = [value for value in values if not isinstance(value, str)]
     if len(numbers) < len(values):
@@ -121,7 +121,7 @@ def _short(value: float) -> str:
 
 
 def _tiles(sweeps: Sequence[Sweep], runs: int, *, failed: int) -> list[Tile]:
-    """The study in a few numbers: the worst of each class, as seen and rectified."""
+    """Return the study in a few numbers: the worst of each class, as seen and rectified."""
 
     def worst(field: str, perception: str = RENDERED, *, inside: bool, rectified: bool) -> str:
         values = [

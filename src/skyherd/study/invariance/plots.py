@@ -1,4 +1,4 @@
-"""Figures of a study of cameras: errors of goals, paths and shape over one parameter of the camera."""
+"""Figures of a study of cameras: errors of goals, paths and shape over one camera parameter."""
 
 import re
 from collections.abc import Iterable, Sequence
@@ -24,11 +24,11 @@ PANELS = (
 """Panels of a figure from left to right: the field of `Measures`, and the panel's title."""
 
 MIN_SHOWN = 1e-6
-"""Smaller values are drawn here, at the bottom of the logarithmic axes. Chosen: it is far above the rounding
-of exact images and below the detector's noise, so that neither hides the other."""
+"""Lower end of the logarithmic axes, where smaller values are drawn. Chosen: far above the rounding of exact
+images and below detector noise, so that neither hides the other."""
 
 MAX_TICKS = 6
-"""With at most this many values of the parameter each has a tick of its own; more would overlap."""
+"""Maximum number of parameter values with a tick each; more would overlap."""
 
 AS_SEEN, RECTIFIED = UNIT_COLORS[1], UNIT_COLORS[0]
 """Colours of runs without and with rectification."""
@@ -44,7 +44,7 @@ KINDS: tuple[tuple[str, bool, str, dict[str, Any]], ...] = (
     ),
     (RENDERED, True, "rectified, rendered", {"color": RECTIFIED, "ls": "-", "marker": "o", "ms": 4.5}),
 )
-"""Lines of a panel: kind of perception, whether rectified, name in the legend, and the style of the line."""
+"""Lines of a panel: kind of perception, use of rectification, name in the legend, and line style."""
 
 PREDICTED: dict[str, Any] = {"color": INK, "ls": (0, (5, 3)), "lw": 1.2}
 
@@ -70,18 +70,18 @@ def draw_sweeps(sweeps: Iterable[Sweep], folder: Path) -> list[FigureFile]:
 
 
 def figure_name(sweep: str) -> str:
-    """Name, without ending, of the figure of a sweep, whose own name may be any text."""
+    """Return the name, without suffix, of the figure of a sweep, whose own name may be any text."""
     return re.sub(r"[^\w.-]", "-", sweep).lstrip(".") or "-"
 
 
 def caption(sweep: Sweep) -> str:
-    """The caption of a sweep's figure: which parameter, and whether the cameras are in Property 1's class."""
+    """Return the caption of a sweep's figure: its parameter, and membership in Property 1's class."""
     where = "Inside" if sweep.inside else "Outside"
     return f"{where} Property 1's class: {sweep.label}. The worst of the seeds at each value."
 
 
 def draw_sweep(sweep: Sweep) -> Figure:
-    """Draw errors of goals, paths and shape over the parameter's values, of the worst seed at each value."""
+    """Draw errors of goals, paths and shape over the parameter's values, of the worst seed at each."""
     figure = new_figure(3.7, 11.0)
     panels: Sequence[Axes] = figure.subplots(1, 3)
     places, labels = _places(sweep.points)
@@ -98,7 +98,7 @@ def draw_sweep(sweep: Sweep) -> Figure:
 
 
 def _places(points: Sequence[Point]) -> tuple[list[float], list[str]]:
-    """Where values lie along the axis, and the texts of their ticks if they are no numbers."""
+    """Return the axis positions of values, and their tick texts if they are not numeric."""
     values = [point.value for point in points]
     numbers = [value for value in values if not isinstance(value, str)]
     if len(numbers) == len(values):

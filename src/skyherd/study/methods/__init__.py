@@ -1,1 +1,1 @@
-"""A study of formation controllers: several control laws compared on the same starts."""
+"""Study of formation controllers: several control laws compared from the same starts."""

@@ -1,11 +1,13 @@
-"""What a study of formation controllers measured, method by method and task by task.
+"""Outcomes of a study of formation controllers, method by method and task by task.
 
-`control.method` of a scenario puts a control law from the literature (`skyherd.sim.baseline_laws`) in the
-place of the robots' own. Such a team (`skyherd.sim.oracle_team`) reads the true places of the robots from the
-world and drives the same wheels; it stands outside `skyherd.control`, which therefore never imports anything
-of the simulation. The study `methods` runs each law on the same tasks from the same starts, and this package
-compares the outcomes: `outcomes.py` reads the study's table, `plots.py` draws them, `paths.py` draws the ways
-of the robots, `page.py` writes them down.
+`control.method` of a scenario replaces the robots' own control by a law from the literature
+(`skyherd.sim.baseline_laws`). Such a team (`skyherd.sim.oracle_team`) reads the true positions of the robots
+from the world and drives the same wheels. It is outside `skyherd.control`, which therefore never imports the
+simulation.
+
+The study `methods` runs each law on the same tasks from the same starts. This package compares the outcomes:
+`outcomes.py` reads the study's table, `plots.py` draws them, `paths.py` draws the robots' paths, and
+`page.py` tabulates them.
 """
 
 from collections.abc import Mapping, Sequence
@@ -23,8 +25,7 @@ from skyherd.study.store import ERROR
 from skyherd.study.table import SWEEP, TASK
 
 METHOD, UNITS_LAW = "control.method", "similarity"
-"""Key of a scenario's control law, and its value where the aerial units control the robots from their
-images."""
+"""Key of a scenario's control law, and its value for control by the aerial units from their images."""
 
 Row = Mapping[str, Any]
 """A row of the study's table, by column."""
@@ -35,22 +36,22 @@ class Outcomes:
     """All runs of one method on one task. R of them finished without an error.
 
     Attributes:
-        begun_s: (R,) when robots may begin to move. Robots of the units' law wait for the tree of units to be
-            complete; robots that know the true places begin at once.
-        converged: (R,) whether the shape was formed, in any place, rotation and size, and held to the end.
-        affine: (R,) whether an affine image of the shape was formed, stretched and sheared ones too, and held
-            to the end.
-        times_s: (R,) time from `begun_s` until the shape error stays under its goal; NaN if it does not.
+        begun_s: (R,) times at which robots may begin to move. Robots of the units' law wait for a complete
+            tree of units; robots that know the true positions begin at once.
+        converged: (R,) True if the shape was formed, at any position, rotation and size, and held to the end.
+        affine: (R,) True if an affine image of the shape was formed and held to the end.
+        times_s: (R,) convergence time: from `begun_s` until the shape error stays under its goal; NaN if it
+            does not.
         affine_times_s: (R,) the same for the nearest affine image.
-        errors: (R,) shape error at the end.
-        affine_errors: (R,) distance from the nearest affine image at the end, over the same radius.
-        paths_m: (R,) length of the paths of all robots together.
-        detours: (R,) that length over the least that any method needs to form the shape from this start.
-        gaps_m: (R,) least distance between the edges of two bodies; negative where they overlapped.
-        collided: (R,) whether bodies overlapped at any time.
-        messages_ps: (R,) messages a robot and second.
-        numbers_ps: (R,) numbers in them, a robot and second.
-        waypoints_m: (W, N, 2) robots' places from start to end in the first of the runs; None without any.
+        errors: (R,) final shape error.
+        affine_errors: (R,) final distance from the nearest affine image, over the same radius.
+        paths_m: (R,) total path length of all robots.
+        detours: (R,) that length over the lower bound for forming the shape from this start.
+        gaps_m: (R,) least distance between the edges of two bodies; negative in overlaps.
+        collided: (R,) True if bodies overlapped at any time.
+        messages_ps: (R,) messages per robot and second.
+        numbers_ps: (R,) numbers in them, per robot and second.
+        waypoints_m: (W, N, 2) robots' positions from start to end in the first of the runs; None without any.
         failed: number of runs that ended with an error.
     """
 
@@ -73,7 +74,7 @@ class Outcomes:
 
 @dataclass(frozen=True)
 class Method:
-    """One formation controller: its name, what it needs to know, and its outcomes by the task's name."""
+    """One formation controller: its name, required knowledge, and outcomes by the task's name."""
 
     name: str
     needs: str
@@ -81,9 +82,9 @@ class Method:
 
 
 def make_methods(study: Study, table: pa.Table) -> list[Method]:
-    """The methods of a study and their outcomes, in the order of the study's sweeps, from the study's table.
+    """Return the methods and outcomes in a study's table, in the order of the study's sweeps.
 
-    A sweep is a method; one with a grid is a method for each of its combinations, such as of gains. The table
+    A sweep is a method. One with a grid is a method for each of its combinations, such as of gains. The table
     needs the columns that `skyherd.study.spec.METHODS_KEEPS` names.
     """
     rows = table.to_pylist()

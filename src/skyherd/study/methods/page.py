@@ -45,7 +45,7 @@ HEAD = (
 """Columns of the tables, in the order of `cells`."""
 
 OVERVIEW = "of the runs formed the shape, and the median time that they took, with the wait for units."
-"""What the cells of the first table are, after the number of runs."""
+"""Content of the first table's cells, after the number of runs."""
 
 CAPTION = (
     "A row a method, a column a task. Times, ways and numbers are medians; times count from when robots may"
@@ -59,11 +59,11 @@ PATHS_CAPTION = "The first start. Dots: where robots stood; circles: their bodie
 """Caption of the figures of paths."""
 
 UNKNOWN = "–"
-"""What a table has where no run has a value."""
+"""Text of a cell where no run has a value."""
 
 
 def methods_names(study: Study) -> list[str]:
-    """Names of the files that `write_methods` may write into the study's folder."""
+    """Return the possible outputs of `write_methods` in the study's folder."""
     figures = ["methods", *(_figure_name(task.name) for task in study.spec.tasks)]
     return [PAGE, MARKDOWN, *(f"figures/{name}{kind}" for name in figures for kind in (".png", ".svg"))]
 
@@ -110,7 +110,7 @@ def write_methods(study: Study, table: pa.Table, folder: Path) -> list[Path]:
 
 
 def _panels(study: Study) -> list[Panel[list[Method]]]:
-    """All methods on all tasks, and the paths of each task."""
+    """Return the panels: all methods on all tasks, and the paths of each task."""
     return [
         Panel("methods", "On the same starts", CAPTION, draw_methods),
         *(
@@ -126,14 +126,14 @@ def _panels(study: Study) -> list[Panel[list[Method]]]:
 
 
 def glance(method: Method, task: str) -> str:
-    """How many runs formed the shape, and the median time of these from the start, as `3 of 4, 12 s`."""
+    """Return the number of runs that formed the shape, and their median time, as `3 of 4, 12 s`."""
     runs = method.outcomes[task]
     time_s = median(runs.begun_s + runs.times_s)
     return _count(runs.converged) + (f", {time_s:.3g} s" if np.isfinite(time_s) else "")
 
 
 def cells(method: Method, task: str) -> list[str]:
-    """A method's row of the table of one task, in the order of `HEAD`.
+    """Return a method's row of the table of one task, in the order of `HEAD`.
 
     Shares are written as `3 of 4`, times and lengths as the median and the range, such as `7 (6 to 8)`.
     """
@@ -157,7 +157,7 @@ def cells(method: Method, task: str) -> list[str]:
 
 
 def markdown(task: TaskModel, methods: Sequence[Method]) -> str:
-    """The table of one task in Markdown, a row a method."""
+    """Return the table of one task in Markdown, a row per method."""
     lines = [list(HEAD), ["---"] * len(HEAD), *(cells(method, task.name) for method in methods)]
     rows = "\n".join(f"| {' | '.join(line)} |" for line in lines)
     return f"## {task.name}\n\n{task.about}\n\n{rows}"
@@ -168,7 +168,7 @@ def _figure_name(task: str) -> str:
 
 
 def _bodies(study: Study, task: TaskModel) -> dict[str, Any]:
-    """Radius of the robots' bodies, and the obstacles, as `draw_paths` takes them."""
+    """Return the radius of the robots' bodies, and the obstacles, for `draw_paths`."""
     tree = study_source(study).tree
 
     def value(key: str, default: Any) -> Any:
@@ -193,7 +193,7 @@ def _count(yes: BoolArray) -> str:
 
 
 def _spread(values: Array) -> str:
-    """Median, and the range where there is one."""
+    """Return the median, and the range if there is one."""
     known = values[np.isfinite(values)]
     if not known.size:
         return UNKNOWN

@@ -1,4 +1,4 @@
-"""Ways of the robots on one task: a panel a method, all from the same start."""
+"""Paths of the robots on one task: a panel per method, all from the same start."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -14,22 +14,22 @@ from skyherd.plots.style import new_figure, plain, robot_colors
 from skyherd.study.methods.outcomes import Method, Outcomes
 
 COLUMNS = 5
-"""Panels in a row, at most. Chosen: with seven they are too small to see single ways, with three the figure
+"""Maximum number of panels in a row. Chosen: with seven, single paths are not visible; with three, the figure
 of ten methods is higher than a screen."""
 
 MAX_ZOOM = 2.2
-"""Half the width of the frame over the distance of the farthest start from its middle, at most. Chosen: twice
-the start shows nearly all ways in full; a method that drives its robots apart would make the others' tiny."""
+"""Maximum ratio of the frame's half width to the distance of the farthest start from its middle. Chosen:
+twice the start shows nearly all paths in full; a divergent method would make the others' tiny."""
 
 
 def draw_paths(task: str, methods: Sequence[Method], bodies: Mapping[str, Any]) -> Figure | None:
-    """Draw the ways of all robots from the first start of a task, a panel a method, in one frame.
+    """Draw the paths of all robots from the first start of a task, a panel per method, in one frame.
 
     Small dots are starts, circles the bodies at the end, grey discs obstacles.
 
     Args:
         task: name of the task.
-        methods: those of the study.
+        methods: methods of the study.
         bodies: `radius_m` of robots, and `obstacles` as (x, y, radius), all in m.
 
     Returns:
@@ -62,7 +62,7 @@ def draw_paths(task: str, methods: Sequence[Method], bodies: Mapping[str, Any]) 
 
 
 def _frame(all_places: Sequence[Array]) -> tuple[Array, float]:
-    """Middle (2,) and half width of a frame for all ways, or for the start if some lead far away."""
+    """Return centre (2,) and half width of a frame for all paths, or for the start if some diverge."""
     start = all_places[0][0]
     middle = (start.min(axis=0) + start.max(axis=0)) / 2
     most = max(float(np.abs(places - middle).max()) for places in all_places)
@@ -81,7 +81,7 @@ def _draw_ways(axes: Axes, places: Array, bodies: Mapping[str, Any]) -> None:
 
 
 def _result(runs: Outcomes) -> str:
-    """What became of the first run, in a few words."""
+    """Describe the outcome of the first run in a few words."""
     if runs.converged[0]:
         said = f"formed in {runs.times_s[0]:.0f} s"
     elif runs.affine[0]:
@@ -92,7 +92,7 @@ def _result(runs: Outcomes) -> str:
 
 
 def _draw_scale(axes: Axes, middle: Array, reach: float) -> None:
-    """A bar of one metre, in the lower left corner, below the bodies."""
+    """Draw a bar of one metre, in the lower left corner, below the bodies."""
     left, low = middle - reach
     axes.plot([left, left + 1.0], [low, low], color=INK, linewidth=1.6, clip_on=False)
     axes.text(left + 0.5, low - 0.03 * reach, "1 m", ha="center", va="top", fontsize="x-small", color=INK)

@@ -1,4 +1,4 @@
-"""The figure of a study of formation controllers: a row a method, a column a task, a number in each cell."""
+"""Figure of a study of formation controllers: a row per method, a column per task, a number in each cell."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -15,12 +15,12 @@ from skyherd.study.methods.outcomes import Method, Outcomes
 
 GOOD = LinearSegmentedColormap.from_list("good", [PAPER, "#9fd3bd"])
 BAD = LinearSegmentedColormap.from_list("bad", [PAPER, "#f0b48a"])
-"""Colours of cells: the more of something good, the greener; the more of something bad, the more orange."""
+"""Cell colours: green for good values, orange for bad ones."""
 
 
 @dataclass(frozen=True)
 class Board:
-    """One quantity of all methods and tasks: its title, value, how a cell is written and shaded."""
+    """One quantity of all methods and tasks: title, value, cell text and shading."""
 
     title: str
     value: Callable[[Outcomes], float]
@@ -37,11 +37,11 @@ BOARDS = (
     Board("way over the shortest", lambda runs: median(runs.detours), "{:.2f}", BAD, log=True),
     Board("numbers a robot and second", lambda runs: median(runs.numbers_ps), "{:.0f}", BAD, log=True),
 )
-"""The quantities of the figure; times, ways and numbers are medians over the runs that have one."""
+"""Quantities of the figure; times, paths and numbers are medians over the runs that have one."""
 
 
 def draw_methods(methods: Sequence[Method]) -> Figure:
-    """Draw boards with a row a method and a column a task. A dash stands where no run has a value."""
+    """Draw boards with a row per method and a column per task. A dash marks cells without a value."""
     tasks = list(methods[0].outcomes)
     figure = new_figure(1.6 + 0.56 * (len(methods) + 4), 12.5)
     panels = figure.subplots(2, 3, sharex=True, sharey=True)
@@ -75,11 +75,11 @@ def _draw_board(axes: Axes, board: Board, values: Array) -> None:
 
 
 def share(yes: BoolArray) -> float:
-    """How many of them, per cent; NaN of none."""
+    """Return the share of true values, per cent; NaN of none."""
     return 100 * float(np.mean(yes)) if yes.size else np.nan
 
 
 def median(values: Array) -> float:
-    """The median of what is finite; NaN of nothing."""
+    """Return the median of the finite values; NaN of none."""
     known = values[np.isfinite(values)]
     return float(np.median(known)) if known.size else np.nan

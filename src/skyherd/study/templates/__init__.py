@@ -1,1 +1,1 @@
-"""Templates of the pages of studies."""
+"""Templates of the studies' pages."""

@@ -24,7 +24,7 @@ sys.path.insert(0, str(Path(__file__).parent.parent / "tests" / "helpers"))
 from reference import reference_light
 
 from skyherd.bench.detectors.design import GRID, Cell
-from skyherd.bench.detectors.frames import Frame, make_frame, marker_bounds
+from skyherd.bench.detectors.frames import LabelledFrame, make_frame, marker_bounds
 from skyherd.bench.detectors.page import write_outputs
 from skyherd.bench.detectors.scene import camera_shots
 from skyherd.bench.entrants import DEFAULT_DICTIONARY, REFERENCE
@@ -38,7 +38,7 @@ NOISES = (2.0, 5.0, 10.0)
 TILTS_DEG = (5.0, 15.0)
 
 
-def reference_frames(cell: Cell, dictionary: str, seed: int) -> Iterator[Frame]:
+def reference_frames(cell: Cell, dictionary: str, seed: int) -> Iterator[LabelledFrame]:
     """Frames of a cell from the reference, over a smooth random ground."""
     for unit in range(cell.cameras):
         layout, rng = (np.random.default_rng([seed, unit, use]) for use in range(2))

@@ -22,6 +22,9 @@ IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
 """An array of booleans, mostly a mask."""
 
+Image = npt.NDArray[np.uint8]
+"""An image of 8 bits: grey levels (height, width), or RGB (height, width, 3); docstrings name the kind."""
+
 UNIFORM_VARIANCE = 1.0 / 12.0
 """Variance of a uniform distribution over an interval of length 1. Applies to rounding errors (grey levels
 squared) and to a square pixel along one axis (px²). Derived: `∫ x² dx` from -1/2 to 1/2."""
@@ -95,7 +98,7 @@ class SquareImages:
     squeezes: ComplexArray
 
     def headings_rad(self) -> Array:
-        """(N,) headings of the squares, from +u to +v, that fit both of their axes equally well."""
+        """Return the headings (N,) of the squares, from +u to +v, that fit both axes equally well."""
         return np.angle(-1j * self.arms)
 
 

@@ -14,7 +14,7 @@ from command_line import assert_refused, call
 from PIL import Image
 
 from skyherd.bench.boards.accuracy import RAYLEIGH_MEDIAN, collect_errors, covariance, find_floor, only
-from skyherd.bench.boards.board_errors import FEWEST_IMAGES, BoardErrors, Fitted, learn_board_errors
+from skyherd.bench.boards.board_errors import MIN_IMAGES, BoardErrors, Fitted, learn_board_errors
 from skyherd.bench.boards.board_fit import MAX_LEVERAGE, fit_board, robust_sigma
 from skyherd.bench.boards.image_noise import immerkaer_noise
 from skyherd.bench.boards.layout import BoardModel, board_corners
@@ -174,8 +174,8 @@ def test_of_a_perfect_board_nothing_is_learned():
     assert errors_of(fits, "one", learned).median("corner") == pytest.approx(
         RAYLEIGH_MEDIAN * CORNER_PX, rel=0.08
     )
-    few = [one for one in fits if one.image < FEWEST_IMAGES - 1]
-    assert not learn_board_errors(few, len(IDS), FEWEST_IMAGES - 1).displacements.any()
+    few = [one for one in fits if one.image < MIN_IMAGES - 1]
+    assert not learn_board_errors(few, len(IDS), MIN_IMAGES - 1).displacements.any()
 
 
 def test_an_image_does_not_vouch_for_itself():

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from skyherd.bench.detectors.frames import Frame
+from skyherd.bench.detectors.frames import LabelledFrame
 from skyherd.bench.detectors.scorer import Scorer, match
 
 SIDE_PX = 20.0
@@ -14,7 +14,7 @@ SIDE_PX = 20.0
 def frame(ids, centers, headings=None, whole=None, bound=(0.01, 0.01, 0.001)):
     """A frame of markers of 20 px whose bound has these standard deviations of u, v and heading."""
     count = len(ids)
-    return Frame(
+    return LabelledFrame(
         image=np.zeros((4, 4), np.uint8),
         unit_id=0,
         time_s=0.0,

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from skyherd.bench.detectors.design import Cell
-from skyherd.bench.detectors.frames import Frame, FrameSource, rendered_frames
+from skyherd.bench.detectors.frames import FrameSource, LabelledFrame, rendered_frames
 from skyherd.bench.detectors.scorer import Scorer
 from skyherd.bench.entrants import EntrantError, dictionary_for, make_entrant
 from skyherd.errors import SkyherdError
@@ -126,7 +126,7 @@ class Entrant:
         self.scorer = Scorer()
         self.times_ms: list[float] = []
 
-    def measure(self, frame: Frame) -> None:
+    def measure(self, frame: LabelledFrame) -> None:
         """Detect in one frame, time it and score the detections; EntrantError if the detector fails."""
         start = perf_counter()
         detections = self._detect(frame)
@@ -137,7 +137,7 @@ class Entrant:
         """Return score and times so far, as a row of the result."""
         return {**asdict(self.scorer.score()), **time_row(self.times_ms)}
 
-    def _detect(self, frame: Frame) -> Detections:
+    def _detect(self, frame: LabelledFrame) -> Detections:
         try:
             return self.detector.detect(frame.image, time_s=frame.time_s, unit_id=frame.unit_id)
         except SkyherdError as error:

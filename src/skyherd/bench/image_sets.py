@@ -2,13 +2,15 @@
 
 Each set has a table of its name:
 
-    [wall]
-    files = ["wall_*.jpg", "hall/*.png"]     # patterns, from the folder of the images
-    dictionary = "APRILTAG_36h11"
-    border_bits = 1                          # cells of the black border; 2 on some calibration boards
-    inverted = false                         # whether markers are white on black
-    ids_repeat = false                       # whether an image may show several markers of one id
-    every = 1                                # of videos, every frame, or every second, third, …
+```toml
+[wall]
+files = ["wall_*.jpg", "hall/*.png"]     # patterns, from the folder of the images
+dictionary = "APRILTAG_36h11"
+border_bits = 1                          # cells of the black border; 2 on some calibration boards
+inverted = false                         # whether markers are white on black
+ids_repeat = false                       # whether an image may show several markers of one id
+every = 1                                # of videos, every frame, or every second, third, …
+```
 
 Its table `board` gives the marker positions of a calibration board (`skyherd.bench.boards.layout`).
 """

@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 
 from skyherd.datasets import Mission, load_mission
+from skyherd.geometry import Image
 from skyherd.jobs.helpers import one_thread
 from skyherd.loop import run_steps
 from skyherd.markers.dictionary import load_dictionary
@@ -22,7 +23,6 @@ from skyherd.recording.writer import McapRecorder
 from skyherd.sim.agents import make_controller
 from skyherd.sim.perception import RenderedPerception, make_run_perception
 from skyherd.sim.robot_teams import make_team
-from skyherd.sim.sight import Image
 
 KEEP_EVERY = 10
 """Steps of which one is kept for OpenCV's detector. Chosen: enough images for a median, and little memory."""

@@ -67,7 +67,7 @@ class Result:
         return sorted(found, key=lambda pair: pair[0])
 
     def empty_clutter(self, detector: str) -> Row | None:
-        """Return a detector's row for images of clutter without a marker; None if there is none."""
+        """Return a detector's row for images of clutter without a marker; None without one."""
         return next((r for r in self.cells if (r["sweep"], r["detector"]) == (EMPTY, detector)), None)
 
     def write(self, folder: Path) -> Path:

@@ -1,7 +1,8 @@
 """Drawing on RGB images: anti-aliased shapes with sub-pixel positions, and text.
 
 Points are (u, v) in pixels of the image drawn on, u right, v down, an integer being a pixel centre.
-Images may be views of a larger one: drawing is clipped to the view.
+Images are RGB (height, width, 3), drawn on in place. They may be views of a larger one: drawing is clipped to
+the view.
 """
 
 from collections.abc import Iterable, Sequence
@@ -17,8 +18,7 @@ import numpy.typing as npt
 from PIL import Image as PillowImage
 from PIL import ImageDraw, ImageFont
 
-Image = npt.NDArray[np.uint8]
-"""RGB image (height, width, 3), drawn on in place."""
+from skyherd.geometry import Image
 
 Color = tuple[int, int, int]
 """Red, green and blue, 0 to 255."""

@@ -61,7 +61,7 @@ def write_record(folder: Path, entries: Mapping[str, Entry], *, writer: str | No
     Args:
         folder: the folder.
         entries: entry of each file, by its name.
-        writer: verb that starts to write into the folder; None if there is none.
+        writer: verb that starts to write into the folder; None without one.
 
     Raises:
         OutputError: it cannot be written.

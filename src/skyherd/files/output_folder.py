@@ -24,7 +24,7 @@ from skyherd.files.folder_lock import FolderLock
 from skyherd.files.folder_record import RECORD, Entry, digest_of, read_entries, write_record, writer_of
 from skyherd.files.reading import is_regular
 
-LONGEST_NAME = 255
+MAX_NAME_BYTES = 255
 """Maximum length of a file name, bytes. *Defined* by Linux, macOS and Windows alike."""
 
 
@@ -267,7 +267,7 @@ def check_name(path: Path) -> None:
     except UnicodeEncodeError:
         raise InputError(str(path), "a name that is no UTF-8", "another --out") from None
     longest = max((len(part.encode()) for part in path.parts), default=0)
-    if "\0" in str(path) or longest > LONGEST_NAME:
+    if "\0" in str(path) or longest > MAX_NAME_BYTES:
         raise InputError(str(path), "no file can have this name", "another --out")
 
 

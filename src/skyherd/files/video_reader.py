@@ -30,7 +30,7 @@ FEW = 4
 """Maximum number of such folders in an error message. *Chosen*: fits a line or two."""
 
 USUAL_RATE_HZ = Fraction(25)
-"""Frame rate of a video that states none, Hz. *Chosen*: usual, and only times depend on it."""
+"""VideoFrame rate of a video that states none, Hz. *Chosen*: usual, and only times depend on it."""
 
 VIDEO_SUFFIXES = frozenset(
     {".mp4", ".m4v", ".mov", ".avi", ".mkv", ".webm", ".mpg", ".mpeg", ".ts", ".mts", ".wmv"}
@@ -60,7 +60,7 @@ GIVE_A_VIDEO = "give one that plays, such as an MP4"
 
 
 @dataclass(frozen=True)
-class Frame:
+class VideoFrame:
     """A picture of a video.
 
     Attributes:
@@ -165,7 +165,7 @@ def open_clip(path: Path) -> Clip:
 
 
 def _video_stream(path: Path, container: av.container.InputContainer) -> av.VideoStream:
-    """Return the picture stream; InputError if there is none with a known codec."""
+    """Return the picture stream; InputError without one of a known codec."""
     stream = next(iter(container.streams.video), None)
     if stream is None or not hasattr(stream, "width"):
         raise _unreadable(path, None)
@@ -194,7 +194,7 @@ def _check_size(path: Path, width: int, height: int) -> None:
         raise InputError(str(path), what, f"at most {MAX_PIXELS / 1e6:.0f} megapixels can be read")
 
 
-def read_clip(clip: Clip) -> Generator[Frame]:
+def read_clip(clip: Clip) -> Generator[VideoFrame]:
     """Read the frames of a video, one at a time, as far as possible.
 
     Warns with `InputWarning` at the end if the video is damaged, or shorter than its file says.
@@ -214,7 +214,7 @@ def read_clip(clip: Clip) -> Generator[Frame]:
             elif index:
                 time_s += frame_s
             first_s = first_s if index else time_s
-            yield Frame(index, time_s, grey.of(picture))
+            yield VideoFrame(index, time_s, grey.of(picture))
             index += 1
     if not index:
         raise _unreadable(clip.path, damage.error)

@@ -15,13 +15,10 @@ from typing import Self
 import av
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from skyherd.errors import OutputError
 from skyherd.files.atomic import part_of
-
-Image = npt.NDArray[np.uint8]
-"""RGB image (height, width, 3)."""
+from skyherd.geometry import Image
 
 QUALITY = {"crf": "23", "preset": "veryfast", "x264-params": "subme=1:analyse=none:b-adapt=0"}
 """Settings of libx264: constant quality, and fast enough for the loop. *Measured* on 101 frames of `star`,

@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from skyherd.drawing.canvas import Color, Image, draw_arrows, draw_lines, draw_text, fill_polygon, text_width
+from skyherd.drawing.canvas import Color, draw_arrows, draw_lines, draw_text, fill_polygon, text_width
 from skyherd.drawing.palette import PAPER, UNIT_COLORS, rgb
-from skyherd.geometry import Array, to_points
+from skyherd.geometry import Array, Image, to_points
 from skyherd.messages import Detections
 from skyherd.vision import Reason, Rejection
 

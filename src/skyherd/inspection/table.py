@@ -41,7 +41,7 @@ MEASURED = ["cell_px", "contrast", "blur_px", "tilt_deg", "likeness", "nearest_i
 """Columns of the measurements of a rejected candidate (`Reading`)."""
 
 TESTED = ["quantity", "value", "limit"]
-"""Columns of the quantity by which a candidate is rejected, and its limit; empty if there is none."""
+"""Columns of the quantity by which a candidate is rejected, and its limit; empty without one."""
 
 REJECTION_COLUMNS = [*WHERE, "reason", *TESTED, "u_px", "v_px", "side_px", *MEASURED, *CORNERS, "words"]
 """Columns of the table of rejections."""

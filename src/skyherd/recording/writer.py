@@ -11,20 +11,22 @@ the number of messages. `skyherd.recording.survey` uses them to check the integr
 
 Topics, J being the number of a unit:
 
-    /mission            first, and once more: the scenario, the template, the robots' start, the versions, and
-                        the topics in the order of their channel numbers
-    /end                at a normal end of the run: the number of steps
-    /unit/J/detections  detections in an image
-    /unit/J/goals       to the robots that it controls; missing while it has none
-    /unit/J/proximity   bodies near the robots, for avoidance; missing without bodies
-    /unit/J/report      to the other units
-    /unit/J/flight      to its own autopilot
-    /unit/J/map         map from the image to the ground, of a unit that rectifies
-    /unit/J/truth       markers that were whole in the image, and which of them were detected
-    /unit/J/image       the image, on request
-    /robots/command     wheel velocities
-    /world              true positions of robots and units
-    /metrics            ground-truth metrics, last of a step
+```text
+/mission            first, and once more: the scenario, the template, the robots' start, the versions, and
+                    the topics in the order of their channel numbers
+/end                at a normal end of the run: the number of steps
+/unit/J/detections  detections in an image
+/unit/J/goals       to the robots that it controls; missing while it has none
+/unit/J/proximity   bodies near the robots, for avoidance; missing without bodies
+/unit/J/report      to the other units
+/unit/J/flight      to its own autopilot
+/unit/J/map         map from the image to the ground, of a unit that rectifies
+/unit/J/truth       markers that were whole in the image, and which of them were detected
+/unit/J/image       the image, on request
+/robots/command     wheel velocities
+/world              true positions of robots and units
+/metrics            ground-truth metrics, last of a step
+```
 
 The same scenario and seed give the same messages, to the byte. The wall time varies, and is therefore
 metadata of the file instead of a message.

@@ -7,12 +7,12 @@ import numpy as np
 
 from skyherd.datasets import Mission
 from skyherd.errors import InputError
-from skyherd.geometry import Array, BoolArray, IntArray
+from skyherd.geometry import Array, BoolArray, Image, IntArray
 from skyherd.messages import Detections
 from skyherd.random_streams import RunStream, generator
 from skyherd.render import Camera, CameraPose, FrameTruth, Motion, Renderer, Shutter
 from skyherd.sim.projected_perception import ProjectedPerception
-from skyherd.sim.sight import Image, Perception, Sight
+from skyherd.sim.sight import Perception, Sight
 from skyherd.sim.world import Markers, World
 from skyherd.vision import create_detector, explain_mirrored, load_accuracy
 

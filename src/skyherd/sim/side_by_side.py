@@ -23,9 +23,10 @@ from typing import Self
 import numpy as np
 
 from skyherd.errors import OutputError
+from skyherd.geometry import Image
 from skyherd.jobs.helpers import Helper, can_help, one_thread
 from skyherd.sim.perception import RenderedPerception, Scene
-from skyherd.sim.sight import Image, Perception, Sight
+from skyherd.sim.sight import Perception, Sight
 from skyherd.sim.world import World
 
 GONE = OutputError(

@@ -4,15 +4,9 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-import numpy as np
-import numpy.typing as npt
-
-from skyherd.geometry import IntArray
+from skyherd.geometry import Image, IntArray
 from skyherd.messages import Detections
 from skyherd.sim.world import World
-
-Image = npt.NDArray[np.uint8]
-"""Grey levels (height, width)."""
 
 
 @dataclass(frozen=True)
@@ -24,7 +18,7 @@ class Sight:
         whole_ids: robots and obstacles whose whole marker card is in the image.
         found_ids: those of them that were detected.
         false_detections: detections of neither robot nor obstacle, or farther than half a side from theirs.
-        image: the picture, if one was made.
+        image: the grey picture, if one was made.
     """
 
     detections: Detections

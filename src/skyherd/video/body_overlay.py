@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from skyherd.datasets import Mission
-from skyherd.drawing.canvas import Color, Image, circle_dashes, draw_circle, draw_lines, draw_segments
+from skyherd.drawing.canvas import Color, circle_dashes, draw_circle, draw_lines, draw_segments
 from skyherd.drawing.palette import INK, MUTED, PAPER, WARNING, rgb
-from skyherd.geometry import Array, BoolArray
+from skyherd.geometry import Array, BoolArray, Image
 
 CLEAR: Color = (237, 239, 242)
 BODY: Color = (222, 226, 231)

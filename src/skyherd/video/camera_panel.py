@@ -8,7 +8,6 @@ from skyherd.control import ControlSets, owners_by_robot
 from skyherd.drawing.canvas import (
     Box,
     Color,
-    Image,
     circle_dashes,
     draw_arrows,
     draw_circle,
@@ -20,7 +19,7 @@ from skyherd.drawing.canvas import (
     text_width,
 )
 from skyherd.drawing.palette import INK, MUTED, PAPER, TEMPLATE_COLOR, rgb, unit_rgb
-from skyherd.geometry import Array, BoolArray, to_points
+from skyherd.geometry import Array, BoolArray, Image, to_points
 from skyherd.loop import UnitFrame
 from skyherd.messages import NO_ID, Detections
 from skyherd.messages.tree_status import TreeStatus

@@ -7,8 +7,9 @@ import numpy as np
 
 from skyherd.analysis.tree_snapshot import TreeHistory
 from skyherd.datasets import Mission
-from skyherd.drawing.canvas import Box, Image, draw_text, text_width
+from skyherd.drawing.canvas import Box, draw_text, text_width
 from skyherd.drawing.palette import INK, MUTED, PAPER, rgb, unit_rgb
+from skyherd.geometry import Image
 from skyherd.loop import Step, UnitFrame, dead_units
 from skyherd.video.body_overlay import BodySizes, overlapping_ids
 from skyherd.video.camera_panel import BORDER_PX, TITLE_PX, CameraPanel

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skyherd.drawing.canvas import Box, Color, Image, draw_lines, draw_text, text_width
+from skyherd.drawing.canvas import Box, Color, draw_lines, draw_text, text_width
 from skyherd.drawing.palette import INK, MUTED, PAPER, rgb
-from skyherd.geometry import Array
+from skyherd.geometry import Array, Image
 from skyherd.video.axis_ticks import LinearRange, LogRange, tick_values
 
 TITLE_PX = 28

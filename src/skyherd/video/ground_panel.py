@@ -9,7 +9,6 @@ from skyherd.datasets import Mission
 from skyherd.drawing.canvas import (
     Box,
     Color,
-    Image,
     dashes,
     draw_circle,
     draw_lines,
@@ -20,7 +19,7 @@ from skyherd.drawing.canvas import (
 )
 from skyherd.drawing.palette import INK, MUTED, PAPER, TEMPLATE_COLOR, rgb, unit_rgb
 from skyherd.errors import DegenerateSetError
-from skyherd.geometry import Array, to_complex, to_points
+from skyherd.geometry import Array, Image, to_complex, to_points
 from skyherd.loop import Step
 from skyherd.render import footprint_m
 from skyherd.video.axis_ticks import tick_values

@@ -5,7 +5,6 @@ from collections.abc import Callable
 import numpy as np
 
 from skyherd.drawing.canvas import (
-    Image,
     circle_dashes,
     dashes,
     draw_arrows,
@@ -17,6 +16,7 @@ from skyherd.drawing.canvas import (
     text_width,
 )
 from skyherd.drawing.palette import INK, MUTED, PAPER, TEMPLATE_COLOR, rgb, unit_rgb
+from skyherd.geometry import Image
 from skyherd.video.body_overlay import CLEAR, draw_bodies, draw_obstacle
 from skyherd.video.camera_panel import FOREIGN
 from skyherd.video.tree_overlay import FLASH, draw_dead, draw_link, draw_turn

@@ -8,7 +8,6 @@ from skyherd.analysis.goal_points import rectified_goals_px, rows_of
 from skyherd.control import GroundMap
 from skyherd.drawing.canvas import (
     Box,
-    Image,
     draw_arrows,
     draw_circle,
     draw_lines,
@@ -17,7 +16,7 @@ from skyherd.drawing.canvas import (
     text_width,
 )
 from skyherd.drawing.palette import INK, PAPER, TEMPLATE_COLOR, rgb, unit_rgb
-from skyherd.geometry import Array
+from skyherd.geometry import Array, Image
 from skyherd.loop import UnitFrame
 from skyherd.messages import Detections
 from skyherd.video.camera_panel import BORDER_PX, PLAIN, TITLE_PX, brightened

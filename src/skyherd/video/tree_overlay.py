@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from skyherd.analysis.tree_snapshot import Ends, Link, TreeSnapshot
-from skyherd.drawing.canvas import Color, Image, dashes, draw_circle, draw_lines, draw_ring, draw_segments
+from skyherd.drawing.canvas import Color, dashes, draw_circle, draw_lines, draw_ring, draw_segments
 from skyherd.drawing.palette import INK, MUTED, PAPER, rgb, unit_rgb
-from skyherd.geometry import Array, IntArray
+from skyherd.geometry import Array, Image, IntArray
 
 FLASH_S = 2.0
 """Simulated time for which an exchanged pair is shown as new, s."""

@@ -32,7 +32,7 @@ def side_axis(axes: Axes, sides_px: Iterable[float]) -> None:
 
 
 def span(panels: Sequence[Axes], low: float, high: float) -> tuple[float, float]:
-    """Return log limits that show all lines of some panels, and the values `low` and `high`."""
+    """Return the limits of log axes that show all lines of some panels, and `low` and `high`."""
     lines = [line for axes in panels for line in axes.lines]
     drawn = np.concatenate([[low, high], *(np.asarray(line.get_ydata(), float) for line in lines)])
     shown = drawn[np.isfinite(drawn) & (drawn > 0)]

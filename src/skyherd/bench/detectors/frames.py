@@ -1,6 +1,6 @@
 """Frames with ground truth, rendered by `skyherd.render`: the common images of all detectors.
 
-Any function that yields `Frame`s for a cell, a dictionary and a seed can replace it (`FrameSource`).
+Any function that yields `LabelledFrame`s for a cell, a dictionary and a seed can replace it (`FrameSource`).
 """
 
 import math
@@ -49,7 +49,7 @@ QUAD_SIDES = (0.4, 1.2)
 
 
 @dataclass(frozen=True)
-class Frame:
+class LabelledFrame:
     """One image and its ground truth.
 
     Attributes:
@@ -80,7 +80,7 @@ class Frame:
 class FrameSource(Protocol):
     """Function that makes the frames of a cell; the same arguments give the same frames, to the bit."""
 
-    def __call__(self, cell: Cell, dictionary: str, seed: int) -> Iterator[Frame]:
+    def __call__(self, cell: Cell, dictionary: str, seed: int) -> Iterator[LabelledFrame]:
         """Yield the frames of all cameras of the cell, camera by camera, each in the order of time.
 
         Args:
@@ -91,7 +91,7 @@ class FrameSource(Protocol):
         ...
 
 
-def rendered_frames(cell: Cell, dictionary: str, seed: int) -> Iterator[Frame]:
+def rendered_frames(cell: Cell, dictionary: str, seed: int) -> Iterator[LabelledFrame]:
     """Yield the frames of a cell, rendered; a `FrameSource`."""
     if cell.shrink != 1.0:
         large = replace(cell, side_px=cell.side_px * cell.shrink, shrink=1.0)
@@ -116,7 +116,7 @@ def rendered_frames(cell: Cell, dictionary: str, seed: int) -> Iterator[Frame]:
             yield _expose(cell, shot, renderer, rng)
 
 
-def shrunk(frame: Frame, shrink: float) -> Frame:
+def shrunk(frame: LabelledFrame, shrink: float) -> LabelledFrame:
     """Return a frame downscaled by means over boxes of `shrink` by `shrink` pixels.
 
     The size is rounded up to whole pixels, and the image is padded with its last rows and columns. A point u
@@ -212,7 +212,7 @@ def _area(corners: Array) -> float:
     return float(abs(x @ np.roll(y, -1) - y @ np.roll(x, -1)) / 2)
 
 
-def _expose(cell: Cell, shot: Shot, renderer: Renderer, rng: np.random.Generator) -> Frame:
+def _expose(cell: Cell, shot: Shot, renderer: Renderer, rng: np.random.Generator) -> LabelledFrame:
     motion, team = _shake(cell, shot, rng), (shot.ids, shot.positions_m, shot.headings_rad)
     around: list[Disc | Quad] = [*covering_discs(cell, shot, rng), *touching_squares(cell, shot)]
     image = renderer.render(shot.camera, shot.pose, *team, motion=motion, occluders=around)
@@ -228,12 +228,12 @@ def _expose(cell: Cell, shot: Shot, renderer: Renderer, rng: np.random.Generator
     return make_frame(shot, image, truth, bounds)
 
 
-def make_frame(shot: Shot, image: npt.NDArray[np.uint8], truth: FrameTruth, bounds: Array) -> Frame:
+def make_frame(shot: Shot, image: npt.NDArray[np.uint8], truth: FrameTruth, bounds: Array) -> LabelledFrame:
     """Assemble a frame from a shot, its image, its truth, and the bounds (N, 3, 3) of its markers.
 
     Occluded markers count as whole: a detector should find them.
     """
-    return Frame(
+    return LabelledFrame(
         image=image,
         unit_id=shot.unit_id,
         time_s=shot.time_s,

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skyherd.bench.detectors.frames import Frame
+from skyherd.bench.detectors.frames import LabelledFrame
 from skyherd.geometry import Array, IntArray, wrap_angle
 from skyherd.messages import Detections
 
@@ -64,7 +64,7 @@ class Scorer:
         self._variances: list[Array] = []
         self._missed: list[Array] = []
 
-    def add(self, frame: Frame, detections: Detections) -> None:
+    def add(self, frame: LabelledFrame, detections: Detections) -> None:
         """Compare the detections of one frame with its truth, and accumulate the errors."""
         answers, rows = match(frame, detections)
         wanted = frame.whole[rows]
@@ -109,7 +109,7 @@ class Scorer:
         )
 
 
-def match(frame: Frame, detections: Detections) -> tuple[IntArray, IntArray]:
+def match(frame: LabelledFrame, detections: Detections) -> tuple[IntArray, IntArray]:
     """Return rows (K,) of the correct detections, and rows (K,) of their markers.
 
     Of several detections of one marker, the nearest is correct, and the others are false positives.

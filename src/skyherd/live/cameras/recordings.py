@@ -10,7 +10,7 @@ from typing import Literal
 from skyherd.errors import InputError
 from skyherd.files.images import SUFFIXES, read_grey
 from skyherd.files.reading import is_regular
-from skyherd.files.video_reader import Frame as Clipped
+from skyherd.files.video_reader import VideoFrame as Clipped
 from skyherd.files.video_reader import open_clip, read_clip
 from skyherd.live.cameras.frame import Picture
 

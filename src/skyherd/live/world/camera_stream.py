@@ -9,7 +9,7 @@ import av
 import numpy as np
 
 from skyherd.errors import InputError
-from skyherd.sim.sight import Image
+from skyherd.geometry import Image
 
 QUALITY = {"preset": "ultrafast", "tune": "zerolatency", "crf": "18"}
 """How x264 encodes. Chosen: as a network camera does, each picture sent before the next is taken."""

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from skyherd.datasets import Mission
+from skyherd.geometry import Image
 from skyherd.live.live_clock import LiveClock
 from skyherd.live.mailbox import Mailbox, Radio
 from skyherd.live.wire import Wheels
@@ -24,7 +25,6 @@ from skyherd.random_streams import RunStream, generator
 from skyherd.recording.mcap_log import McapLog, Schema
 from skyherd.sim.perception import make_renderer
 from skyherd.sim.physics import make_world
-from skyherd.sim.sight import Image
 from skyherd.sim.truth_metrics import TruthObserver
 
 HOLD_S = 0.5

@@ -14,7 +14,7 @@ exact detections:
     shape   the final shape error
 
 The same numbers are predicted without a run (`predict`). The template is fitted to the first image of the
-camera as if the camera were ideal, and the fitted points are projected to the ground through the true camera.
+camera as if the camera were ideal. The fitted points are projected to the ground through the true camera.
 Their distance from the template fitted on the ground is the predicted error of the goals. Their own deviation
 from the shape is the predicted shape error.
 

@@ -29,7 +29,7 @@ class InputError(SkyherdError, ValueError):
     exit_code = 2
 
     def __init__(self, where: str, what: str, allowed: str) -> None:
-        # The text of an array is of several lines.
+        # The text of an array has several lines.
         self.where, self.what, self.allowed = _fitted(where, " ".join(what.split("\n")), allowed)
         super().__init__(f"{self.where}: {self.what}; {self.allowed}")
 

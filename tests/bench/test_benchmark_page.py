@@ -1,4 +1,4 @@
-"""Tables of docs/benchmark.md: a selection of those of the benchmark, with one figure per cell."""
+"""Tables of docs/benchmark.md: a selection of the benchmark's tables, with one figure per cell."""
 
 from types import ModuleType
 
@@ -11,7 +11,7 @@ SIDES = ("detector", "10 px", "12 px")
 
 @pytest.fixture(scope="module")
 def doc(load_benchmark) -> ModuleType:
-    """The script that writes the page."""
+    """Return the script that writes the page."""
     return load_benchmark("benchmark_doc")
 
 

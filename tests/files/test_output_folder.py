@@ -1,4 +1,4 @@
-"""Output folders: what is ours is known, and nothing else is ever replaced or removed."""
+"""Output folders: own files are known, and foreign files are never replaced or removed."""
 
 import json
 import os
@@ -18,7 +18,7 @@ NAMES = ["a.txt", "figures/b.txt"]
 
 
 def make(folder: Path, content: str = "made", *, verb: str = "run", names=NAMES, **options) -> None:
-    """What a verb does: claims names, and writes a file by each."""
+    """Act as a verb: claim names, and write a file of each."""
     with OutputFolder(folder, verb, names, **options):
         for name in names:
             (folder / name).parent.mkdir(exist_ok=True)
@@ -34,7 +34,7 @@ def recorded(folder: Path) -> dict[str, dict[str, str]]:
     return json.loads((folder / RECORD).read_text())["files"]
 
 
-def test_the_record_says_what_made_each_file(tmp_path):
+def test_record_names_maker_of_each_file(tmp_path):
     out = tmp_path / "new" / "out"
     make(out)
     assert sorted(recorded(out)) == NAMES
@@ -47,7 +47,7 @@ def test_the_record_says_what_made_each_file(tmp_path):
     assert (out / "a.txt").read_text() == "again" and (out / "mine.txt").read_text() == "mine"
 
 
-def test_force_removes_what_the_verb_made_and_nothing_else(tmp_path):
+def test_force_removes_only_own_files(tmp_path):
     make(tmp_path / "out", names=[*NAMES, "old.txt", "gone/c.txt"])
     (tmp_path / "out" / "gone" / "mine.txt").write_text("mine")
     make(tmp_path / "out", verb="detect", names=["d.txt"], force=True)
@@ -93,7 +93,7 @@ def record_of_nonsense(out: Path) -> None:
     "change", [foreign, changed, linked, folder_in_place, file_in_the_way, record_damaged, record_of_nonsense]
 )
 @pytest.mark.parametrize("way", [{"force": True}, {"resume": True}], ids=["force", "resume"])
-def test_what_is_not_ours_is_refused_before_anything_changes(tmp_path, change, way):
+def test_foreign_file_is_rejected_before_any_change(tmp_path, change, way):
     out = tmp_path / "out"
     make(out)
     change(out)
@@ -103,23 +103,23 @@ def test_what_is_not_ours_is_refused_before_anything_changes(tmp_path, change, w
     assert contents(out) == before
 
 
-def test_what_another_verb_made_is_refused(tmp_path):
+def test_file_of_another_verb_is_rejected(tmp_path):
     make(tmp_path / "out")
     with pytest.raises(InputError, match="was made by `skyherd run`"):
         make(tmp_path / "out", verb="detect", force=True)
 
 
-def test_an_input_is_never_replaced_though_it_is_ours(tmp_path):
+def test_own_input_is_never_replaced(tmp_path):
     out = tmp_path / "out"
     make(out)
     (tmp_path / "link.txt").symlink_to(out / "a.txt")
-    with pytest.raises(InputError, match="is what is read"):
+    with pytest.raises(InputError, match="is an input"):
         make(out, "again", force=True, inputs=[tmp_path / "link.txt"])
     assert (out / "a.txt").read_text() == "made"
 
 
 @pytest.mark.parametrize("error", [InputError("a", "b", "c"), KeyboardInterrupt(), OSError(28, "full")])
-def test_a_failure_leaves_no_new_folder(tmp_path, error):
+def test_failure_removes_new_folder(tmp_path, error):
     out = tmp_path / "new" / "out"
     with pytest.raises(type(error)), OutputFolder(out, "run", [*NAMES, "parts/"]):
         (out / "parts" / "deep").mkdir(parents=True)
@@ -130,7 +130,7 @@ def test_a_failure_leaves_no_new_folder(tmp_path, error):
     assert not list(tmp_path.iterdir())
 
 
-def test_a_failure_in_a_folder_that_was_there_leaves_what_was_there(tmp_path):
+def test_failure_preserves_existing_folder(tmp_path):
     (tmp_path / "mine.txt").write_text("mine")
     make(tmp_path, names=["old.txt"], resume=True)
     before = contents(tmp_path)
@@ -140,7 +140,7 @@ def test_a_failure_in_a_folder_that_was_there_leaves_what_was_there(tmp_path):
     assert contents(tmp_path) == before
 
 
-def test_what_is_kept_stays_after_a_failure_and_is_ours(tmp_path):
+def test_kept_files_stay_after_failure(tmp_path):
     out = tmp_path / "out"
     with pytest.raises(KeyboardInterrupt), OutputFolder(out, "run", NAMES) as output:
         (out / "a.txt").write_text("an hour's work")
@@ -150,7 +150,7 @@ def test_what_is_kept_stays_after_a_failure_and_is_ours(tmp_path):
     make(out, "again", force=True)
 
 
-def test_what_a_killed_process_left_is_ours(tmp_path):
+def test_files_of_killed_process_are_own(tmp_path):
     code = f"""
 import os
 from pathlib import Path
@@ -168,7 +168,7 @@ with OutputFolder(folder, "run", {NAMES!r}):
     assert sorted(contents(tmp_path / "out")) == [RECORD, *NAMES]
 
 
-def test_one_process_at_a_time_and_the_other_is_named(tmp_path):
+def test_second_process_is_rejected_with_name_of_first(tmp_path):
     out = tmp_path / "out"
     said = rf"`skyherd run` writes into it \(process {os.getpid()} on .*, since \d{{4}}-"
     with OutputFolder(out, "run", NAMES):
@@ -189,7 +189,7 @@ def test_one_process_at_a_time_and_the_other_is_named(tmp_path):
         ("loop", "file"),
     ],
 )
-def test_a_folder_that_cannot_be_is_refused(tmp_path, name, words):
+def test_impossible_folder_is_rejected(tmp_path, name, words):
     (tmp_path / "file").write_text("mine")
     (tmp_path / "loop").symlink_to("loop")
     before = sorted(tmp_path.iterdir())
@@ -198,7 +198,7 @@ def test_a_folder_that_cannot_be_is_refused(tmp_path, name, words):
     assert sorted(tmp_path.iterdir()) == before
 
 
-def test_a_single_file_is_replaced_only_if_it_is_ours_and_only_by_force(tmp_path):
+def test_single_file_is_replaced_only_if_own_and_forced(tmp_path):
     path = tmp_path / "a.pdf"
 
     def write(content: str, **options) -> None:

@@ -1,4 +1,4 @@
-"""A third recorder, written from the docstring of `Recorder` alone, and the progress that a run reports."""
+"""A third recorder, written from the docstring of `Recorder` alone, and progress of a run."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -15,7 +15,7 @@ from skyherd.runner import RECORDING, run_mission
 
 
 class PathRecorder:
-    """Writes the first robot's path to a text file."""
+    """Recorder of the first robot's path as a text file."""
 
     def __init__(self, path: Path) -> None:
         self.path, self.times_s, self.ends = path, list[float](), list[type[BaseException] | None]()
@@ -37,7 +37,7 @@ class PathRecorder:
 
 
 class Reported:
-    """Keeps what it is told of the progress."""
+    """Progress that keeps all reports."""
 
     def __init__(self) -> None:
         self.calls: list[tuple[str, float, float | None, str | None]] = []
@@ -48,16 +48,14 @@ class Reported:
 
 @pytest.fixture
 def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
-    """Runs half a second of a mission; figures and page are left out."""
+    """Run half a second of a mission, without figures and page."""
     monkeypatch.setattr(runner, "make_report", lambda folder, film: {"folder": folder})
     monkeypatch.setattr(runner, "write_figures", lambda history, folder, jobs: [])
     mission = load_mission("triangle", ["perception=ideal", "duration_s=0.5"])
     return lambda **options: run_mission(mission, tmp_path / "run", video=False, **options)
 
 
-def test_a_recorder_of_ones_own_gets_every_step_once_and_in_order(
-    run: Callable[..., Any], tmp_path: Path
-) -> None:
+def test_user_recorder_gets_every_step_once_in_order(run: Callable[..., Any], tmp_path: Path) -> None:
     recorder, reported = PathRecorder(tmp_path / "path.txt"), Reported()
     run(recorders=[recorder], progress=reported)
     recording = read_recording(tmp_path / "run" / RECORDING)
@@ -72,7 +70,7 @@ def test_a_recorder_of_ones_own_gets_every_step_once_and_in_order(
     assert "found 6/6" in str(reported.calls[0][3]) and "drawing" in str(reported.calls[-1][3])
 
 
-def test_a_recorder_is_closed_when_a_run_is_interrupted(run: Callable[..., Any], tmp_path: Path) -> None:
+def test_recorder_is_closed_on_interrupt(run: Callable[..., Any], tmp_path: Path) -> None:
     def interrupt(step: Step) -> None:
         if step.time_s > 0.15:
             raise KeyboardInterrupt

@@ -1,4 +1,4 @@
-"""The report's page, as text and as a browser shows it."""
+"""The report's page, as text and in a browser."""
 
 import dataclasses
 from collections.abc import Callable, Iterator
@@ -24,7 +24,7 @@ from skyherd.report.run_page import write_page
 
 WIDTHS = {"desktop": (1280, 900), "phone": (390, 844)}
 FEW = tuple(panel for panel in PANELS if panel.name in {"paths", "cost", "topology"})
-"""One figure of each kind is enough to see that a page shows what it is given; slow tests show all."""
+"""One figure of each kind suffices to test the page; slow tests use all."""
 
 VERSIONS = MappingProxyType({"skyherd": "0.1.0", "numpy": np.__version__})
 
@@ -36,7 +36,7 @@ def history() -> History:
 
 
 def write_video(path: Path) -> None:
-    """Two seconds, from dark to bright."""
+    """Write a video of two seconds, from dark to bright."""
     with VideoSink(path, (160, 120), 10) as sink:
         for grey in np.linspace(0, 255, 20).astype(np.uint8):
             sink.write(np.full((120, 160, 3), grey))
@@ -62,7 +62,7 @@ def page(history: History, on_page: tuple[Panel, ...], tmp_path_factory: pytest.
 
 
 class Outline(HTMLParser):
-    """Tags in the order met; checks that each is closed where it should be."""
+    """Tags in document order; checks that each is closed in the right place."""
 
     VOID = frozenset({"meta", "link", "img", "br"})
 
@@ -85,7 +85,7 @@ class Outline(HTMLParser):
         return [attributes for name, attributes in self.tags if name == tag]
 
 
-def test_the_page_is_whole_and_refers_to_nothing_outside(page: Path, on_page: tuple[Panel, ...]) -> None:
+def test_page_is_self_contained(page: Path, on_page: tuple[Panel, ...]) -> None:
     text = page.read_text("utf-8")
     outline = Outline(text)
     assert text.startswith("<!DOCTYPE html>")
@@ -101,7 +101,7 @@ def test_the_page_is_whole_and_refers_to_nothing_outside(page: Path, on_page: tu
     assert len(ids) == len(set(ids))
 
 
-def test_every_value_of_the_summary_is_there(page: Path, history: History) -> None:
+def test_page_shows_every_summary_value(page: Path, history: History) -> None:
     text = page.read_text("utf-8")
     summary = summarize(history, 1.5)
     fields = {field.key: field for name, group in GROUPS.items() if name != TREE for field in group}
@@ -112,7 +112,7 @@ def test_every_value_of_the_summary_is_there(page: Path, history: History) -> No
         assert f"({x_m:.3f}, {y_m:.3f}) m" in text
 
 
-def test_whatever_is_inserted_is_escaped(history: History, tmp_path: Path) -> None:
+def test_inserted_text_is_escaped(history: History, tmp_path: Path) -> None:
     hostile = "<script>alert('$x')</script>&"
     summary = {**summarize(history, 1.5), "scenario": hostile, hostile: hostile}
     scenario = history.mission.scenario.model_copy(update={"name": hostile, "description": hostile})
@@ -131,7 +131,7 @@ def test_whatever_is_inserted_is_escaped(history: History, tmp_path: Path) -> No
         ({"converged": False, "complete": False, "simulated_s": 1.25}, "Cut short after 1.25 s of 3 s;"),
     ],
 )
-def test_the_status_says_how_it_went(
+def test_status_describes_outcome(
     changes: dict[str, Any], words: str, history: History, tmp_path: Path
 ) -> None:
     summary = {**summarize(history, None), **changes}
@@ -148,7 +148,7 @@ def test_the_status_says_how_it_went(
         (1.88668e-8, "1.887 × 10⁻⁸"), (-2.5e12, "−2.5 × 10¹²"), (999.96, "1000"),
     ],
 )  # fmt: skip
-def test_numbers(value: float, text: str) -> None:
+def test_number_text_format(value: float, text: str) -> None:
     assert number_text(value) == text
 
 
@@ -168,11 +168,11 @@ def test_numbers(value: float, text: str) -> None:
         (Field("x", "x", "", "", "ids"), [], "none"),
     ],
 )
-def test_values(field: Field, value: object, text: str) -> None:
+def test_value_text_format(field: Field, value: object, text: str) -> None:
     assert value_text(field, value) == text
 
 
-def test_a_page_that_cannot_be_written_is_named(history: History, tmp_path: Path) -> None:
+def test_unwritable_page_is_named(history: History, tmp_path: Path) -> None:
     (tmp_path / "report.html").mkdir()
     with pytest.raises(OutputError, match=r"report\.html: cannot be written"):
         write_page(tmp_path, history, summarize(history, None), [], VERSIONS, "")
@@ -181,7 +181,7 @@ def test_a_page_that_cannot_be_written_is_named(history: History, tmp_path: Path
 
 @dataclass
 class Window:
-    """The page in a window, and what it has asked for and complained of so far."""
+    """The page in a browser window, with its requests and console messages so far."""
 
     page: Any
     requests: list[str] = dataclasses.field(default_factory=list)
@@ -192,7 +192,7 @@ class Window:
     scope="module", params=[(w, scheme) for w in WIDTHS for scheme in ("light", "dark")], ids="-".join
 )
 def window(browser: Any, page: Path, request: pytest.FixtureRequest) -> Iterator[Window]:
-    """The page as loaded, once for all tests: loading takes most of their time."""
+    """Load the page once for all tests: loading takes most of their time."""
     width, scheme = request.param
     size = dict(zip(("width", "height"), WIDTHS[width], strict=True))
     opened = Window(browser.new_page(viewport=size, color_scheme=scheme))
@@ -210,7 +210,7 @@ CLOSE = "open => document.querySelectorAll('details').forEach((e, k) => { e.open
 
 @pytest.fixture
 def shown(window: Window, page: Path) -> Iterator[Any]:
-    """The page in a window, left as it was found; it asks for nothing and complains of nothing meanwhile."""
+    """Return the page in a clean window, and check that it makes no request and logs no error."""
     before = window.page.evaluate(OPENED)
     yield window.page
     window.page.evaluate(CLOSE, before)
@@ -228,7 +228,7 @@ COLORS = """place => {
 }"""
 
 
-def test_everything_fits_the_window(shown: Any, assert_nothing_overflows: Callable[[Any], None]) -> None:
+def test_page_fits_window(shown: Any, assert_nothing_overflows: Callable[[Any], None]) -> None:
     assert_nothing_overflows(shown)
     shown.evaluate("document.querySelectorAll('details').forEach(e => { e.open = true })")
     assert_nothing_overflows(shown)
@@ -242,7 +242,7 @@ def test_every_image_is_decoded(shown: Any, on_page: tuple[Panel, ...]) -> None:
     assert min(widths) > 0
 
 
-def test_the_video_plays_to_its_end(shown: Any) -> None:
+def test_video_plays_to_end(shown: Any) -> None:
     shown.evaluate("(v => { v.playbackRate = 16; return v.play() })(document.querySelector('video'))")
     shown.wait_for_function("document.querySelector('video').ended", timeout=10_000)
     state = shown.evaluate(
@@ -252,7 +252,7 @@ def test_the_video_plays_to_its_end(shown: Any) -> None:
     assert state == {"error": None, "duration": pytest.approx(2.0, abs=0.05), "videoWidth": 160}
 
 
-def test_a_figure_opens_in_full_width(shown: Any) -> None:
+def test_figure_opens_in_full_width(shown: Any) -> None:
     card = shown.locator("#cost")
     before = card.bounding_box()["width"]
     card.locator("summary").click()
@@ -263,8 +263,8 @@ def test_a_figure_opens_in_full_width(shown: Any) -> None:
     assert card.bounding_box()["width"] == before
 
 
-def test_text_stands_out_from_its_ground(shown: Any) -> None:
-    """Contrast by WCAG 2: at least 4.5 to 1 for all text styles of the page."""
+def test_text_contrast_meets_wcag(shown: Any) -> None:
+    """WCAG 2: contrast of at least 4.5 to 1 for all text styles of the page."""
     places = ["body", ".lead", ".status", ".tile b", ".tile span", "figcaption p", "td + td", "footer"]
     for text, ground in (shown.evaluate(COLORS, place) for place in places):
         light, dark = sorted((luminance(text), luminance(ground)), reverse=True)
@@ -272,7 +272,7 @@ def test_text_stands_out_from_its_ground(shown: Any) -> None:
 
 
 def luminance(rgb: list[int]) -> float:
-    """Relative luminance of an 8-bit sRGB colour (WCAG 2)."""
+    """Return the relative luminance of an 8-bit sRGB colour (WCAG 2)."""
     share = np.array(rgb) / 255
     linear = np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
     return float(linear @ [0.2126, 0.7152, 0.0722])

@@ -48,9 +48,7 @@ class ImageSetModel(Model):
     border_bits: Annotated[int, Field(ge=1, le=4)] = Field(1, description="cells of the black border")
     inverted: bool = Field(False, description="whether markers are white on black")
     ids_repeat: bool = Field(False, description="whether an image may show several markers of one id")
-    every: Annotated[int, Field(ge=1, le=1_000_000)] = Field(
-        1, description="of videos, every how manieth frame"
-    )
+    every: Annotated[int, Field(ge=1, le=1_000_000)] = Field(1, description="of videos, use every n-th frame")
     board: BoardModel | None = Field(None, description="the calibration board that all images show")
 
     @field_validator("dictionary")

@@ -60,7 +60,7 @@ class Box:
 
 def _fixed(points_px: npt.ArrayLike) -> npt.NDArray[np.int32]:
     """Return points as OpenCV's fixed-point numbers, clamped far outside the image."""
-    # This runs a hundred times a frame; `clip` takes twice as long as both bounds by themselves.
+    # Called a hundred times per frame; `clip` takes twice as long as separate bounds.
     points = np.minimum(np.maximum(np.asarray(points_px, dtype=np.float64), -_FAR_PX), _FAR_PX)
     fixed: npt.NDArray[np.int32] = np.rint(points * _ONE).astype(np.int32, order="C")
     return fixed
@@ -151,7 +151,7 @@ def circle_dashes(
 @lru_cache(maxsize=64)
 def _font(size_px: int, bold: bool) -> ImageFont.FreeTypeFont:
     name = "DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf"
-    # Matplotlib brings the fonts. It is found and not imported, which takes 0.15 s and is for figures only.
+    # Matplotlib includes the fonts. Importing it takes 0.15 s and is only needed for figures.
     spec = find_spec("matplotlib")
     folder = Path(spec.origin or "").parent if spec else Path()
     return ImageFont.truetype(folder / "mpl-data" / "fonts" / "ttf" / name, size_px)

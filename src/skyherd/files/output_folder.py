@@ -84,7 +84,7 @@ class OutputFolder:
         if not os.path.lexists(self.path):
             return
         if not (self._force or self._resume):
-            raise InputError(str(self.path), "exists", "another --out, or --force to write it anew")
+            raise InputError(str(self.path), "exists", "another --out, or --force to replace it")
         entries = read_entries(self.path)
         for name in self.names:
             self._check_free(name, entries)
@@ -102,14 +102,14 @@ class OutputFolder:
         try:
             self._make_folders()
             if not self._lock.acquire(self.path, self._wait_s):
-                self._made_folders = []  # the other one's now
+                self._made_folders = []  # The other process owns it now.
                 raise InputError(str(self.path), writer_of(self.path), f"wait for it{self._or_elsewhere}")
         except OSError as error:
             self._remove_made_folders()
             if isinstance(error, InputError | OutputError):
                 raise
             what = error.strerror or str(error)
-            allowed = f"make it a folder that can be written to{self._or_elsewhere}"
+            allowed = f"make the folder writable{self._or_elsewhere}"
             raise InputError(str(self.path), what, allowed) from None
         try:
             self.check_claims()
@@ -157,7 +157,7 @@ class OutputFolder:
                     raise self._foreign(self.path / parent, "is in the way")
             return
         if any(_is_same(path, read) for read in self._inputs):
-            raise InputError(str(path), "is what is read, and would be replaced", "choose another --out")
+            raise InputError(str(path), "is an input, and would be replaced", "choose another --out")
         entry = entries.get(name)
         if entry is None:
             raise self._foreign(path, "was not made by skyherd")
@@ -230,7 +230,7 @@ class OutputFolder:
             if name.endswith("/"):
                 shutil.rmtree(path, ignore_errors=True)
             else:
-                with suppress(OSError):  # of a name that no file can have, nothing was made
+                with suppress(OSError):  # A name that no file can have was never created.
                     path.unlink()
             for parent in list(path.relative_to(self.path).parents)[:-1]:
                 with suppress(OSError):
@@ -265,7 +265,7 @@ def check_name(path: Path) -> None:
     try:
         str(path).encode("utf-8")
     except UnicodeEncodeError:
-        raise InputError(str(path), "a name that is no UTF-8", "another --out") from None
+        raise InputError(str(path), "the name is not UTF-8", "another --out") from None
     longest = max((len(part.encode()) for part in path.parts), default=0)
     if "\0" in str(path) or longest > MAX_NAME_BYTES:
         raise InputError(str(path), "no file can have this name", "another --out")

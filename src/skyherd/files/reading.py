@@ -112,7 +112,7 @@ def is_regular(path: Path) -> bool:
 
 def _check_kind(path: Path, mode: int, allowed: str) -> None:
     if not stat.S_ISREG(mode):
-        what = next((name for test, name in KINDS if test(mode)), "is no regular file")
+        what = next((name for test, name in KINDS if test(mode)), "is not a regular file")
         raise InputError(str(path), what, allowed)
 
 

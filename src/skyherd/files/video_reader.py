@@ -177,7 +177,7 @@ def _end_s(container: av.container.InputContainer, stream: av.VideoStream, rate_
     kind = container.format.name
     if kind in UNSTATED:
         return None
-    if kind == "avi" and stream.frames:  # of a part of a file, FFmpeg gives the duration of that part
+    if kind == "avi" and stream.frames:  # FFmpeg gives the duration of the existing part of a truncated file.
         return float(stream.frames / rate_hz)
     if stream.duration is not None and stream.time_base is not None:
         return float((stream.duration + (stream.start_time or 0)) * stream.time_base)
@@ -241,7 +241,7 @@ def _pictures(
         for packet in container.demux(stream):
             damage.found |= packet.is_corrupt
             pictures = _decoded(packet, damage)
-            while pictures:  # none is held here while it is looked at
+            while pictures:  # No reference is kept here while the caller uses a picture.
                 damage.found |= pictures[-1].is_corrupt
                 yield pictures.pop()
     except av.FFmpegError as error:
@@ -260,7 +260,7 @@ def _decoded(packet: Any, damage: _Damage) -> list[av.VideoFrame]:
 
 def _unreadable(path: Path, error: Exception | None) -> InputError:
     why = (
-        "no picture in it"
+        "it has no picture"
         if error is None
         else " ".join(str(getattr(error, "strerror", None) or error).split())
     )

@@ -110,7 +110,9 @@ def parse_length_mm(text: str, where: str) -> float:
     match = re.fullmatch(r"\s*([0-9]*\.?[0-9]+)\s*(mm|cm|m)\s*", text)
     length = float(match[1]) * UNITS_MM[match[2]] if match else 0.0
     if not length > 0:
-        raise InputError(where, f"{text!r} is no length", "a positive number and mm, cm or m, such as 0.12m")
+        raise InputError(
+            where, f"{text!r} is not a length", "a positive number and mm, cm or m, such as 0.12m"
+        )
     return length
 
 

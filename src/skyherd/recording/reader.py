@@ -151,7 +151,7 @@ def _opened(path: Path) -> Iterator[tuple[BinaryIO, Survey]]:
             if stream.read(len(MAGIC)) not in (b"", MAGIC):
                 raise InputError(str(path), "not a recording of skyherd", "a run.mcap of `skyherd run`")
             if any(flaw.kind != "cut short" for flaw in found.flaws):
-                what = f"nothing of it can be read ({describe_flaws(found.flaws)})"
+                what = f"it cannot be read ({describe_flaws(found.flaws)})"
                 raise InputError(str(path), what, "a recording of this version of skyherd")
             raise InputError(str(path), f"{NOTHING_YET}{_flawed(found)}", "a run that took its first step")
         yield stream, found
@@ -164,8 +164,8 @@ def _flawed(found: Survey) -> str:
 
 def _need(path: Path, mission: Mission | None, found: Survey) -> Mission:
     if mission is None:
-        what = f"its mission is not there, without which nothing can be read{_flawed(found)}"
-        raise InputError(str(path), what, "a recording whose first or second chunk is whole")
+        what = f"its mission is missing, so that nothing can be read{_flawed(found)}"
+        raise InputError(str(path), what, "a recording whose first or second chunk is intact")
     return mission
 
 
@@ -236,7 +236,7 @@ def _version_checked(path: Path) -> Iterator[None]:
         if error.where == str(path):
             raise
         raise _of_another_version(path, str(error)) from None
-    except MALFORMED_RECORDS as error:  # pydantic's and our messages' errors too
+    except MALFORMED_RECORDS as error:  # Includes the errors of pydantic and of our messages.
         first = error.errors()[0] if isinstance(error, ValidationError) else None
         at = ".".join(str(part) for part in first["loc"]) + f": {first['msg']}" if first else str(error)
         raise _of_another_version(path, at) from None

@@ -135,7 +135,7 @@ def _outcome(future: Any) -> Outcome:
         raise OutputError(GONE)
     error = future.exception()
     if isinstance(error, KilledWorker):
-        return failure(key, "each worker that tried it died, perhaps for want of memory")
+        return failure(key, "each worker that tried it died, perhaps from lack of memory")
     return failure(key, f"{type(error).__name__}: {error}")
 
 

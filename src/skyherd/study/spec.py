@@ -55,7 +55,7 @@ class FigureModel(Model):
     x: str = Field(description="a parameter of the study")
     y: str = Field(description="a field that is kept")
     lines: str | None = Field(None, description="a parameter of the study, a line for each value")
-    sweep: str | None = Field(None, description="the sweep whose runs are shown; all if left out")
+    sweep: str | None = Field(None, description="the sweep whose runs are shown; by default all")
     x_label: str | None = Field(None, description="with the unit")
     y_label: str | None = Field(None, description="with the unit")
     lines_label: str | None = Field(None, description="with the unit")

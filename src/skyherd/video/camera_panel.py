@@ -177,7 +177,7 @@ class CameraPanel:
                 fill_polygon(self._picture, corners, (0, 0, 0))
             return
         height, width = self._grey.shape
-        # Halving is quick, and means over areas of other sizes take long: two steps take half the time.
+        # Halving is fast and other area averages are slow: two steps take half the time.
         while image.shape[0] >= 2 * height and not (image.shape[0] % 2 or image.shape[1] % 2):
             half = image.shape[1] // 2, image.shape[0] // 2
             image = np.asarray(cv2.resize(image, half, interpolation=cv2.INTER_AREA), dtype=np.uint8)

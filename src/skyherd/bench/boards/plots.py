@@ -27,8 +27,8 @@ def make_panels(result: SetResult) -> tuple[Panel[Measurement], ...]:
         Panel(
             "distributions",
             "Errors of the centre",
-            "Share of the markers found whose centre is off by less than a distance; the dotted line is "
-            "the floor's median.",
+            "Cumulative distribution of the centre errors of found markers; the dotted line is the floor's "
+            "median.",
             lambda measured: draw_distributions(result, measured),
         ),
         Panel(
@@ -40,9 +40,9 @@ def make_panels(result: SetResult) -> tuple[Panel[Measurement], ...]:
         ),
         Panel(
             "boards",
-            "What the boards have wrong",
-            "Displacement of each corner from where the layout has it, learned from all detectors and "
-            "images; arrows are longer than they are.",
+            "Errors of the boards",
+            "Displacement of each corner from the layout, estimated from all detectors and images. Arrows "
+            "are enlarged.",
             draw_boards,
         ),
     )

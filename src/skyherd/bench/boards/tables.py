@@ -81,7 +81,7 @@ def _floors(result: SetResult) -> Table:
             body.append((name, row["board"], str(row["images"]), str(row["degree"]), *floors))
     return Table(
         "Sets and floors",
-        "Degree of the polynomials that stand for the lens, and the floor of the medians above.",
+        "Degree of the polynomials that model the lens, and the floor of the medians above.",
         ("set", "board", "images", "degree", "centre px", "corner px", "heading deg"),
         tuple(body),
     )

@@ -101,7 +101,7 @@ def rendered_frames(cell: Cell, dictionary: str, seed: int) -> Iterator[Labelled
         layout, rng, noise = (np.random.default_rng([seed, unit, use]) for use in range(3))
         toward = rng.uniform(-np.pi, np.pi)
         light = Illumination(gradient=cell.uneven, gradient_rad=toward)
-        # The gain takes off what the brightest border has in excess, so that white stays within 8 bits.
+        # The gain compensates the brightest border, so that white stays within 8 bits.
         sensor = Sensor(
             cell.noise,
             noise,

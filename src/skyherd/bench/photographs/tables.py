@@ -21,7 +21,7 @@ def make_tables(result: PhotographsResult) -> list[Table]:
         ),
         _by_set(
             result,
-            "Wrong ids, and places that nobody confirms",
+            "Wrong ids, and unconfirmed places",
             "Confirmed markers that a detector reads as another id / places where only detectors of its "
             "family find anything, of which most show no marker.",
             lambda row: f"{row['wrong_ids']} / {row['alone']}",
